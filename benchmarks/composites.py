@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pixel2catch.perception.labels import Box, Truth
+from pixel2catch.perception.image_fit import Box
+from pixel2catch.perception.labels import Truth
 from pixel2catch.perception.segmenter import Image
 
 WIDTH, HEIGHT = 640, 480

@@ -12,7 +12,8 @@ from pixel2catch.evaluation.box_scores import Score, score_box
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, PixelFeatureExtractor
-from pixel2catch.perception.labels import Box, Truth
+from pixel2catch.perception.image_fit import Box
+from pixel2catch.perception.labels import Truth
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Segmenter

@@ -1,6 +1,6 @@
 """How methods to follow an object do on real clips that a person labelled: a table by clip and method.
 
-FOLDER has videos and, beside each, its label file as `pixel2catch label` writes it: throw.mp4, throw.json.
+FOLDER has videos and, beside each, its label file: throw.mp4, throw.json (docs/perception.md).
 
 nice python benchmarks/perception_on_clips.py FOLDER --out clips.json
 """

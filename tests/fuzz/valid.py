@@ -18,7 +18,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison.plan import ComparisonFolder
 from pixel2catch.evaluation.comparison.summary import CURVES, read_metrics
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.files import as_json
+from pixel2catch.files import as_json, json_text
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.joints import joints_of
 from pixel2catch.identification.recording import Recording, Trajectory
@@ -234,7 +234,8 @@ def _camera(folder: Path) -> Path:
 def _labels(folder: Path) -> Path:
     boxes = ((1.0, 2.0, 3.0, 4.0), None)
     images = tuple(Label(image=i, time=0.1 * i, phase="held", box=box) for i, box in enumerate(boxes))
-    Labels(video="a.mp4", width=64, height=48, rate=30.0, images=images).save(folder / "labels.json")
+    labels = Labels(video="a.mp4", width=64, height=48, rate=30.0, images=images)
+    (folder / "labels.json").write_text(json_text({"format_version": 1, **asdict(labels)}))
     return folder / "labels.json"
 
 

@@ -1,7 +1,7 @@
 """The painted throw as files: a video, a bag of ROS 2, and the camera that took it."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.files import json_text
+from pixel2catch.perception.labels import FORMAT_VERSION, Labels
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -32,6 +34,11 @@ CAMERA = replace(RGB_CAMERA, width=WIDTH, height=HEIGHT, cx=WIDTH / 2, cy=HEIGHT
 
 Message = tuple[str, int, Any]
 """Topic, time of reception [ns], message."""
+
+
+def save_labels(path: Path, labels: Labels) -> None:
+    """Write a label file of this package's own format."""
+    path.write_text(json_text({"format_version": FORMAT_VERSION, **asdict(labels)}))
 
 
 def throw() -> Iterator[Image]:

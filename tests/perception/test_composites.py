@@ -24,7 +24,7 @@ from composites import (
     shake,
     true_box,
 )
-from filmed import save_video
+from filmed import save_labels, save_video
 from peers import NearestBlob, follow, methods
 
 from pixel2catch.evaluation.box_scores import summary
@@ -127,7 +127,7 @@ def test_clips_in_a_folder_are_compared(
     labels = Labels(
         video="throw.mp4", width=WIDTH, height=HEIGHT, rate=30.0, object="red ball", images=images
     )
-    labels.save(tmp_path / "throw.json")
+    save_labels(tmp_path / "throw.json", labels)
     out = tmp_path / "out" / "clips.json"
     out.parent.mkdir()
     arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,color", "--out", str(out)]

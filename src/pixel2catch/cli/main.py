@@ -12,17 +12,22 @@ import tyro
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say_on_terminal
 from pixel2catch.cli.help import plain_help
-from pixel2catch.errors import Pixel2CatchError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
 COMMANDS = (
     *("train", "evaluate", "stress", "transfer", "reproduce", "play", "catch"),
-    *("excite", "record", "identify", "calibrate", "track", "label"),
+    *("excite", "record", "identify", "calibrate", "track"),
     *("deploy", "operate", "twin", "rehearse", "replay"),
     *("export", "scene", "bench", "doctor"),
 )
 """Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
+
+REMOVED = {
+    "label": "label the video with CVAT or Label Studio, and give their file to 'track VIDEO --truth FILE'"
+}
+"""Commands that are gone, and what to do instead."""
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
@@ -88,8 +93,11 @@ def parse(args: Sequence[str]):
 
     Raises:
         UnknownNameError: If there is no such command.
+        InvalidValueError: If there is no such command any longer; the message names the new way.
     """
     args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
+    if args and args[0] in REMOVED:
+        raise InvalidValueError(f"there is no command '{args[0]}'; {REMOVED[args[0]]}.")
     if args and not args[0].startswith("-") and args[0] not in COMMANDS:
         raise UnknownNameError("command", args[0], COMMANDS)
     config, registry = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone), plain_help()

@@ -58,7 +58,7 @@ class Track:
     workcell: str = "ur5e_allegro"
     #: Of the ball of the largest object's volume [m]: what is much larger in the image is not believed.
     object_radius: Positive = OBJECT_RADIUS
-    #: Label file of the video, as `label` writes it: how right the boxes are, from --at on.
+    #: Labels of the video, exported from CVAT, Label Studio or as COCO: how right the boxes are, from --at on.
     truth: Path | None = None
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
     json: bool = False  #: Print the summary as one JSON object.
@@ -67,10 +67,10 @@ class Track:
         """Follow the object, write what is seen, and print how long it took."""
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
+            from pixel2catch.perception.labels import load_labels
             from pixel2catch.perception.tracking import Tally
-        from pixel2catch.perception.labels import Labels
 
-        labels = self.truth and Labels.load(self.truth)
+        labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
         notes: list[str] = []
         tally = Tally()

@@ -10,8 +10,8 @@ import numpy as np
 
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.image_fit import ImageFit
-from pixel2catch.perception.labels import PHASES, Box, Labels, Phase, Truth
+from pixel2catch.perception.image_fit import Box, ImageFit
+from pixel2catch.perception.labels import PHASES, Labels, Phase, Truth
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.tracking import Sighting
 

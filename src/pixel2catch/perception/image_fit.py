@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.labels import Box
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 Size = tuple[int, int]  #: Width and height [px].
+Box = tuple[float, float, float, float]  #: xmin, ymin, xmax, ymax in continuous image coordinates [px].
 
 SAME_SHAPE = 0.02
 """Largest relative difference of the aspect ratios of a camera file and of the images that it is for: what

@@ -1,25 +1,34 @@
-"""The label file: where the object is in images of a video, as a person says it."""
+"""Label files: where the object is in the images of a video, as a person labelled it.
 
-from dataclasses import asdict, dataclass, replace
+`load_labels` reads this package's own file and exports of CVAT, of Label Studio, and in COCO's format.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
+from xml.etree import ElementTree
 
 from pixel2catch.camera.camera_file import LARGEST_IMAGE
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
+from pixel2catch.files import decoded, parse_json, read_json_object, read_text, reading
+from pixel2catch.perception.image_fit import Box, Size
+from pixel2catch.perception.sources import video_frames
 
-FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
+FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older one can no longer be read.
 
 SAME_TIME = 0.002
 """Stamps that differ by less are those of one image [s]. Source: ours, a third of a period at 150 Hz."""
 
+MOST_HIDDEN = 100_000  #: Images of a track between two boxes. Source: ours, half an hour.
+
 Phase = Literal["held", "flight", "near the hand"]
-"""Part of a throw: in the hand of who throws, in the air, at or in the hand that catches."""
+"""Part of a throw: in the thrower's hand, in the air, at or in the robot's hand."""
 
 PHASES: tuple[Phase, ...] = get_args(Phase)
-
-Box = tuple[float, float, float, float]  #: xmin, ymin, xmax, ymax in continuous image coordinates [px].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +57,7 @@ class Labels:
     rate: float  #: Images a second.
     object: str = ""  #: What is thrown, such as "white ball".
     source: str = ""  #: Where the video is from, and under which licence.
-    images: tuple[Label, ...] = ()  #: In the order of the video; those that are not here are not labelled.
+    images: tuple[Label, ...] = ()  #: In the order of the video; all other images are not labelled.
 
     def __post_init__(self) -> None:
         """Refuse labels that no video of this size can have."""
@@ -70,7 +79,7 @@ class Labels:
         return in_order and all(map(isfinite, box))
 
     def at(self, time: float) -> Label | None:
-        """The label of the image with this stamp [s], if it has one."""
+        """Return the label of the image with this stamp [s], if it has one."""
         return next((label for label in self.images if abs(label.time - time) < SAME_TIME), None)
 
     def require_size(self, width: int, height: int) -> None:
@@ -85,25 +94,9 @@ class Labels:
                 f"{width} by {height}: give the labels of this video."
             )
 
-    def with_label(self, label: Label) -> "Labels":
-        """These, and one more, or another one of its image."""
-        others = (each for each in self.images if each.image != label.image)
-        return replace(self, images=tuple(sorted((*others, label), key=lambda each: each.image)))
-
-    def without(self, image: int) -> "Labels":
-        """These, but none of an image."""
-        return replace(self, images=tuple(each for each in self.images if each.image != image))
-
-    def save(self, path: Path) -> None:
-        """Write the file, all of it or nothing, with a line for each image."""
-        content = {"format_version": FORMAT_VERSION, **asdict(self)}
-        lines = ",\n  ".join(json_text(each, indent=None).strip() for each in content.pop("images"))
-        head = json_text(content).rstrip().removesuffix("}").rstrip()
-        write_atomically({path: f'{head},\n "images": [\n  {lines}\n ]\n}}\n'.encode()})
-
     @classmethod
     def load(cls, path: Path) -> "Labels":
-        """Read a file.
+        """Read a file of this package's own format.
 
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
@@ -116,25 +109,206 @@ class Labels:
             return decoded(cls, content)
 
 
-def suggested(labels: Labels, image: int) -> Box | None:
-    """Where the object should be in an image by its boxes in others; None where they say nothing.
+def load_labels(path: Path, video: Path) -> Labels:
+    """Read the labels of a video; the content of the file decides which program wrote it.
 
-    Between two of them as if it moved evenly, after them as it moved last.
+    It is an XML file of CVAT (for video or for images), a COCO file with one image per frame, a JSON file of
+    Label Studio, or this package's own. The phase is the attribute `phase` or the label, if it names one,
+    else `flight`. Stamps, and the size where the file has none, are the video's.
+
+    Raises:
+        InvalidValueError: The file is missing, damaged or of another format, or has two boxes in one image.
+        PerceptionError: The video cannot be read.
     """
-    seen = [(label.image, label.box) for label in labels.images if label.box is not None]
-    before = [each for each in seen if each[0] <= image]
-    after = [each for each in seen if each[0] > image]
-    if not before:
-        return None
-    (start, box), (end, other) = before[-1], (after or before)[0]
-    if not after:
-        if len(before) < 2:
-            return box
-        end, other = before[-2]
-    if start == image:
-        return box
-    share = (image - start) / (end - start)
-    moved = [edge + share * (later - edge) for edge, later in zip(box, other, strict=True)]
-    xmin, xmax = sorted(min(max(edge, 0.0), float(labels.width)) for edge in moved[0::2])
-    ymin, ymax = sorted(min(max(edge, 0.0), float(labels.height)) for edge in moved[1::2])
-    return (xmin, ymin, xmax, ymax) if xmin < xmax and ymin < ymax else None
+    with reading("label file", path, "Export it again from CVAT, Label Studio, or as COCO."):
+        text = read_text(path)
+        content = None if text.lstrip().startswith("<") else parse_json(text)
+        if isinstance(content, dict) and "format_version" in content:
+            return Labels.load(path)
+        stamps, size = [], (0, 0)
+        for frame in video_frames(video, []):
+            stamps.append(frame.stamp)
+            size = (frame.image.shape[1], frame.image.shape[0])
+        match content:
+            case None:
+                size, marks = _cvat(text)
+            case {"images": list(images), "annotations": list()} if images:
+                size, marks = _coco(content)
+            case [*tasks] if tasks:
+                marks = _label_studio(_task_of(tasks, video.name), size, len(stamps))
+            case _:
+                raise InvalidValueError("it is neither CVAT's XML, nor COCO, nor JSON of Label Studio")
+        seconds = stamps[-1] - stamps[0]
+        return Labels(
+            video=video.name,
+            width=size[0],
+            height=size[1],
+            rate=round((len(stamps) - 1) / seconds, 3) if seconds > 0.0 else 30.0,
+            object=next((mark.name for mark in marks if mark.name not in PHASES), ""),
+            images=tuple(_labels(marks, stamps, size)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Mark:
+    """A box in one image, or that nothing is visible, as another program has it."""
+
+    image: int  #: From 0.
+    name: str
+    phase: str  #: Empty where the program has none.
+    box: Box | None
+
+
+def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Label]:
+    """Yield one label per image; a box replaces the mark that nothing is visible."""
+    by_image: dict[int, _Mark] = {}
+    for mark in marks:
+        before = by_image.get(mark.image)
+        if before and before.box and mark.box:
+            raise InvalidValueError(f"image {mark.image} has two boxes; keep that of the thrown object")
+        if not (before and before.box):
+            by_image[mark.image] = mark
+    if not any(mark.box for mark in marks):
+        raise InvalidValueError("it has no boxes")
+    for image, mark in sorted(by_image.items()):
+        if not 0 <= image < len(stamps):
+            raise InvalidValueError(f"it has a box in image {image}, the video has {len(stamps)} images")
+        phase: Phase = next((each for each in PHASES if each in (mark.phase, mark.name)), "flight")
+        box = mark.box and (
+            max(mark.box[0], 0.0),
+            max(mark.box[1], 0.0),
+            min(mark.box[2], float(size[0])),
+            min(mark.box[3], float(size[1])),
+        )
+        yield Label(image=image, time=stamps[image], phase=phase, box=box)
+
+
+def _cvat(text: str) -> tuple[Size, list[_Mark]]:
+    """Read 'CVAT for video 1.1' or 'CVAT for images 1.1'.
+
+    Source: docs.cvat.ai, XML annotation format. A box that is `outside` ends a track until its next box.
+    """
+    if "<!DOCTYPE" in text:
+        raise InvalidValueError("it declares a document type, which no export of CVAT does")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidValueError(f"it is no XML: {error}") from None
+    marks = []
+    for image in root.iter("image"):
+        number = _number(image.attrib["name"])
+        marks += [_cvat_mark(box, box.attrib["label"], number) for box in image.iter("box")]
+    for track in root.iter("track"):
+        found = [
+            _cvat_mark(box, track.attrib["label"], int(box.attrib["frame"])) for box in track.iter("box")
+        ]
+        found.sort(key=lambda mark: mark.image)
+        marks += found
+        for mark, following in pairwise(found):
+            if mark.box is None:
+                marks += _hidden(mark, following.image)
+    sized = root.find(".//original_size")
+    if sized is not None:
+        return (int(sized.findtext("width", "")), int(sized.findtext("height", ""))), marks
+    first = next(root.iter("image")).attrib
+    return (int(first["width"]), int(first["height"])), marks
+
+
+def _cvat_mark(box: ElementTree.Element, name: str, image: int) -> _Mark:
+    _require_upright(float(box.get("rotation", 0.0)), image)
+    phase = next((each.text or "" for each in box.iter("attribute") if each.get("name") == "phase"), "")
+    xmin, ymin, xmax, ymax = (float(box.attrib[edge]) for edge in ("xtl", "ytl", "xbr", "ybr"))
+    edges = None if box.get("outside") == "1" else (xmin, ymin, xmax, ymax)
+    return _Mark(image=image, name=name, phase=phase, box=edges)
+
+
+def _coco(content: dict[str, Any]) -> tuple[Size, list[_Mark]]:
+    """Read object detections in COCO's format, one image per frame. Source: cocodataset.org, data format."""
+    numbers = {image["id"]: _number(image["file_name"]) for image in content["images"]}
+    names = {category["id"]: category["name"] for category in content.get("categories", [])}
+    marks = []
+    for each in content["annotations"]:
+        image, attributes = numbers[each["image_id"]], each.get("attributes", {})
+        _require_upright(attributes.get("rotation", 0.0), image)
+        x, y, width, height = map(float, each["bbox"])
+        name, phase = names.get(each["category_id"], ""), str(attributes.get("phase", ""))
+        marks.append(_Mark(image=image, name=name, phase=phase, box=(x, y, x + width, y + height)))
+    first = content["images"][0]
+    return (int(first["width"]), int(first["height"])), marks
+
+
+def _label_studio(results: list[Any], size: Size, num_images: int) -> list[_Mark]:
+    """Read key frames of `VideoRectangle`, which counts frames from 1 and edges in percent.
+
+    Source: labelstud.io, VideoRectangle. Boxes between key frames are interpolated; one that is not `enabled`
+    is the last before a time in which nothing is visible; the last of all, if enabled, stays to the end.
+    """
+    marks: list[_Mark] = []
+    for result in results:
+        if result["type"] != "videorectangle":
+            continue
+        name = next(iter(result["value"].get("labels", [])), "")
+        frames = sorted(result["value"]["sequence"], key=lambda frame: frame["frame"])
+        found = [_studio_mark(frame, name, size) for frame in frames]
+        marks += found
+        for number, (frame, mark) in enumerate(zip(frames, found, strict=True)):
+            following = found[number + 1] if number + 1 < len(found) else None
+            if frame["enabled"]:
+                marks += _between(mark, following, num_images)
+            elif following:
+                marks += _hidden(mark, following.image)
+    return marks
+
+
+def _task_of(tasks: list[Any], video: str) -> list[Any]:
+    """Return what was drawn in the task of this video."""
+    own = [task for task in tasks if any(str(each).endswith(video) for each in task["data"].values())]
+    chosen = tasks if len(tasks) == 1 else own
+    kept = [each for task in chosen for each in task["annotations"] if not each.get("was_cancelled")]
+    if len(chosen) != 1 or len(kept) != 1:
+        raise InvalidValueError(f"it has {len(kept)} annotations of {video}; export exactly one")
+    return kept[0]["result"]
+
+
+def _studio_mark(frame: dict[str, Any], name: str, size: Size) -> _Mark:
+    image = int(frame["frame"]) - 1
+    _require_upright(frame.get("rotation", 0.0), image)
+    x, width = (0.01 * size[0] * float(frame[edge]) for edge in ("x", "width"))
+    y, height = (0.01 * size[1] * float(frame[edge]) for edge in ("y", "height"))
+    return _Mark(image=image, name=name, phase="", box=(x, y, x + width, y + height))
+
+
+def _between(mark: _Mark, following: _Mark | None, num_images: int) -> Iterator[_Mark]:
+    """Yield the boxes between two key frames, or that of the last key frame to the end of the video."""
+    end = min(following.image if following else num_images, num_images)
+    start, goal = mark.box, following.box if following else mark.box
+    assert start is not None
+    assert goal is not None
+    for image in range(mark.image + 1, end):
+        share = (image - mark.image) / (end - mark.image)
+        xmin, ymin, xmax, ymax = (a + share * (b - a) for a, b in zip(start, goal, strict=True))
+        yield _Mark(image=image, name=mark.name, phase="", box=(xmin, ymin, xmax, ymax))
+
+
+def _hidden(mark: _Mark, end: int) -> list[_Mark]:
+    """Return marks that nothing is visible after a mark and before an image."""
+    if end - mark.image > MOST_HIDDEN:
+        raise InvalidValueError(f"nothing is visible for more than {MOST_HIDDEN} images from {mark.image} on")
+    return [
+        _Mark(image=image, name=mark.name, phase=mark.phase, box=None) for image in range(mark.image + 1, end)
+    ]
+
+
+def _number(file_name: str) -> int:
+    """Return the number of an image: the last one in the name of its file."""
+    numbers = re.findall(r"\d+", Path(file_name).stem)
+    if not numbers:
+        raise InvalidValueError(
+            f"the image '{file_name}' has no number in its name; name it frame_000000.png"
+        )
+    return int(numbers[-1])
+
+
+def _require_upright(rotation: Any, image: int) -> None:
+    if float(rotation) % 360.0:
+        raise InvalidValueError(f"the box of image {image} is rotated by {rotation}°; draw it upright")
