@@ -58,7 +58,7 @@ class Track:
     workcell: str = "ur5e_allegro"
     #: Of the ball of the largest object's volume [m]: what is much larger in the image is not believed.
     object_radius: Positive = OBJECT_RADIUS
-    #: Labels of the video, exported from CVAT, Label Studio or as COCO: how right the boxes are, from --at on.
+    #: Labels of the video, of CVAT, Label Studio or in COCO format: how right the boxes are, from --at on.
     truth: Path | None = None
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
     json: bool = False  #: Print the summary as one JSON object.
