@@ -173,14 +173,14 @@ def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Lab
     for image, mark in sorted(by_image.items()):
         if not 0 <= image < len(stamps):
             raise InvalidValueError(f"it has a box in image {image}, the video has {len(stamps)} images")
-        phase: Phase = next((each for each in PHASES if each in (mark.phase, mark.name)), "flight")
+        named: list[Phase] = [each for each in PHASES if each in (mark.phase, mark.name)]
         box = mark.box and (
             max(mark.box[0], 0.0),
             max(mark.box[1], 0.0),
             min(mark.box[2], float(size[0])),
             min(mark.box[3], float(size[1])),
         )
-        yield Label(image=image, time=stamps[image], phase=phase, box=box)
+        yield Label(image=image, time=stamps[image], phase=named[0] if named else "flight", box=box)
 
 
 def _cvat(text: str) -> tuple[Size, list[_Mark]]:
