@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.policy_pipeline import Controller
+from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
@@ -174,7 +174,7 @@ def test_the_file_is_taken_wherever_a_policy_is(file: Path, capsys: pytest.Captu
 def test_a_robot_gets_the_same_targets(file: Path) -> None:
     """What `deploy`, `rehearse` and `replay` decide with; an object comes nearer, the robot rests."""
     workcell = find_workcell(CONTRACT.workcell)
-    controllers = [Controller(load_policy(path)[0], workcell) for path in (file, None)]
+    controllers = [PolicyController(load_policy(path)[0], workcell) for path in (file, None)]
     joint_pos, num_boxes = torch.zeros(1, len(workcell.joints)), controllers[0].method.num_boxes
     boxes = BoxHistory.begun(torch.tensor([[300.0, 100.0, 310.0, 110.0]]), torch.tensor([1.5]), num_boxes)
     targets = []

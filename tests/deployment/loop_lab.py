@@ -13,7 +13,7 @@ import torch
 
 from paper_robot import JOINTS
 from pixel2catch.deployment import recorder
-from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
@@ -65,22 +65,24 @@ class EverythingRed(Segmenter):
         pass
 
 
-def remembering(method: str = "shared_reward+boxes") -> Controller:
+def remembering(method: str = "shared_reward+boxes") -> PolicyController:
     """A policy that knows how old its boxes are, with random networks."""
     torch.manual_seed(0)
-    return Controller(
+    return PolicyController(
         Policy(contract_of(find_method(method), find_workcell(PROFILE.workcell))).eval(),
         find_workcell(PROFILE.workcell),
     )
 
 
-def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | None = None) -> PolicyPipeline:
+def new_pipeline(
+    segmenter: Segmenter | None = None, controller: PolicyController | None = None
+) -> PolicyPipeline:
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
     person = Prompter()
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
     return PolicyPipeline(
-        controller or Controller(policy, find_workcell(PROFILE.workcell)), extractor, person
+        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), extractor, person
     )
 
 

@@ -27,7 +27,7 @@ from pixel2catch.deployment.control_loop import SILENCE, ControlLoop
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.operator_requests import read_prompt
 from pixel2catch.deployment.perception_thread import CallerExecutor
-from pixel2catch.deployment.policy_pipeline import Controller
+from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.sensing import ASSUMED_AGE
@@ -45,7 +45,7 @@ class LedLoop:
         self,
         around: Surroundings,
         executor: Executor | None = None,
-        controller: Controller | None = None,
+        controller: PolicyController | None = None,
     ) -> None:
         self.around = around
         pipeline, camera = new_pipeline(controller=controller), PROFILE.camera
@@ -137,7 +137,7 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     """A tick of the servo that comes while the image is looked at counts."""
     policy, _ = load_policy(Path("proposed"))
     moved = HOME + 0.02
-    expected = Controller(policy, find_workcell(PROFILE.workcell)).step(
+    expected = PolicyController(policy, find_workcell(PROFILE.workcell)).step(
         torch.tensor(moved[None], dtype=torch.float32),
         BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )

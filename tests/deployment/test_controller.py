@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from paper_robot import JOINTS
-from pixel2catch.deployment.policy_pipeline import Controller
+from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -79,7 +79,7 @@ def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int
         The boxes of every step.
     """
     policy = policy_of(method, recurrent)
-    controller = Controller(policy_of(method, recurrent), UR5E_ALLEGRO)
+    controller = PolicyController(policy_of(method, recurrent), UR5E_ALLEGRO)
     cfg = CatchEnvCfg(randomization=STEADY_ACTIONS, sensing=sensing)
     env = CatchEnv(cfg, find_method(method), num_envs=1, seed=3)
     given, boxes, num_ended = None, list[BoxHistory](), 0
@@ -118,14 +118,14 @@ def test_targets_of_policies_with_a_memory_are_those_of_the_environment(method: 
     assert ages[:, 0].max() > 4.0
 
 
-def measured(controller: Controller) -> Measurement:
+def measured(controller: PolicyController) -> Measurement:
     assert controller.measurement is not None
     return controller.measurement
 
 
 def test_a_throw_begins_as_an_episode():
     """The history is the first reading, the last action none; nothing of the throw before is left."""
-    controller = Controller(policy_of("journal"), UR5E_ALLEGRO)
+    controller = PolicyController(policy_of("journal"), UR5E_ALLEGRO)
     first = controller.step(HOME, BOX)
     assert torch.equal(measured(controller).joint_pos_target, HOME)
     assert not measured(controller).action.any()
@@ -139,7 +139,7 @@ def test_a_throw_begins_as_an_episode():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
-    controller, twin = (Controller(policy_of("proposed"), UR5E_ALLEGRO) for _ in range(2))
+    controller, twin = (PolicyController(policy_of("proposed"), UR5E_ALLEGRO) for _ in range(2))
     controller.step(HOME, BOX)
     twin.step(HOME, BOX)
     joint_pos = HOME.clone()
@@ -165,19 +165,19 @@ def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
 )
 def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
     with pytest.raises(PolicyMismatchError, match=term):
-        Controller(policy_of(method), UR5E_ALLEGRO)
+        PolicyController(policy_of(method), UR5E_ALLEGRO)
 
 
 def test_the_camera_of_the_policy_is_that_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
     policy = Policy(contract_of(find_method("proposed"), camera=calibrated)).eval()
-    given = Controller(policy, UR5E_ALLEGRO, calibrated).step(HOME, BOX)
+    given = PolicyController(policy, UR5E_ALLEGRO, calibrated).step(HOME, BOX)
     assert given.isfinite().all()
     with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
-        Controller(policy, UR5E_ALLEGRO)
+        PolicyController(policy, UR5E_ALLEGRO)
 
 
 def test_a_policy_of_the_other_hand_is_refused():
     with pytest.raises(PolicyMismatchError, match="workcell"):
-        Controller(policy_of("proposed"), find_workcell("ur5e_allegro_right"))
+        PolicyController(policy_of("proposed"), find_workcell("ur5e_allegro_right"))

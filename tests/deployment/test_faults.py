@@ -15,7 +15,7 @@ from servo_rows import LIMITS
 
 from mutation import changed_bytes
 from pixel2catch.deployment.image_subscriber import NUM_EQUAL
-from pixel2catch.deployment.policy_pipeline import FADE_STEPS, Controller, make_pipeline
+from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController, make_pipeline
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.prompt import Prompter
@@ -45,7 +45,7 @@ class Watcher(Arming):
         policy, _ = load_policy(None)
         prompter = Prompter()
         pipeline = make_pipeline(
-            Controller(policy, find_workcell(PROFILE.workcell)),
+            PolicyController(policy, find_workcell(PROFILE.workcell)),
             EverythingRed(),
             prompter,
             RGB_CAMERA,

@@ -23,7 +23,7 @@ from pixel2catch.deployment.policy_pipeline import (
     BOX_AGE,
     FADE_STEPS,
     LONGEST_LOOK,
-    Controller,
+    PolicyController,
     PolicyPipeline,
     make_pipeline,
 )
@@ -74,7 +74,7 @@ def test_nothing_is_ordered_before_the_object_is_pointed_out():
 def test_what_the_policy_was_trained_for_is_never_too_large(name: str, expected: Verdict):
     """A box of 28 cm where it is caught, which cannot be one of the paper's objects."""
     policy, _ = load_policy(Path(name))
-    controller = Controller(policy, find_workcell(policy.contract.workcell))
+    controller = PolicyController(policy, find_workcell(policy.contract.workcell))
     pipeline = make_pipeline(controller, ColorThreshold(RED), Prompter(), RGB_CAMERA, None)
     large = (300.0, 200.0, 460.0, 360.0)
     pipeline.point(BoxPrompt(box=large))
@@ -89,7 +89,7 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
     """Where images are younger than that, the policy gets what was between them; where older, the newest."""
     pipeline = new_pipeline()
     policy, _ = load_policy(Path("proposed"))
-    controller = Controller(policy, find_workcell(PROFILE.workcell))
+    controller = PolicyController(policy, find_workcell(PROFILE.workcell))
     pipeline.point(PROMPT)
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
@@ -138,7 +138,7 @@ def test_a_new_throw_forgets_the_old_one():
     assert np.array_equal(first.joint_pos_target, expected.joint_pos_target)
 
 
-def seen_boxes(controller: Controller) -> BoxHistory:
+def seen_boxes(controller: PolicyController) -> BoxHistory:
     assert controller.measurement is not None
     return controller.measurement.boxes
 
@@ -266,7 +266,7 @@ def test_the_words_for_what_is_known_of_the_object():
 def test_a_box_that_jumps_never_reaches_the_policy_as_motion(is_told: bool):
     """Another thing, 250 px off, is refused until it can be the same; then it is one that stands still."""
     policy, _ = load_policy(Path("proposed"))
-    controller = remembering() if is_told else Controller(policy, UR5E_ALLEGRO)
+    controller = remembering() if is_told else PolicyController(policy, UR5E_ALLEGRO)
     pipeline = new_pipeline(EverythingRed(), controller)
     pipeline.point(PROMPT)
     verdicts, boxes = list[str](), list[torch.Tensor]()

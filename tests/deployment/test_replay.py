@@ -13,7 +13,7 @@ from wire_lab import WireLab
 
 from paper_robot import JOINTS
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
 from pixel2catch.deployment.replay import RecordedTargets, compare, recorded_targets, replay
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
@@ -35,9 +35,9 @@ PERIOD = 17
 """Ticks from image to image."""
 
 
-def new_pipeline(controller: Controller | None = None) -> PolicyPipeline:
+def new_pipeline(controller: PolicyController | None = None) -> PolicyPipeline:
     policy, _ = load_policy(None)
-    controller = controller or Controller(policy, find_workcell(PROFILE.workcell))
+    controller = controller or PolicyController(policy, find_workcell(PROFILE.workcell))
     prompter = Prompter()
     return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
 

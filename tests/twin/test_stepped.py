@@ -13,7 +13,7 @@ import torch
 
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import GRACE, SHIFT
-from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
 from pixel2catch.deployment.recorder import ORDERS
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -213,7 +213,7 @@ def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
 def seen_by(draw: Draw) -> Iterator[SteppedRehearsal]:
     """A rehearsal whose camera sees what is drawn."""
     workcell = find_workcell(TASK.scene.workcell)
-    controller = Controller(POLICY, workcell, TASK.scene.camera)
+    controller = PolicyController(POLICY, workcell, TASK.scene.camera)
     pipeline = make_pipeline(controller, ColorThreshold(RED_HUES), Prompter(), TASK.scene.camera, None)
     with closing(SteppedRehearsal(ONE, TASK, draw, pipeline, None)) as rehearsal:
         yield rehearsal

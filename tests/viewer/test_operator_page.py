@@ -170,7 +170,7 @@ def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
         desk.tell(mode="stopped", stopped_by=["stop request"])
         state = desk.go_on()
         assert (state["num_heard"], state["tone"]) == (1, "stopped")
-        assert state["headline"] == "stopped: somebody asked to stop"
+        assert state["headline"] == "stopped: a stop was requested"
         desk.taken("stop")
         desk.go_on()
         assert desk.taken("stop") == []
@@ -258,7 +258,7 @@ def test_words_follow_the_statuses(desk: Desk):
     assert desk.go_on(0.9 * REFUSAL_TIME)["refusal"]
     desk.tell(mode="armed")
     assert not desk.go_on()["refusal"]
-    assert desk.go_on(1.5)["headline"] == "nothing is heard of a deployment"
+    assert desk.go_on(1.5)["headline"] == "no status of a deployment is received"
 
 
 def test_garbage_shows_nothing(desk: Desk):
@@ -390,7 +390,7 @@ def test_a_visitor_arms_points_runs_and_stops(browser_page: Any):
         wait_for("#sight", "sees the object")
         browser_page.keyboard.press("Space")
         wait_for("#heard", "STOP was heard after")
-        wait_for("#headline", "stopped: somebody asked to stop")
+        wait_for("#headline", "stopped: a stop was requested")
         assert not twin.page.is_held
         assert not browser_page.locator("#details").is_visible()
         twin.close()

@@ -39,14 +39,14 @@ class Vision:
         self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec", *, is_live: bool
     ) -> "PolicyPipeline":
         """Perception and policy, for this robot and camera, a live one or one that was recorded."""
-        from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
+        from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.workcells import find_workcell
 
         policy, _ = load_policy(policy_path)
         workcell = find_workcell(profile.workcell)
-        controller = Controller(policy, workcell, camera)
+        controller = PolicyController(policy, workcell, camera)
         profile.require(policy.contract.commands)
         robot = RobotMask(workcell, camera) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
@@ -110,7 +110,7 @@ class Deploy:
 
     def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> str:
         """Run until a signal, which is returned, or the time is over, and say when something changes."""
-        from pixel2catch.deployment.status_words import sentence
+        from pixel2catch.servo.status_words import sentence
 
         gc.collect()
         gc.freeze()  # what there is now stays: it need not be looked through again and again

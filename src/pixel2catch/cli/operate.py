@@ -84,7 +84,7 @@ class Operate:
 
 def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":
     """What says when something changes, and makes a page current."""
-    from pixel2catch.deployment.status_words import sentence
+    from pixel2catch.servo.status_words import sentence
 
     hear = saying_changes()
 

@@ -122,7 +122,7 @@ class Record:
 
 def in_words(status: dict[str, Any]) -> str:
     """A status in a line, with what it says of the recording."""
-    from pixel2catch.deployment.status_words import sentence
+    from pixel2catch.servo.status_words import sentence
 
     words = FOLLOWING.get(status["mode"])
     return " ".join(filter(None, (words, status["message"]))) if words else sentence(status)

@@ -39,7 +39,7 @@ class _Past:
     joint_pos_target: Float[Tensor, "1 num_joints"]
 
 
-class Controller:
+class PolicyController:
     """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
     def __init__(self, policy: LoadedPolicy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
@@ -168,7 +168,9 @@ class PolicyPipeline:
     of perception may run while `perceive` does.
     """
 
-    def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
+    def __init__(
+        self, controller: PolicyController, extractor: PixelFeatureExtractor, person: Prompter
+    ) -> None:
         """Begin before the first throw, with a person that tells perception where the operator points."""
         self._controller, self._extractor, self._person = controller, extractor, person
         #: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
@@ -294,7 +296,7 @@ class PolicyPipeline:
 
 
 def make_pipeline(
-    controller: Controller,
+    controller: PolicyController,
     segmenter: Segmenter,
     prompter: Prompter,
     camera: CameraSpec,

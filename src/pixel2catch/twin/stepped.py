@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -174,7 +174,7 @@ def in_step(
             view = stack.enter_context(RoomCamera(scene, cfg.seed))
             draw, segmenter = (lambda _, exposure: view.image(exposure)), BackgroundSubtraction()
             robot = RobotMask(workcell, scene.camera)
-        controller = Controller(policy, workcell, scene.camera)
+        controller = PolicyController(policy, workcell, scene.camera)
         pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
         yield stack.enter_context(closing(SteppedRehearsal(cfg, task, draw, pipeline, limits)))
 

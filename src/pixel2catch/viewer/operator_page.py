@@ -11,13 +11,13 @@ from threading import Event
 from typing import Any, final
 
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.status_words import latencies, refusal_words, sight_words, status_words
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.servo.status_words import latencies, refusal_words, status_words, verdict_words
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import jpeg
 from pixel2catch.viewer.server import OwnPage, open_server, page_files
@@ -169,7 +169,7 @@ class OperatorPage:
             "size": (self._camera.width, self._camera.height),
             "has_image": now - self._image_time < SILENCE,
             "box": status.get("box"),
-            "sight": sight_words(status),
+            "sight": verdict_words(status),
             "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
             "latency_ms": latencies(status),
             "details": status_rows(status) if is_heard else [],

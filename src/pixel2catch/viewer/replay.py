@@ -8,7 +8,6 @@ import numpy as np
 
 from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import BagPlayer
-from pixel2catch.deployment.status_words import status_words
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.video import draw_box
@@ -17,6 +16,7 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.servo.status_words import status_words
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import Picture
 from pixel2catch.viewer.process import PlayingPage

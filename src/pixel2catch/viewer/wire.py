@@ -6,7 +6,6 @@ from typing import Any, final
 import numpy as np
 import viser
 
-from pixel2catch.deployment.status_words import sight_words
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
@@ -14,7 +13,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg
-from pixel2catch.servo.fault_words import fault_words
+from pixel2catch.servo.status_words import fault_words, verdict_words
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer.scene import SceneView
 from pixel2catch.workcells import find_workcell
@@ -72,7 +71,7 @@ def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         ("stopped by", _what(status.get("stopped_by"))),
         ("finds now", _what(status.get("found"))),
         ("commands held back by", listed(status.get("clamped"))),
-        ("camera", sight_words(status) or "no image yet"),
+        ("camera", verdict_words(status) or "no image yet"),
         ("box of the object [px]", listed([f"{edge:.0f}" for edge in status.get("box") or ()])),
         ("steps without a new image", str(status.get("num_missed", 0))),
     ]

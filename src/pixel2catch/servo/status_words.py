@@ -1,0 +1,238 @@
+"""States, faults and verdicts in words, for operators: commands, pages and reports use this one file."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any, Literal, NamedTuple
+
+Tone = Literal["absent", "waiting", "armed", "moving", "stopped"]  #: Colour class of a state on a page.
+
+
+class FaultWords(NamedTuple):
+    """A fault in words."""
+
+    what: str  #: What is wrong: the end of "stopped: ...".
+    fix: str  #: What to do, in sentences; empty if nothing has to be done.
+
+
+FAULT_WORDS = {
+    "clock": FaultWords(
+        "the servo process was delayed by 20 ms",
+        "End other programs on this machine, or give the servo its own core.",
+    ),
+    "joints stale": FaultWords(
+        "no new position of a joint has arrived in time",
+        "Check the drivers of robot and hand, their cables, and the joint names in the profile.",
+    ),
+    "joints not finite": FaultWords(
+        "a joint position is missing or not a number",
+        "Check that both drivers run, and the joint names in the profile.",
+    ),
+    "image stale": FaultWords(
+        "no image for 0.1 s",
+        "Check the camera and its cable, and that its clock is synchronised.",
+    ),
+    "policy late": FaultWords(
+        "no decision of the policy for 67 ms",
+        "Point at the object. If that does not help, end other programs: perception is too slow.",
+    ),
+    "target not finite": FaultWords(
+        "the policy gives a target that is not a number",
+        "Use another policy, and report this one to its author.",
+    ),
+    "target far": FaultWords(
+        "the first target of the policy is far from the robot", "Move the robot to its start pose."
+    ),
+    "tracking error": FaultWords(
+        "a joint does not follow its command",
+        "Check whether something blocks the robot. If not, identify its dynamics.",
+    ),
+    "safety mode": FaultWords(
+        "the robot is not in its normal safety mode, or its program does not run",
+        "Correct this on the robot's pendant.",
+    ),
+    "speed scaling": FaultWords(
+        "the robot runs below its full speed", "Set the speed slider of the pendant to 100 %."
+    ),
+    "other publisher": FaultWords(
+        "another program sends commands to the robot; this one has stopped sending",
+        "End the other program.",
+    ),
+    "dead man": FaultWords("the dead-man's switch is not held", "Hold the switch."),
+    "stop request": FaultWords("a stop was requested", ""),
+    "start pose": FaultWords(
+        "the robot is not at the start of its commands", "Move the robot to its start pose."
+    ),
+    "workspace": FaultWords("hand or elbow are outside the workspace", "Move the robot to its start pose."),
+    "still stopping": FaultWords("the robot is still stopping", "Wait until it stands."),
+    "joints implausible": FaultWords(
+        "a measured joint position is beyond the joint's range, or jumped too far",
+        "Check encoders, cables and the joint names in the profile.",
+    ),
+    "joint speed": FaultWords(
+        "a joint was faster than its limit",
+        "Check whether something else moves the robot, and its payload setting; or lower the speed.",
+    ),
+    "other operator": FaultWords(
+        "two programs hold the switch or request arming",
+        "End one of them; a program that was killed counts for 10 s.",
+    ),
+    "switch not pressed": FaultWords(
+        "the switch was not released and pressed again since the last stop",
+        "Let go of the switch, and press it again.",
+    ),
+    "object lost": FaultWords(
+        "the object was not seen for 3 s", "Show it to the camera, and point at it after arming."
+    ),
+    "perception unsound": FaultWords(
+        "the images cannot come from one working camera",
+        "Restart the camera's driver, or end the other camera or recording.",
+    ),
+    "status unknown": FaultWords(
+        "the state of the robot is published by no driver, or by several",
+        "Check that the robot's driver runs, and that no recording is played.",
+    ),
+    "no subscriber": FaultWords(
+        "no driver receives the commands of the robot or the hand",
+        "Start the driver, and check the command topics in the profile.",
+    ),
+    "other subscriber": FaultWords(
+        "several programs receive the commands of the robot or the hand", "End all except the driver."
+    ),
+    "controller": FaultWords(
+        "the controller that receives the commands is not active", "Activate it with 'ros2 control'."
+    ),
+    "joints frozen": FaultWords(
+        "measured joint positions do not change while the joints are commanded to move",
+        "Check the encoders and the driver: positions must not be repeated.",
+    ),
+}
+"""By the names of `Fault`, as `flag_names` gives them."""
+
+EXPECTED_WHEN_IDLE = (
+    *("dead man", "image stale", "policy late", "target not finite", "target far"),
+    *("object lost", "perception unsound"),
+)
+"""Faults of a servo that waits to be armed and needs no repair: no switch held, no policy commands yet."""
+
+REARM = "Let go of the switch, hold it again, and press arm."  #: How a stop ends.
+
+VERDICTS = {
+    "seen": "sees the object",
+    "no image": "gets no image",
+    "repeated image": "waits for the next image",
+    "bad image": "cannot read the image",
+    "no prompt": "has no object yet: point at it",
+    "not found": "has lost the object: point at it",
+    "segmenter failed": "failed on this image",
+    "too small": "sees something too small",
+    "too large": "sees something too large",
+    "jump": "sees something that jumps",
+    "border": "sees something at the image's border",
+}
+"""What perception does, by its `Verdict` on the newest image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusWords:
+    """The status of a deployment in words."""
+
+    tone: Tone
+    headline: str  #: What the robot does, and why.
+    advice: tuple[str, ...] = ()  #: What to do, in sentences.
+
+
+MODES = {
+    "": StatusWords(
+        tone="absent",
+        headline="no status of a deployment is received",
+        advice=("Start 'pixel2catch deploy'.",),
+    ),
+    "several": StatusWords(
+        tone="stopped",
+        headline="several programs publish the status of the deployment",
+        advice=("End all but one; a program that was killed counts for 10 s.",),
+    ),
+    "starting": StatusWords(tone="waiting", headline="starting: the servo process starts"),
+    "armed": StatusWords(
+        tone="armed", headline="armed: holds its pose until the object is seen", advice=("Point at it.",)
+    ),
+    "ramp": StatusWords(tone="moving", headline="beginning: moves to the policy's first target"),
+    "run": StatusWords(tone="moving", headline="running: follows the policy"),
+}
+"""Words of the modes that need no reason; "" without a status, "several" with more than one publisher."""
+
+
+def status_words(status: dict[str, Any]) -> StatusWords:
+    """Return the words of a status message; an empty one means that there is no deployment."""
+    mode = str(status.get("mode", ""))
+    if mode == "idle":
+        return _idle_words(_names(status, "found"), status.get("verdict"))
+    if mode == "stopped":
+        reasons = _names(status, "stopped_by")
+        fixes = _fixes(name for name in reasons if name != "dead man")
+        return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
+    if mode == "run" and status.get("object") == "searching":
+        return StatusWords(tone="moving", headline="resting: goes on when the object is seen again")
+    return MODES.get(mode, StatusWords(tone="waiting", headline=mode))
+
+
+def _idle_words(found: Sequence[str], verdict: object) -> StatusWords:
+    """Return the words of a robot that waits to be armed, or cannot be armed."""
+    unseen = ["image stale"] if verdict == "no image" else []
+    if missing := [*unseen, *(name for name in found if name not in EXPECTED_WHEN_IDLE)]:
+        return StatusWords(tone="waiting", headline=f"not ready: {_what(missing)}", advice=_fixes(missing))
+    request = "hold the switch and press arm" if "dead man" in found else "the switch is held; press arm"
+    return StatusWords(tone="waiting", headline=f"waiting: {request}")
+
+
+def verdict_words(status: dict[str, Any]) -> str:
+    """Return what perception does; empty before its first image."""
+    verdict = status.get("verdict")
+    return f"perception {VERDICTS.get(str(verdict), str(verdict))}" if verdict else ""
+
+
+def refusal_words(status: dict[str, Any]) -> str:
+    """Return why a request to arm was refused; empty if none was."""
+    refused = _names(status, "refused")
+    if "dead man" in refused:
+        refused = [name for name in refused if name != "switch not pressed"]  # "hold the switch" is enough
+    return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
+
+
+def latencies(status: dict[str, Any]) -> dict[str, float]:
+    """Return the percentiles of the time from image to command [ms] that a status has, such as "p50"."""
+    found = status.get("latency_ms")
+    return {
+        str(name): round(float(value), 1)
+        for name, value in (found.items() if isinstance(found, dict) else ())
+        if name != "count" and isinstance(value, int | float) and 0.0 <= value < inf
+    }
+
+
+def sentence(status: dict[str, Any]) -> str:
+    """Return a status as one line that changes only with the state; a stop adds the latencies so far."""
+    words = status_words(status)
+    parts = [f"{words.headline}.", *words.advice, refusal_words(status)]
+    if status.get("mode") == "stopped" and (times := latencies(status)):
+        listed = ", ".join(f"{name} {time:.0f}" for name, time in times.items())
+        parts.append(f"From image to command: {listed} ms.")
+    return " ".join(part for part in (*parts, status.get("message", "")) if part)
+
+
+def fault_words(name: str) -> FaultWords:
+    """Return the words of a fault; an unknown one keeps its name."""
+    return FAULT_WORDS.get(name, FaultWords(name, ""))
+
+
+def _names(status: dict[str, Any], key: str) -> list[str]:
+    found = status.get(key)  # of any program's message
+    return [str(name) for name in found] if isinstance(found, list) else []
+
+
+def _what(names: Sequence[str]) -> str:
+    return "; ".join(fault_words(name).what for name in names) or "no reason was given"
+
+
+def _fixes(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(fix for name in names if (fix := fault_words(name).fix)))
