@@ -9,8 +9,8 @@ import torch
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
+from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robots.joint_dynamics import JointDynamics

@@ -12,8 +12,8 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import EpisodeParameters, GainRanges, RandomizationCfg, sample_parameters
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
+from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_parameters
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS

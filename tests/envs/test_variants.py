@@ -13,8 +13,8 @@ from pixel2catch.envs.cfg import COMMON_SENSING, CatchEnvCfg, TaskVariant
 from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
 from pixel2catch.envs.tasks import TASKS, find_task
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg, by_joint
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
+from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import Range, ThrowCfg

@@ -20,8 +20,7 @@ from pixel2catch.identification.identify import (
     tracking_errors,
 )
 from pixel2catch.identification.recording import Recording
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics
 
 HAND = ROBOTS["allegro"]

@@ -8,7 +8,7 @@ from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
 from pixel2catch.identification.identify import LAG, RATIOS, estimates, gain_ranges
 from pixel2catch.identification.intervals import model_covariance
 from pixel2catch.identification.report_tables import weak_directions
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

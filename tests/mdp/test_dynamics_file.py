@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

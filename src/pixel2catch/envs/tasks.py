@@ -5,7 +5,8 @@ from math import radians
 
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.dynamics_file import GainRanges
+from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg

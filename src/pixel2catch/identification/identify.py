@@ -16,8 +16,7 @@ from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import groups_of, joints_of, parts
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec

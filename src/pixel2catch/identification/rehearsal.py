@@ -19,8 +19,7 @@ from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
 from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, is_settled
-from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

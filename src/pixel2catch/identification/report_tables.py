@@ -22,7 +22,7 @@ from pixel2catch.identification.identify import (
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import short
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.offline_page import Cell
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 

@@ -5,66 +5,17 @@ Source: paper, Table I; release (object friction, biases).
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TypeVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.device_constants import constant
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Amount, Range, drawn, uniform
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import PUSH_OUT
-
-LARGEST_FACTOR = 1e3  #: On a gain; a larger one is a mistake. Source: ours.
-
-
-@dataclass(frozen=True, kw_only=True)
-class GainRanges:
-    """Ranges of the factors on the gains of every joint, in joint order."""
-
-    #: Factor on a joint's stiffness; one range is every joint's, none those of the robot's joint groups
-    #: (Source: paper, Table I).
-    stiffness_scale: tuple[Range, ...] = ()
-    damping_scale: tuple[Range, ...] = ()  #: Factor on its damping, drawn apart; likewise.
-    #: Whether the damping is multiplied by the factor on the stiffness as well, where their ratio is better
-    #: known than either; none is nowhere.
-    is_damping_relative: tuple[bool, ...] = ()
-
-    def of(self, workcell: WorkcellSpec) -> "GainRanges":
-        """The ranges with an entry for each joint of a work cell.
-
-        Raises:
-            InvalidValueError: If there are neither none, nor one, nor as many, or one is of no factors.
-        """
-        for name in ("stiffness_scale", "damping_scale"):
-            for joint, (low, high) in zip(workcell.joints, getattr(self, name), strict=False):
-                if not 0.0 < low <= high <= LARGEST_FACTOR:
-                    raise InvalidValueError(
-                        f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
-                        f"first, more than 0 and at most {LARGEST_FACTOR:g}"
-                    )
-        own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
-        return GainRanges(
-            stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
-            damping_scale=_for_each(self.damping_scale, own, "damping_scale"),
-            is_damping_relative=_for_each(
-                self.is_damping_relative, (False,) * len(own), "is_damping_relative"
-            ),
-        )
-
-
-Entry = TypeVar("Entry")
-
-
-def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) -> tuple[Entry, ...]:
-    if len(values) not in (0, 1, len(default)):
-        raise InvalidValueError(
-            f"{name} has {len(values)} entries; it needs one for each of {len(default)} joints"
-        )
-    return values * len(default) if len(values) == 1 else values or default
 
 
 @dataclass(frozen=True, kw_only=True)

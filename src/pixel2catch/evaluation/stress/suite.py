@@ -11,7 +11,7 @@ from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.own_files import catalogue
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
