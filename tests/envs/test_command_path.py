@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.envs.actuators import CommandPath, filtered
-from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.envs.actuators import CommandPath
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_step, filter_transition
 
 DT = 1.0 / 240.0
 NUM_STEPS, HOLD = 40, 8
@@ -66,8 +66,8 @@ def test_step_response_of_the_filter_is_the_analytic_one():
     transition = torch.tensor(filter_transition(FILTERED, DT))
     state, goal, path = torch.zeros(1, 2, 2, dtype=torch.float64), torch.ones(1, 2, dtype=torch.float64), []
     for _ in range(NUM_STEPS):
-        state = filtered(transition, state, goal)
-        path.append(state[0].numpy())
+        filter_step(transition, state, goal)
+        path.append(state[0].numpy().copy())
     decay = FILTERED.filter_gain * FILTERED.filter_lookahead / 2
     omega = np.sqrt(FILTERED.filter_gain - decay**2)
     time = TIMES[1:, None]

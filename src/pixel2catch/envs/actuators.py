@@ -10,7 +10,13 @@ from torch import Tensor
 
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
-from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import (
+    DryFriction,
+    JointDynamics,
+    command_lag,
+    filter_step,
+    filter_transition,
+)
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -230,7 +236,7 @@ class CommandPath:
         """
         self._history.copy_(torch.cat((command[None], self._history[:-1])))
         delayed = (self._share * self._history).sum(dim=0)
-        self._state.copy_(filtered(self._transition, self._state, delayed))
+        filter_step(self._transition, self._state, delayed)
         return self._state[..., 0]
 
 
@@ -242,17 +248,3 @@ def _shares(age: Float[np.ndarray, " num_joints"]) -> Float[np.ndarray, "num_age
     """
     distance = np.abs(np.arange(int(np.ceil(age.max() + 0.5)) + 1)[:, None] - age)
     return np.where(distance < 0.5, 0.75 - distance**2, np.maximum(1.5 - distance, 0.0) ** 2 / 2)
-
-
-def filtered(
-    transition: Float[Tensor, "*copies num_joints 2 2"],
-    state: Float[Tensor, "num_copies num_joints 2"],
-    command: Float[Tensor, "num_copies num_joints"],
-) -> Float[Tensor, "num_copies num_joints 2"]:
-    """Position [rad] and speed [rad/s] of the joints' command filters after a step with these commands [rad].
-
-    Transitions are those of `filter_transition`, of every joint or of every joint of every copy.
-    """
-    goal = torch.nn.functional.pad(command[..., None], (0, 1))  # at rest on the command
-    error = state - goal
-    return goal + transition[..., 0] * error[..., :1] + transition[..., 1] * error[..., 1:]

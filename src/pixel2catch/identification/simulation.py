@@ -13,15 +13,20 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
 
-from pixel2catch.envs.actuators import EFFORT_MARGIN, filtered
+from pixel2catch.envs.actuators import EFFORT_MARGIN
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, held
-from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import (
+    DryFriction,
+    JointDynamics,
+    command_lag,
+    filter_step,
+    filter_transition,
+)
 from pixel2catch.sim.batch import BatchSimulation
 
 FIT_DT = 1.0 / 480.0
@@ -147,8 +152,8 @@ class Servos:
         return np.where(excess > 0.0, np.copysign(mean, torque), torque), at_limit
 
 
-class Filters:
-    """The command filters of all copies; nothing where no joint has one."""
+class CommandFilters:
+    """The command filters of all copies; commands pass unchanged where no joint has a filter."""
 
     def __init__(
         self,
@@ -156,17 +161,17 @@ class Filters:
         start: Float[np.ndarray, "2 num_copies num_joints"],
         dynamics: Sequence[JointDynamics],
     ) -> None:
-        """Begin with positions and speeds of the joints."""
-        self._transition = torch.from_numpy(np.stack([filter_transition(each, dt) for each in dynamics]))
-        self._state = torch.from_numpy(np.moveaxis(start, 0, -1).copy())
+        """Begin with positions [rad] and speeds [rad/s] of the joints; the time step is in [s]."""
+        self._transition = np.stack([filter_transition(each, dt) for each in dynamics])
+        self._state = np.moveaxis(start, 0, -1).copy()
         self._is_there = any(each.has_filter.any() for each in dynamics)
 
-    def advance(self, command: np.ndarray) -> np.ndarray:
-        """What the servos aim at in a step with a command [rad]."""
+    def step(self, command: np.ndarray) -> np.ndarray:
+        """Return the targets of the servos [rad] after a time step with a command [rad]."""
         if not self._is_there:
             return command
-        self._state = filtered(self._transition, self._state, torch.from_numpy(command))
-        return self._state[..., 0].numpy()
+        filter_step(self._transition, self._state, command)
+        return self._state[..., 0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,13 +315,13 @@ class RecordedMotion:
         start = np.stack([motion.start for _, motion in copies], axis=1)
         qpos[:], qvel[:] = start
         servos = Servos(simulation, candidates, self._efforts, self.link_inertia, self._dt)
-        path = Filters(self._dt, start, candidates)
+        filters = CommandFilters(self._dt, start, candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))
         paths[0] = qpos
         for k, arriving in enumerate(commands):
             mean, first, last, share = arriving.take(index, axis=1)
-            target = path.advance(mean)
+            target = filters.step(mean)
             servos.drive(target + first, target + last, share)
             simulation.step()
             paths[k + 1] = qpos

@@ -182,6 +182,17 @@ def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "
 Values = Any  #: A NumPy array or a PyTorch tensor.
 
 
+def filter_step(transition: Values, state: Values, command: Values) -> None:
+    """Advance the state of command filters by a time step with these commands [rad].
+
+    The transitions of `filter_transition` are (..., num_joints, 2, 2). The state, position [rad] and speed
+    [rad/s], is (num_copies, num_joints, 2) and keeps its memory.
+    """
+    error, speed = state[..., 0] - command, state[..., 1] + 0.0
+    state[..., 0] = command + transition[..., 0, 0] * error + transition[..., 0, 1] * speed
+    state[..., 1] = transition[..., 1, 0] * error + transition[..., 1, 1] * speed
+
+
 class DryFriction:
     """Dry friction of identified joints: each joint drags a spring whose force is at most its friction.
 
