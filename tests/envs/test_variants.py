@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.checks import Range
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import COMMON_SENSING, CatchEnvCfg, TaskVariant
 from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
@@ -17,7 +18,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import Range, ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.scene.objects import SIZES

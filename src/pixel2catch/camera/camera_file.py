@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from math import sqrt
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.checks import Share, Within
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
@@ -34,11 +36,12 @@ class CameraFile:
     #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
     #: 0.5).
     camera: CameraSpec
-    distortion: tuple[float, ...] = ()  #: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) of OpenCV; () if rectified.
+    #: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) of OpenCV; () if rectified.
+    distortion: tuple[Annotated[float, Within(-1e3, 1e3)], ...] = ()
     #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
     #: of the world.
-    pose_covariance: tuple[tuple[float, ...], ...] = NO_POSE_ERROR
-    focal_std: float | None = None  #: Standard deviation, relative to the focal length; None if unknown.
+    pose_covariance: Annotated[tuple[tuple[float, ...], ...], Within(-100.0, 100.0)] = NO_POSE_ERROR
+    focal_std: Share | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""

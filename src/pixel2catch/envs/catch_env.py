@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector, ProjectedDetector
 from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
@@ -102,7 +103,19 @@ class CatchEnv:
 
         The observations of a `teacher` are made as well. The seed is that of everything that is drawn here.
         Where it `is_fused`, the first step compiles the control step: see `sim.fusion`.
+
+        Raises:
+            InvalidValueError: If a value is of another type or out of range.
         """
+        for kind, name, value in (
+            (CatchEnvCfg, "cfg", cfg),
+            (Method, "method", method),
+            (Count, "num_envs", num_envs),
+            (Device, "device", device),
+            (Seed, "seed", seed),
+            (Method | None, "teacher", teacher),
+        ):
+            require(kind, name, value)
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
         self.method, self.teacher, self.num_envs = method, teacher, num_envs

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.checks import NotEmpty, Share, require_valid
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -30,7 +31,7 @@ COMMON_RANDOMIZATION = ("action_noise",)  #: What of the randomization is not dr
 class TaskVariant:
     """Other ranges that hold in a share of the episodes."""
 
-    share: float  #: The share.
+    share: Share  #: The share.
     throws: ThrowCfg  #: Where from and where to.
     randomization: RandomizationCfg  #: What differs from episode to episode.
     #: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
@@ -48,7 +49,7 @@ class CatchEnvCfg:
     scene: SceneCfg = field(default_factory=SceneCfg)  #: What the model is made from.
     #: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
     dynamics: JointDynamics | None = None
-    objects: tuple[str, ...] = SEEN  #: Names of the objects that are thrown.
+    objects: Annotated[tuple[str, ...], NotEmpty()] = SEEN  #: Names of the objects that are thrown.
     throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Where from and where to.
     #: What differs from episode to episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
@@ -61,7 +62,8 @@ class CatchEnvCfg:
     is_value_told: bool = False  #: Whether the value networks know what was drawn for an episode.
 
     def __post_init__(self) -> None:
-        """Refuse shares of more than everything, and variants in what is not drawn for an episode."""
+        """Refuse values out of range, shares of more than 1, and variants of what is not drawn."""
+        require_valid(self, "env")
         if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
             raise InvalidValueError(
                 f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pixel2catch.checks import Range
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
-from pixel2catch.mdp.throws import Range
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
 """Shares that are told as rates of the same names, besides the one of `is_tracked`."""

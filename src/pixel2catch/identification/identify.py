@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pixel2catch.checks import Range
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.encoders import Encoders
@@ -17,7 +18,6 @@ from pixel2catch.identification.joints import groups_of, joints_of, parts
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
-from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

@@ -5,18 +5,18 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
+from pixel2catch.checks import Range, Within, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.files import json_text, read_json_object, reading, write_atomically
-from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
-LARGEST_FACTOR = 1e3  #: On a gain; a larger one is a mistake. Source: ours.
+Factors = tuple[Annotated[Range, Within(0.01, 100.0)], ...]  #: Ranges of factors on a gain.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,8 +25,8 @@ class GainRanges:
 
     #: Factor on a joint's stiffness; one range is every joint's, none those of the robot's joint groups
     #: (Source: paper, Table I).
-    stiffness_scale: tuple[Range, ...] = ()
-    damping_scale: tuple[Range, ...] = ()  #: Factor on its damping, drawn apart; likewise.
+    stiffness_scale: Factors = ()
+    damping_scale: Factors = ()  #: Factor on its damping, drawn apart; likewise.
     #: Whether the damping is multiplied by the factor on the stiffness as well, where their ratio is better
     #: known than either; none is nowhere.
     is_damping_relative: tuple[bool, ...] = ()
@@ -35,15 +35,8 @@ class GainRanges:
         """The ranges with an entry for each joint of a work cell.
 
         Raises:
-            InvalidValueError: If there are neither none, nor one, nor as many, or one is of no factors.
+            InvalidValueError: If there are neither none, nor one, nor as many.
         """
-        for name in ("stiffness_scale", "damping_scale"):
-            for joint, (low, high) in zip(workcell.joints, getattr(self, name), strict=False):
-                if not 0.0 < low <= high <= LARGEST_FACTOR:
-                    raise InvalidValueError(
-                        f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
-                        f"first, more than 0 and at most {LARGEST_FACTOR:g}"
-                    )
         own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
         return GainRanges(
             stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
@@ -136,7 +129,9 @@ def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSp
             raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(rows)}")
         for row, value in zip(rows, values, strict=True):
             columns[name][row] = _flag(value) if name == "is_damping_relative" else _range(*value)
-    return GainRanges(**{name: tuple(values) for name, values in columns.items()}).of(workcell)
+    gains = GainRanges(**{name: tuple(values) for name, values in columns.items()})
+    require_valid(gains, "gain_ranges")
+    return gains.of(workcell)
 
 
 def _range(low: Any, high: Any) -> Range:

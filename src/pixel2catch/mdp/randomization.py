@@ -5,15 +5,17 @@ Source: paper, Table I; release (object friction, biases).
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Annotated
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.checks import Amount, Range, Within
 from pixel2catch.device_constants import constant
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.throws import Amount, Range, drawn, uniform
+from pixel2catch.mdp.throws import drawn, uniform
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import PUSH_OUT
 
@@ -23,21 +25,28 @@ class RandomizationCfg:
     """Ranges of uniform draws and standard deviations of Gaussian ones."""
 
     gains: GainRanges = field(default_factory=GainRanges)  #: Factors on stiffness and damping of each joint.
-    action_noise: float = 1.0  #: Factor on the noise of the actions of each joint group.
-    action_bias: float = 1.0  #: Factor on their errors that last an episode.
-    initial_joint_noise: float = 0.125  #: Largest deviation of each joint from its start position [rad].
-    mass_scale: Range = (0.5, 1.5)  #: Factor on the object's mass and inertia.
-    restitution: Range = (0.0, 0.5)  #: Restitution of contacts with the object.
-    friction: Range = (0.5, 1.5)  #: Sliding friction of contacts with the object (release).
+    #: Factor on the noise of the actions of each joint group.
+    action_noise: Annotated[float, Within(0.0, 50.0)] = 1.0
+    action_bias: Annotated[float, Within(0.0, 50.0)] = 1.0  #: Factor on their errors that last an episode.
+    #: Largest deviation of each joint from its start position [rad].
+    initial_joint_noise: Annotated[float, Within(0.0, 1.0)] = 0.125
+    mass_scale: Annotated[Range, Within(0.01, 100.0)] = (
+        0.5,
+        1.5,
+    )  #: Factor on the object's mass and inertia.
+    #: Restitution of contacts with the object.
+    restitution: Annotated[Range, Within(0.0, 1.0)] = (0.0, 0.5)
+    #: Sliding friction of contacts with the object (release).
+    friction: Annotated[Range, Within(0.0, 5.0)] = (0.5, 1.5)
     #: Share of a penetration of the object that a physics step removes: how stiff contacts are (ours).
-    push_out: Amount = PUSH_OUT
+    push_out: Annotated[Amount, Within(0.01, 1.0)] = PUSH_OUT
     #: Control steps between a command and its effect, first and last of the draw per episode (ours; the
     #: paper's training has none).
-    command_delay: Range = (0, 0)
+    command_delay: Annotated[Range, Within(0.0, 30.0)] = (0, 0)
     #: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
-    command_delay_grid: float = 1.0
+    command_delay_grid: Annotated[float, Within(0.0, 30.0)] = 1.0
     #: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training, 1.2 is real.
-    air_density: Amount = 0.0
+    air_density: Annotated[Amount, Within(0.0, 10.0)] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

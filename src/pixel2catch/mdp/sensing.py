@@ -4,6 +4,7 @@ Training and evaluation in simulation only: on the robot the sensors themselves 
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,53 +13,67 @@ from torch import Tensor
 from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
+from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
-from pixel2catch.mdp.throws import Amount, Range
 from pixel2catch.scene.constants import RGB_CAMERA
 
 RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, known exactly.
+
+
+Pixels = Annotated[float, Within(0.0, 100.0)]  #: Largest error of an edge of a box [px].
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensingCfg:
     """Noise and delay of the sensors."""
 
-    corner_noise: float = 5.0  #: Largest error of each edge of the box, uniform [px] (Source: paper).
+    #: Largest error of each edge of the box, uniform [px] (Source: paper).
+    corner_noise: Pixels = 5.0
     #: Control steps between image and delivered box, first and last of the draw per episode (Source:
     #: release).
-    latency_steps: Range = (1, 2)
+    latency_steps: Annotated[Range, Within(0.0, 60.0)] = (1, 2)
     #: Difference of neighbouring latencies that are drawn [control steps] (Source: release, whole steps); 0
     #: draws any, as there are outside a simulation.
-    latency_grid: float = 1.0
+    latency_grid: Annotated[float, Within(0.0, 60.0)] = 1.0
     #: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
-    joint_noise: float = 0.005
-    joint_bias: float = 0.001  #: Standard deviation of their error in an episode [rad] (Source: release).
+    joint_noise: Annotated[float, Within(0.0, 0.5)] = 0.005
+    #: Standard deviation of their error in an episode [rad] (Source: release).
+    joint_bias: Annotated[float, Within(0.0, 0.5)] = 0.001
     #: Share of the object's surface points that must be visible for a detection (Source: ours, see
     #: `benchmarks/box_error.py`).
-    least_visible: float = 0.05
+    least_visible: Share = 0.05
     #: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn within that.
     #: The default is the release's, known exactly.
     camera: CameraFile = RELEASE_CAMERA
     #: Distance of the true camera from that one, in a random direction [m]. This and what follows is nothing
     #: in the paper's training (Source: ours; values with their sources are in `envs.tasks` and
     #: `evaluation.stress.suite`).
-    camera_offset: Amount = 0.0
-    camera_turn: Amount = 0.0  #: Angle between the two, about a random axis [rad].
-    focal_error: Amount = 0.0  #: Relative error of the focal length, of random sign.
-    box_bias: Amount = 0.0  #: Shift of every box of an episode in a random direction [px].
-    noise_scale: Amount = 1.0  #: Factor on `corner_noise` in all images of an episode.
-    box_scale: float = 1.0  #: Factor on the size of every box about its centre.
-    edge_noise: float = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
-    drop_rate: Amount = 0.0  #: Share of the images in which the object is not found.
-    blackout_steps: Amount = 0  #: Control steps of each flight, at a random time, without any image.
+    camera_offset: Annotated[Amount, Within(0.0, 1.0)] = 0.0
+    #: Angle between the two, about a random axis [rad].
+    camera_turn: Annotated[Amount, Within(0.0, 0.8)] = 0.0
+    #: Relative error of the focal length, of random sign.
+    focal_error: Annotated[Amount, Within(0.0, 0.5)] = 0.0
+    #: Shift of every box of an episode in a random direction [px].
+    box_bias: Annotated[Amount, Within(0.0, 300.0)] = 0.0
+    #: Factor on `corner_noise` in all images of an episode.
+    noise_scale: Annotated[Amount, Within(0.0, 20.0)] = 1.0
+    #: Factor on the size of every box about its centre.
+    box_scale: Annotated[float, Within(0.1, 10.0)] = 1.0
+    edge_noise: Pixels = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
+    #: Share of the images in which the object is not found.
+    drop_rate: Annotated[Amount, Within(0.0, 1.0)] = 0.0
+    #: Control steps of each flight, at a random time, without any image.
+    blackout_steps: Annotated[Amount, Within(0.0, 300.0)] = 0
     #: Control steps from one image that is looked at to the next, at least 1: perception that takes 60 ms
     #: looks at every second.
-    image_period: Amount = 1.0
-    clock_error: Amount = 0.0  #: How far the stamps of all images of an episode are off, early or late [s].
-    stamp_jitter: Amount = 0.0  #: Standard deviation of the error of each stamp [s].
+    image_period: Annotated[Amount, Within(1.0, 100.0)] = 1.0
+    #: How far the stamps of all images of an episode are off, early or late [s].
+    clock_error: Annotated[Amount, Within(0.0, 1.0)] = 0.0
+    #: Standard deviation of the error of each stamp [s].
+    stamp_jitter: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Share of the episodes whose images have no stamps: their age is then taken for `ASSUMED_AGE`.
-    unstamped: float = 0.0
+    unstamped: Share = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a camera whose pixels mean something else to a policy."""

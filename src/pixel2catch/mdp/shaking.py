@@ -8,11 +8,13 @@ Source: ours, for tests of policies.
 
 from dataclasses import dataclass, replace
 from math import pi
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.checks import Within
 from pixel2catch.mdp.throws import Throw, random_directions
 from pixel2catch.scene.constants import CONTROL_DT
 
@@ -21,8 +23,9 @@ from pixel2catch.scene.constants import CONTROL_DT
 class ShakeCfg:
     """How the table shakes."""
 
-    amplitude: float = 0.0  #: Largest displacement [m]; 0 is a table that stands still, as in training.
-    frequency: float = 0.0  #: Frequency [Hz].
+    #: Largest displacement [m]; 0 is a table that stands still, as in training.
+    amplitude: Annotated[float, Within(0.0, 0.2)] = 0.0
+    frequency: Annotated[float, Within(0.0, 50.0)] = 0.0  #: Frequency [Hz].
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,13 @@
 """When the object is near, held or lost, and when an episode ends."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.checks import Within
 from pixel2catch.mdp.snapshot import Privileged, Transition
 
 REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
@@ -28,10 +30,11 @@ DROP_X = 0.03  #: World x under which the object has passed the robot [m]. Sourc
 class EpisodeCfg:
     """When an episode ends besides the loss of the object."""
 
-    max_steps: int = 90  #: Control steps after which it ends: 3.0 s (Source: release).
+    #: Control steps after which it ends: 3.0 s (Source: release).
+    max_steps: Annotated[int, Within(1, 100_000)] = 90
     #: Control steps for which a hold goes on after a success before that ends the episode (Source: paper, 0;
     #: ours: with those of the hold test, a policy also learns what becomes of what it holds).
-    rest_steps: int = 0
+    rest_steps: Annotated[int, Within(0, 100_000)] = 0
     #: Whether robots that touch each other end it, as in evaluation and on the wire (ours). In training that
     #: costs instead: robots whose episodes end so learn to keep apart before they learn to catch.
     ends_on_robot_contact: bool = False

@@ -4,39 +4,44 @@ Source: release, unless a line says otherwise.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.checks import Amount, InOrder, Range, Within
 from pixel2catch.device_constants import constant
 from pixel2catch.scene.constants import GRAVITY
 
-Range = tuple[float, float]
-
-Amount = float | Range  #: A number, or the range from which every episode draws its own, uniformly.
+Depth, Width, Height = (  # along x, along y and above the floor [m]
+    Annotated[Range, Within(0.05, 10.0)],
+    Annotated[Range, Within(-5.0, 5.0)],
+    Annotated[Range, Within(0.05, 5.0)],
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowCfg:
     """Ranges of uniformly drawn throws, world frame [m]."""
 
-    release_x: Range = (2.4, 2.9)  #: Where the object is released, x.
-    release_y: Range = (-0.3, 0.3)  #: Likewise, y.
-    release_z: Range = (0.75, 0.85)  #: Likewise, z.
-    aim_x: Range = (0.65, 0.85)  #: Where the path comes down through the catch height, x.
-    aim_y: Range = (-0.35, 0.35)  #: Likewise, y.
-    aim_z: Range = (0.9, 1.1)  #: The catch height.
-    peak_z: Range = (1.6, 1.9)  #: Highest point of the path.
-    clearance: float = 0.2  #: Least height of the peak over release and aim.
+    release_x: Depth = (2.4, 2.9)  #: Where the object is released, x.
+    release_y: Width = (-0.3, 0.3)  #: Likewise, y.
+    release_z: Height = (0.75, 0.85)  #: Likewise, z.
+    aim_x: Depth = (0.65, 0.85)  #: Where the path comes down through the catch height, x.
+    aim_y: Width = (-0.35, 0.35)  #: Likewise, y.
+    aim_z: Height = (0.9, 1.1)  #: The catch height.
+    peak_z: Height = (1.6, 1.9)  #: Highest point of the path.
+    clearance: Annotated[float, Within(0.01, 3.0)] = 0.2  #: Least height of the peak over release and aim.
     #: Control steps that the object hovers before it flies, first and last.
-    hover_steps: tuple[int, int] = (5, 19)
+    hover_steps: Annotated[tuple[int, int], InOrder(), Within(1, 900)] = (5, 19)
     #: Standard deviation of a relative error of the speed at release. This and what follows is 0 in training
     #: (ours, for tests of policies).
-    speed_deviation: Amount = 0.0
+    speed_deviation: Annotated[Amount, Within(0.0, 0.5)] = 0.0
     #: Standard deviation of the errors of its elevation and of its azimuth [rad].
-    angle_deviation: Amount = 0.0
-    spin: float = 0.0  #: Largest angular speed of the object, uniform, about a random axis [rad/s].
+    angle_deviation: Annotated[Amount, Within(0.0, 0.8)] = 0.0
+    #: Largest angular speed of the object, uniform, about a random axis [rad/s].
+    spin: Annotated[float, Within(0.0, 200.0)] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

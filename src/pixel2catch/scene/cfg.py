@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.checks import InOrder, PhysicsRate, Share, Within
 from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -28,13 +28,26 @@ SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 """Impedance of a contact with the object. Source: ours; MuJoCo's default lets an object creep in the hand."""
 
 
+Impedance = Annotated[
+    tuple[
+        Annotated[float, Within(1e-4, 0.9999)],
+        Annotated[float, Within(1e-4, 0.9999)],
+        Annotated[float, Within(1e-6, 0.1)],
+        Annotated[float, Within(0.01, 0.99)],
+        Annotated[float, Within(1.0, 10.0)],
+    ],
+    InOrder(),
+]
+"""MuJoCo's `solimp`: least and largest impedance, width [m], midpoint and power."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneCfg:
     """What can be chosen about the scene."""
 
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
-    physics_hz: float = 1.0 / PHYSICS_DT
+    physics_hz: PhysicsRate = 1.0 / PHYSICS_DT
     cone: Cone = "elliptic"  #: Friction cone: elliptic, as it is, or pyramidal, which is computed faster.
     #: Whether faces and edges touch in several points, as they do, or in one, which is computed faster.
     multiccd: bool = True
@@ -46,24 +59,12 @@ class SceneCfg:
     visuals: bool = False  #: Whether to add lights, textures and what is only seen.
     camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
     #: Sliding friction of the object; randomised per environment by the release.
-    object_friction: float = 1.0
-    object_restitution: float = 0.25  #: Speed after over speed before an impact; randomised per environment.
-    #: Impedance of a contact with the object.
-    object_solimp: tuple[float, float, float, float, float] = SOLIMP
-    object_scale: float = 1.0  #: Factor on every object's size; its mass stays.
-
-    def __post_init__(self) -> None:
-        """Refuse a size without room, and a rate that does not divide a control step into physics steps."""
-        if not 0.0 < self.object_scale <= MAX_OBJECT_SCALE:
-            raise InvalidValueError(
-                f"object_scale is {self.object_scale:g}; it must be in (0, {MAX_OBJECT_SCALE}]"
-            )
-        steps = self.physics_hz * CONTROL_DT
-        if steps < 0.5 or abs(steps - round(steps)) > 1e-6:
-            raise InvalidValueError(
-                f"physics_hz is {self.physics_hz:g}; it must be a multiple of the control rate, "
-                f"{1 / CONTROL_DT:g} Hz"
-            )
+    object_friction: Annotated[float, Within(0.0, 5.0)] = 1.0
+    #: Speed after over speed before an impact; randomised per environment.
+    object_restitution: Share = 0.25
+    object_solimp: Impedance = SOLIMP  #: Impedance of a contact with the object.
+    #: Factor on every object's size; its mass stays.
+    object_scale: Annotated[float, Within(0.1, MAX_OBJECT_SCALE)] = 1.0
 
     @property
     def decimation(self) -> int:

@@ -5,7 +5,9 @@ the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configu
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from pixel2catch.checks import UnitLength, Within
 from pixel2catch.robots.spec import Quat, Vec3
 
 GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
@@ -31,15 +33,15 @@ PIXEL_CENTER = 0.5
 class CameraSpec:
     """A pinhole camera."""
 
-    width: int  #: Image width [px].
-    height: int  #: Image height [px].
-    fx: float  #: Focal length along x [px].
-    fy: float  #: Focal length along y [px].
-    cx: float  #: Column of the optical axis [px].
-    cy: float  #: Row of the optical axis [px].
-    pos: Vec3  #: Position of the optical centre, world frame [m].
+    width: Annotated[int, Within(1, 8192)]  #: Image width [px].
+    height: Annotated[int, Within(1, 8192)]  #: Image height [px].
+    fx: Annotated[float, Within(1.0, 1e5)]  #: Focal length along x [px].
+    fy: Annotated[float, Within(1.0, 1e5)]  #: Focal length along y [px].
+    cx: Annotated[float, Within(-1e5, 1e5)]  #: Column of the optical axis [px].
+    cy: Annotated[float, Within(-1e5, 1e5)]  #: Row of the optical axis [px].
+    pos: Annotated[Vec3, Within(-100.0, 100.0)]  #: Position of the optical centre, world frame [m].
     #: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
-    quat: Quat
+    quat: Annotated[Quat, Within(-1.01, 1.01), UnitLength()]
 
     @property
     def matrix(self) -> tuple[Vec3, Vec3, Vec3]:

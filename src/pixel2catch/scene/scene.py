@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy import ndarray
 
+from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.maker import add_maker_bodies
 from pixel2catch.robots.spec import JointSpec
@@ -85,7 +86,11 @@ def build_model(
     """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
 
     `armature` are reflected inertias by joint that differ from the nominal ones [kg·m²].
+
+    Raises:
+        InvalidValueError: A value of the scene is out of range.
     """
+    require_valid(cfg, "scene")
     spec = build_spec(cfg, object_name)
     for name, value in (armature or {}).items():
         spec.joint(name).armature = value

@@ -1,0 +1,276 @@
+"""Ranges and orders of every number of the configuration, stated here once more by hand."""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Iterator
+from dataclasses import is_dataclass, replace
+from types import UnionType
+from typing import Any, get_args, get_origin
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pixel2catch.checks import require_valid
+from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
+from pixel2catch.envs.tasks import TASKS
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation.stress.suite import select_settings
+
+BOUNDS: dict[str, tuple[float, float]] = {
+    # physics: at least one step in a control step of 30 Hz
+    "scene.physics_hz": (30, 30_000),
+    "scene.object_friction": (0, 5),
+    "scene.object_restitution": (0, 1),
+    "scene.object_solimp[0]": (1e-4, 0.9999),
+    "scene.object_solimp[1]": (1e-4, 0.9999),
+    "scene.object_solimp[2]": (1e-6, 0.1),
+    "scene.object_solimp[3]": (0.01, 0.99),
+    "scene.object_solimp[4]": (1, 10),
+    "scene.object_scale": (0.1, 1.4),
+    # cameras: pixels, focal lengths and places of real ones
+    **{
+        f"{camera}.{name}": bounds
+        for camera in ("scene.camera", "sensing.camera.camera")
+        for name, bounds in {
+            "width": (1, 8192),
+            "height": (1, 8192),
+            "fx": (1, 1e5),
+            "fy": (1, 1e5),
+            "cx": (-1e5, 1e5),
+            "cy": (-1e5, 1e5),
+            "pos": (-100, 100),
+            "quat": (-1.01, 1.01),
+        }.items()
+    },
+    "sensing.camera.distortion": (-1e3, 1e3),
+    "sensing.camera.pose_covariance": (-100, 100),
+    "sensing.camera.focal_std": (0, 1),
+    # throws [m]: in front of the robot, above the floor, in a laboratory
+    "throws.release_x": (0.05, 10),
+    "throws.release_y": (-5, 5),
+    "throws.release_z": (0.05, 5),
+    "throws.aim_x": (0.05, 10),
+    "throws.aim_y": (-5, 5),
+    "throws.aim_z": (0.05, 5),
+    "throws.peak_z": (0.05, 5),
+    "throws.clearance": (0.01, 3),
+    "throws.hover_steps": (1, 900),
+    "throws.speed_deviation": (0, 0.5),
+    "throws.angle_deviation": (0, 0.8),
+    "throws.spin": (0, 200),
+    # robot and object
+    "randomization.gains.stiffness_scale": (0.01, 100),
+    "randomization.gains.damping_scale": (0.01, 100),
+    "randomization.action_noise": (0, 50),
+    "randomization.action_bias": (0, 50),
+    "randomization.initial_joint_noise": (0, 1),
+    "randomization.mass_scale": (0.01, 100),
+    "randomization.restitution": (0, 1),
+    "randomization.friction": (0, 5),
+    "randomization.push_out": (0.01, 1),
+    "randomization.command_delay": (0, 30),
+    "randomization.command_delay_grid": (0, 30),
+    "randomization.air_density": (0, 10),
+    # sensors
+    "sensing.corner_noise": (0, 100),
+    "sensing.latency_steps": (0, 60),
+    "sensing.latency_grid": (0, 60),
+    "sensing.joint_noise": (0, 0.5),
+    "sensing.joint_bias": (0, 0.5),
+    "sensing.least_visible": (0, 1),
+    "sensing.camera_offset": (0, 1),
+    "sensing.camera_turn": (0, 0.8),
+    "sensing.focal_error": (0, 0.5),
+    "sensing.box_bias": (0, 300),
+    "sensing.noise_scale": (0, 20),
+    "sensing.box_scale": (0.1, 10),
+    "sensing.edge_noise": (0, 100),
+    "sensing.drop_rate": (0, 1),
+    "sensing.blackout_steps": (0, 300),
+    "sensing.image_period": (1, 100),
+    "sensing.clock_error": (0, 1),
+    "sensing.stamp_jitter": (0, 1),
+    "sensing.unstamped": (0, 1),
+    # table, episodes, variants
+    "shake.amplitude": (0, 0.2),
+    "shake.frequency": (0, 50),
+    "episode.max_steps": (1, 100_000),
+    "episode.rest_steps": (0, 100_000),
+    "variants.share": (0, 1),
+}
+
+COUPLED = (
+    *("scene.physics_hz", "variants.share", "scene.object_solimp[0]", "scene.object_solimp[1]"),
+    *("quat", "width", "height", "distortion", "pose_covariance"),
+)
+"""Ends of names whose values must also fit others; only values beyond their ranges are drawn."""
+
+TASK = CatchEnvCfg(
+    variants=(
+        TaskVariant(
+            share=0.5,
+            throws=TASKS["nominal"].throws,
+            randomization=TASKS["nominal"].randomization,
+            sensing=TASKS["nominal"].sensing,
+        ),
+    )
+)
+
+
+def numbers_of(kind: Any, path: str) -> Iterator[str]:
+    """Names of the numbers in a type: fields by their names, entries of unlike kinds by their places."""
+    kind = getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
+    if kind in (int, float):
+        yield path
+    elif isinstance(kind, type) and is_dataclass(kind):
+        if kind.__name__ != "JointDynamics":  # arrays, which check themselves
+            for name, each in typing.get_type_hints(kind, include_extras=True).items():
+                yield from numbers_of(each, f"{path}.{name}" if path else name)
+    elif get_origin(kind) is tuple and len(get_args(kind)) == 5:
+        for index, each in enumerate(get_args(kind)):
+            yield from numbers_of(each, f"{path}[{index}]")
+    elif get_origin(kind) in (tuple, UnionType, typing.Union):
+        yield from dict.fromkeys(name for each in get_args(kind) for name in numbers_of(each, path))
+
+
+def test_the_table_has_every_number():
+    names = [*numbers_of(CatchEnvCfg, "")]
+    own = [name for name in names if not name.startswith("variants.") or name == "variants.share"]
+    assert sorted(own) == sorted(BOUNDS)
+    assert all(math.isfinite(bound) for bounds in BOUNDS.values() for bound in bounds)
+
+
+def value_at(value: Any, path: str) -> Any:
+    for name in path.replace("[", ".").replace("]", "").split("."):
+        value = value[int(name)] if name.isdigit() else getattr(value[0] if name == "share" else value, name)
+    return value
+
+
+def with_value(whole: Any, path: str, value: Any) -> Any:
+    """A copy of a tree of dataclasses and tuples with another value."""
+    if not path:
+        return value
+    name, _, rest = path.replace("[", ".").replace("]", "").partition(".")
+    if isinstance(whole, tuple):
+        index = int(name) if name.isdigit() else 0
+        inner = with_value(whole[index], rest if name.isdigit() else path, value)
+        return (*whole[:index], inner, *whole[index + 1 :])
+    return replace(whole, **{name: with_value(getattr(whole, name), rest, value)})
+
+
+def shaped(path: str, number: float) -> Any:
+    """The number as a value of the field, which may be a tuple of equal numbers."""
+    default = {"randomization.gains.stiffness_scale": ((1.0, 1.0),), "sensing.camera.distortion": (0.0,)}
+    default["randomization.gains.damping_scale"] = default["randomization.gains.stiffness_scale"]
+
+    def fill(like: Any) -> Any:
+        if isinstance(like, tuple):
+            return tuple(map(fill, like))
+        is_whole = isinstance(like, int) and path.rpartition(".")[2] in (
+            "hover_steps",
+            "max_steps",
+            "rest_steps",
+            "width",
+            "height",
+        )
+        return round(number) if is_whole and math.isfinite(number) else number
+
+    return fill(default.get(path, value_at(TASK, path)))
+
+
+@st.composite
+def beyond(draw: st.DrawFn) -> tuple[str, float]:
+    path = draw(st.sampled_from(sorted(BOUNDS)))
+    low, high = BOUNDS[path]
+    apart = draw(st.sampled_from((1.0, 10.0, 1e9, 1e300)))
+    outside = [
+        low - apart * max(abs(low), 1.0),
+        high + apart * max(abs(high), 1.0),
+        math.nan,
+        math.inf,
+        -math.inf,
+    ]
+    return path, draw(st.sampled_from(outside))
+
+
+@settings(max_examples=300)
+@given(beyond())
+def test_a_number_beyond_its_range_is_refused_by_name(case: tuple[str, float]):
+    path, number = case
+    with pytest.raises(InvalidValueError) as error:
+        require_valid(with_value(TASK, path, shaped(path, number)), "env")
+    name = path.partition("[")[0].replace("variants.", "variants[0].")
+    assert str(error.value).startswith(f"env.{name} is ")
+    assert " must be " in str(error.value)
+
+
+@settings(max_examples=100)
+@given(st.sampled_from([path for path in sorted(BOUNDS) if not path.endswith(COUPLED)]), st.floats(0.0, 1.0))
+def test_a_number_within_its_range_is_taken(path: str, share: float):
+    low, high = BOUNDS[path]
+    number = low + share * (high - low)
+    require_valid(with_value(TASK, path, shaped(path, min(max(number, low), high))))
+
+
+PAIRS = [
+    *(f"throws.{name}_{axis}" for name in ("release", "aim") for axis in "xyz"),
+    *("throws.peak_z", "throws.hover_steps"),
+    *(f"randomization.{name}" for name in ("mass_scale", "restitution", "friction", "command_delay")),
+    *(f"randomization.gains.{name}_scale" for name in ("stiffness", "damping")),
+    "sensing.latency_steps",
+]
+AMOUNTS = [
+    *(f"throws.{name}_deviation" for name in ("speed", "angle")),
+    *(f"randomization.{name}" for name in ("push_out", "air_density")),
+    *(f"sensing.{name}" for name in ("camera_offset", "camera_turn", "focal_error", "box_bias")),
+    *(f"sensing.{name}" for name in ("noise_scale", "drop_rate", "blackout_steps", "image_period")),
+    *(f"sensing.{name}" for name in ("clock_error", "stamp_jitter")),
+]
+
+
+@pytest.mark.parametrize("path", [*PAIRS, *AMOUNTS, "scene.object_solimp"])
+def test_the_smaller_number_comes_first(path: str):
+    low, high = BOUNDS.get(path, (0.9, 0.95))
+    low, high = (round(low), round(high)) if path == "throws.hover_steps" else (low, high)
+    pair = ((high, low),) if "gains" in path else (high, low)
+    pair = (0.95, 0.9, *TASK.scene.object_solimp[2:]) if path.endswith("solimp") else pair
+    with pytest.raises(InvalidValueError, match=rf"env\.{path} is .* smaller number first"):
+        require_valid(with_value(TASK, path, pair), "env")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("scene.physics_hz", 100.0),
+        ("scene.physics_hz", "120"),
+        ("throws.spin", True),
+        ("throws.hover_steps", (1.5, 2)),
+        ("throws.release_x", [2.4, 2.9]),
+        ("throws.release_x", (2.4, 2.6, 2.9)),
+        ("sensing.drop_rate", None),
+        ("objects", ()),
+        ("objects", "cube_s"),
+        ("throws", None),
+        ("scene.cone", "round"),
+        ("scene.camera.quat", (1.0, 1.0, 0.0, 0.0)),
+    ],
+)
+def test_a_value_of_another_kind_is_refused(path: str, value: Any):
+    with pytest.raises(InvalidValueError, match=rf"env\.{path} "):
+        require_valid(with_value(TASK, path, value), "env")
+
+
+def test_a_bad_value_of_a_variant_is_named():
+    bad = replace(TASK.variants[0], throws=replace(TASK.throws, spin=-1.0))
+    with pytest.raises(InvalidValueError, match=r"env\.variants\[0\]\.throws\.spin is -1"):
+        require_valid(replace(TASK, variants=(bad,)), "env")
+
+
+def test_tasks_and_disturbances_are_valid():
+    for task in TASKS.values():
+        require_valid(task)
+    for setting in select_settings(()):
+        require_valid(setting.level.change(TASKS["nominal"]))
+    assert dataclasses.replace(TASK) == TASK
