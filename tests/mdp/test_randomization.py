@@ -130,8 +130,6 @@ def test_relative_damping_follows_the_stiffness_within_its_own_range():
             "stiffness_scale has 2 entries; it needs one for",
         ),
         ({"is_damping_relative": (True,) * 18}, "is_damping_relative has 18 entries"),
-        ({"damping_scale": ((1.2, 0.8),) * 19}, "damping_scale of shoulder_pan_joint is from 1.2 to 0.8"),
-        ({"damping_scale": ((0.0, 0.8),) * 19}, "more than 0"),
     ],
 )
 def test_ranges_that_are_none_are_refused(changes, message):

@@ -30,7 +30,7 @@ def test_the_robot_does_not_grow_with_the_object():
 @pytest.mark.parametrize("factor", [0.0, -1.0, 1.5])
 def test_a_size_without_room_is_refused(factor: float):
     with pytest.raises(InvalidValueError, match="object_scale"):
-        SceneCfg(object_scale=factor)
+        build_model(SceneCfg(object_scale=factor))
 
 
 def test_the_table_of_objects_has_the_size():

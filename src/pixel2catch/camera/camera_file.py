@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
-from pixel2catch.checks import Share, Within
+from pixel2catch.checks import Share, Within, require_valid
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
@@ -23,10 +23,12 @@ FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no lon
 LENS_SIZES = (0, 4, 5, 8)
 """How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
 
-LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
-LARGEST = 1e5  #: No size [px] and no distance [m] of a camera is larger. Source: ours.
+LARGEST_VARIANCE = 100.0  #: Of a position [m²] and of an orientation [rad²]. Source: ours.
 
 NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
+
+
+Covariance = Annotated[tuple[tuple[float, ...], ...], Within(-LARGEST_VARIANCE, LARGEST_VARIANCE)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,29 +42,14 @@ class CameraFile:
     distortion: tuple[Annotated[float, Within(-1e3, 1e3)], ...] = ()
     #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
     #: of the world.
-    pose_covariance: Annotated[tuple[tuple[float, ...], ...], Within(-100.0, 100.0)] = NO_POSE_ERROR
+    pose_covariance: Covariance = NO_POSE_ERROR
     focal_std: Share | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera."""
-        camera = self.camera
-        sizes, places = (
-            (camera.width, camera.height, camera.fx, camera.fy),
-            (camera.cx, camera.cy, *camera.pos),
-        )
-        if not (min(sizes) > 0 and max(sizes[:2]) <= LARGEST_IMAGE):
-            raise InvalidValueError(
-                f"width, height, fx and fy must be positive, images of {LARGEST_IMAGE} at most"
-            )
-        if not max(map(abs, (*sizes, *places))) <= LARGEST:
-            raise InvalidValueError(f"fx, fy, cx, cy and pos must be numbers of {LARGEST:g} at most")
-        if abs(sum(q * q for q in camera.quat) - 1.0) > 1e-3:
-            raise InvalidValueError(f"quat is {camera.quat}; it must be a unit quaternion (w, x, y, z)")
+        """Refuse another lens model, and a covariance that no errors can have."""
         if len(self.distortion) not in LENS_SIZES:
             raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
         _require_covariance(self.pose_covariance)
-        if self.focal_std is not None and not 0.0 <= self.focal_std <= 1.0:
-            raise InvalidValueError(f"focal_std is {self.focal_std}; it must be from 0 to 1")
 
     @property
     def pos_std(self) -> Vec3:
@@ -100,7 +87,9 @@ class CameraFile:
             version = content.pop("format_version")
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
-            return decoded(cls, content)
+            camera = decoded(cls, content)
+            require_valid(camera)
+            return camera
 
     def _stds(self, first: int) -> Vec3:
         x, y, z = (sqrt(self.pose_covariance[i][i]) for i in range(first, first + 3))
@@ -119,8 +108,8 @@ def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
     if len(rows) != 6 or any(len(row) != 6 for row in rows):
         raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
     matrix = torch.tensor(rows, dtype=torch.float64)
-    if not (matrix.abs() <= LARGEST).all():
-        raise InvalidValueError(f"pose_covariance must have numbers of {LARGEST:g} at most")
+    if not matrix.isfinite().all() or matrix.abs().max() > LARGEST_VARIANCE:
+        return  # refused by the range of the field
     smallest = float(torch.linalg.eigvalsh(matrix)[0])
     if not torch.allclose(matrix, matrix.T) or smallest < -1e-6 * float(matrix.trace()) - 1e-12:
         raise InvalidValueError("pose_covariance must be symmetric, without negative variances")

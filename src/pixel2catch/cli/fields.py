@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath
+from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath, require_valid
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
@@ -24,7 +24,11 @@ OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itse
 
 
 def with_fields(env: "CatchEnvCfg", options: FieldOptions, command: str = "train") -> "CatchEnvCfg":
-    """Return a task with other values of some fields; tyro prints help and mistakes, and exits."""
+    """Return a task with other values of some fields; tyro prints help and mistakes, and exits.
+
+    Raises:
+        InvalidValueError: A value is out of range.
+    """
     if not options:
         return env
     task = dataclasses.make_dataclass("Task", [("env", type(env))])
@@ -37,6 +41,7 @@ def with_fields(env: "CatchEnvCfg", options: FieldOptions, command: str = "train
         description="Fields of the task and their values, without what is given by other options.",
         config=(tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff),
     )
+    require_valid(found.env, "env")
     return dataclasses.replace(found.env, dynamics=env.dynamics)
 
 

@@ -108,7 +108,7 @@ class CatchEnv:
             InvalidValueError: If a value is of another type or out of range.
         """
         for kind, name, value in (
-            (CatchEnvCfg, "cfg", cfg),
+            (CatchEnvCfg, "env", cfg),
             (Method, "method", method),
             (Count, "num_envs", num_envs),
             (Device, "device", device),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.checks import NotEmpty, Share, require_valid
+from pixel2catch.checks import NotEmpty, Share
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -62,8 +62,7 @@ class CatchEnvCfg:
     is_value_told: bool = False  #: Whether the value networks know what was drawn for an episode.
 
     def __post_init__(self) -> None:
-        """Refuse values out of range, shares of more than 1, and variants of what is not drawn."""
-        require_valid(self, "env")
+        """Refuse shares whose sum exceeds 1, and variants of what is not drawn for an episode."""
         if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
             raise InvalidValueError(
                 f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "

@@ -14,11 +14,9 @@ from pixel2catch.checks import Amount, InOrder, Range, Within
 from pixel2catch.device_constants import constant
 from pixel2catch.scene.constants import GRAVITY
 
-Depth, Width, Height = (  # along x, along y and above the floor [m]
-    Annotated[Range, Within(0.05, 10.0)],
-    Annotated[Range, Within(-5.0, 5.0)],
-    Annotated[Range, Within(0.05, 5.0)],
-)
+Depth = Annotated[Range, Within(0.05, 10.0)]  #: Along x [m].
+Width = Annotated[Range, Within(-5.0, 5.0)]  #: Along y [m].
+Height = Annotated[Range, Within(0.05, 5.0)]  #: Above the floor [m].
 
 
 @dataclass(frozen=True, kw_only=True)
