@@ -4,7 +4,7 @@ import copy
 import math
 import typing
 from collections.abc import Iterator
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from types import UnionType
 from typing import Any, get_args, get_origin
 
