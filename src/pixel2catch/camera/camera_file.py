@@ -23,6 +23,7 @@ FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no lon
 LENS_SIZES = (0, 4, 5, 8)
 """How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
 
+LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
 LARGEST_VARIANCE = 100.0  #: Of a position [m²] and of an orientation [rad²]. Source: ours.
 
 NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
