@@ -1,14 +1,16 @@
 """A policy as one ONNX file: networks, input statistics and contract, for ONNX Runtime on any machine.
 
-For every agent NAME of the contract the graph has the input `observation.NAME` (num_envs, num_inputs) and the
-output `action.NAME` (num_envs, num_joints), clipped to [-1, 1]; a recurrent policy has `hidden_state.NAME` as
-well, zeros at the first step of an episode, and `next_hidden_state.NAME` (num_envs, size). All are float32.
-The metadata's entry `policy` is what `policy.json` says, the contract included.
+For every agent NAME of the contract the graph has the input `observation.NAME` (num_envs, num_inputs) and
+the output `action.NAME` (num_envs, num_joints), clipped to [-1, 1]. A recurrent policy also has
+`hidden_state.NAME`, zeros at the first step of an episode, and `next_hidden_state.NAME` (num_envs, size). All
+are float32. The metadata entry `policy` has the content of `policy.json`, with the contract.
 """
 
+import logging
+import warnings
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -19,27 +21,23 @@ from pixel2catch.errors import InvalidValueError, NonFiniteError, PolicyMismatch
 from pixel2catch.files import MOST_WEIGHTS, json_object, read_bytes, reading, shown
 from pixel2catch.installation import needs_extra
 from pixel2catch.policy.contract import PolicyContract
-from pixel2catch.policy.policy import INPUT_CLIP, AgentNetwork, Policy, described
-
-if TYPE_CHECKING:
-    import onnx
-    from onnxruntime import InferenceSession
+from pixel2catch.policy.policy import Policy, described
 
 SUFFIX = ".onnx"  #: How such a file's name ends.
-METADATA = "policy"  #: Name of the entry of the file's metadata.
 FIX = "Make one with 'pixel2catch export POLICY'."
-OPERATIONS = frozenset({"Sub", "Div", "Clip", "Unsqueeze", "GRU", "Squeeze", "Gemm", "Elu"})
-"""What the graph is made of."""
+OPERATIONS = {"Add", "Clip", "Div", "Elu", "Gemm", "Mul", "Sigmoid", "Split", "Sub", "Tanh"} | {
+    *("GRU", "Squeeze", "Unsqueeze"),  # in files of earlier versions
+}
+"""Operations of an exported policy. Others are refused: loops may compute without end."""
 MOST_NODES = 1000  #: Operations of a graph that is read; one of four agents has some sixty. Source: ours.
-OPSET, IR_VERSION = 17, 8  #: ONNX of 2022: what runtimes in use read. Source: ours.
-TOLERANCE = 1e-5  #: Most that an action may differ from that of the original. Source: ours.
-NUM_TRIED = 10_000  #: Inputs on which that is tried. Source: ours.
-NUM_STEPS = 10  #: Steps in a row of each: hidden states go on. Source: ours.
+OPSET, IR_VERSION = 18, 8  #: Format of 2022, which all current runtimes read. Source: ours.
+TOLERANCE = 1e-5  #: Largest allowed difference of an action from the original's. Source: ours.
+NUM_STEPS, NUM_TRIED = 10, 1000  #: Consecutive steps and environments in which that is tried. Source: ours.
 
 
 @final
 class OnnxPolicy:
-    """What `to_onnx` made, with `contract`, `act` and `reset` of a `Policy`; the CPU runs its networks."""
+    """A policy from an ONNX file, with `contract`, `act` and `reset` of a `Policy`; it runs on the CPU."""
 
     contract: PolicyContract
     recurrent: int  #: Size of the GRU, 0 for none.
@@ -51,18 +49,21 @@ class OnnxPolicy:
             PolicyMismatchError: It is missing, damaged, no policy, or does not fit this code.
         """
         name = str(model) if isinstance(model, Path) else "made here"
-        self._session = _session(model, name)
-        with reading("policy", name, FIX, PolicyMismatchError):
-            text = self._session.get_modelmeta().custom_metadata_map.get(METADATA)
+        with _needs_libraries(), reading("policy", name, FIX, PolicyMismatchError):
+            self._session = _session(read_bytes(model, MOST_WEIGHTS) if isinstance(model, Path) else model)
+            text = self._session.get_modelmeta().custom_metadata_map.get("policy")
             if text is None:
                 raise InvalidValueError("it is an ONNX file, but no policy")
             self.contract, _, self.recurrent = described(json_object(text))
+            values = (*self._session.get_inputs(), *self._session.get_outputs())
+            found = {each.name: each.shape[-1] if each.shape else None for each in values}
+            if (expected := _shapes(self.contract, self.recurrent)) != found:
+                raise InvalidValueError(f"its values have sizes {found}, and {expected} by its contract")
         self._outputs = [output.name for output in self._session.get_outputs()]
         self._states: dict[str, np.ndarray] = {}
-        _require_shapes(self._session, self.contract, self.recurrent, name)
 
     def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Forget what was seen: see `Policy.reset`."""
+        """Reset the hidden states: see `Policy.reset`."""
         if is_ended is None:
             self._states.clear()
         else:
@@ -79,9 +80,8 @@ class OnnxPolicy:
             inputs |= {f"hidden_state.{name}": blank for name in observations} | self._states
         values: Any = self._session.run(self._outputs, inputs)
         outputs: dict[str, np.ndarray] = dict(zip(self._outputs, values, strict=True))
-        self._states = {
-            name.removeprefix("next_"): state for name, state in outputs.items() if name.startswith("next_")
-        }
+        states = {name: state for name, state in outputs.items() if name.startswith("next_")}
+        self._states = {name.removeprefix("next_"): state for name, state in states.items()}
         return {
             name: torch.from_numpy(outputs[f"action.{name}"]).to(values.device)
             for name, values in observations.items()
@@ -100,107 +100,68 @@ def load(path: Path, device: str = "cpu") -> LoadedPolicy:
     return OnnxPolicy(path) if path.suffix == SUFFIX else Policy.load(path, device)
 
 
+@final
+class _Graph(nn.Module):
+    """The networks of all agents as one function of the inputs in the order of `_shapes`."""
+
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self.policy, self.names = policy, tuple(policy.contract.agents)
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Return all actions, and all next hidden states of a recurrent policy."""
+        states = inputs[len(self.names) :] or (inputs[0].new_zeros(0, 0),) * len(self.names)
+        made = [
+            self.policy.network(name)(value, state)
+            for name, value, state in zip(self.names, inputs, states, strict=False)
+        ]
+        actions = tuple(mean.clamp(-1.0, 1.0) for mean, _ in made)
+        return actions + tuple(state for _, state in made) if self.policy.recurrent else actions
+
+
 def to_onnx(policy: Policy) -> bytes:
-    """Return a policy as an ONNX model that does the same, which is tried with random inputs.
+    """Return a policy as an ONNX model whose actions are compared with the policy's for random inputs.
 
     Raises:
-        NonFiniteError: Its actions are not those of the policy, which has weights that are not finite.
+        NonFiniteError: The actions differ: weights or input statistics are not finite.
         PolicyMismatchError: A library is missing.
     """
-    with _needs_libraries():
-        graph = _Graph()
-    for agent, contract in policy.contract.agents.items():
-        _add_agent(graph, policy.network(agent), agent, len(contract.joints))
-    data = graph.model({METADATA: policy.description})
+    sizes = _shapes(policy.contract, policy.recurrent)
+    inputs = [name for name in sizes if name.startswith(("observation", "hidden_state"))]
+    batch = torch.export.Dim("num_envs")
+    with _needs_libraries(), warnings.catch_warnings():
+        import onnx
+        import onnxscript  # noqa: F401 (the exporter needs it)
+
+        warnings.simplefilter("ignore")  # of libraries about each other
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            _Graph(policy).eval(),
+            tuple(torch.zeros(2, sizes[name]) for name in inputs),
+            dynamo=True,
+            verbose=False,
+            opset_version=OPSET,
+            input_names=inputs,
+            output_names=[name for name in sizes if name not in inputs],
+            dynamic_shapes=(tuple({0: batch} for _ in inputs),),
+        )
+    assert program is not None
+    model = program.model_proto
+    for node in model.graph.node:
+        node.ClearField("metadata_props")  # traces of this machine
+    model.ir_version, model.producer_name, model.doc_string = IR_VERSION, "pixel2catch", __doc__ or ""
+    onnx.helper.set_model_props(model, {"policy": policy.description})
+    data = model.SerializeToString()
     if not (difference := largest_difference(policy, OnnxPolicy(data))) <= TOLERANCE:
         raise NonFiniteError(
             f"the exported policy's actions differ by {difference:g} from the original's, {TOLERANCE:g} is "
-            "allowed: look for weights or input statistics that are no finite numbers, and train again."
+            "allowed: look for weights or input statistics that are not finite, and train again."
         )
     return data
 
 
-@final
-class _Graph:
-    """A model that is being put together, node after node."""
-
-    def __init__(self) -> None:
-        import onnx
-
-        self._onnx = onnx
-        self._nodes, self._weights = list[onnx.NodeProto](), list[onnx.TensorProto]()
-        self._inputs, self._outputs = list[onnx.ValueInfoProto](), list[onnx.ValueInfoProto]()
-
-    def _declare(self, name: str, size: int) -> "onnx.ValueInfoProto":
-        kind = self._onnx.TensorProto.FLOAT
-        return self._onnx.helper.make_tensor_value_info(name, kind, ["num_envs", size])
-
-    def input(self, name: str, size: int) -> str:
-        """An input of the model, (num_envs, size)."""
-        self._inputs.append(self._declare(name, size))
-        return name
-
-    def output(self, name: str, size: int) -> str:
-        """An output of the model, (num_envs, size)."""
-        self._outputs.append(self._declare(name, size))
-        return name
-
-    def add(self, operation: str, *inputs: str | Tensor, to: str = "", **attributes: Any) -> str:
-        """A node, of values by their names and of weights; the name of what it makes, its last output."""
-        made, names = to or f"value{len(self._nodes)}", list[str]()
-        for each in inputs:
-            if not isinstance(each, str):
-                array = each.detach().cpu().numpy()
-                each = f"weight{len(self._weights)}"
-                self._weights.append(self._onnx.numpy_helper.from_array(array, each))
-            names.append(each)
-        outputs = ["", made] if operation == "GRU" else [made]
-        self._nodes.append(self._onnx.helper.make_node(operation, names, outputs, **attributes))
-        return made
-
-    def model(self, metadata: dict[str, str]) -> bytes:
-        """The model as the bytes of a file."""
-        helper = self._onnx.helper
-        model = helper.make_model(
-            helper.make_graph(self._nodes, "policy", self._inputs, self._outputs, self._weights),
-            opset_imports=[helper.make_opsetid("", OPSET)],
-            ir_version=IR_VERSION,
-            producer_name="pixel2catch",
-            doc_string=__doc__ or "",
-        )
-        helper.set_model_props(model, metadata)
-        self._onnx.checker.check_model(model, full_check=True)
-        return model.SerializeToString()
-
-
-def _add_agent(graph: _Graph, network: AgentNetwork, agent: str, num_joints: int) -> None:
-    """`AgentNetwork.forward` and the clip of its actions."""
-    value = graph.input(f"observation.{agent}", len(network.input_mean))
-    value = graph.add("Div", graph.add("Sub", value, network.input_mean), network.input_std)
-    value = graph.add("Clip", value, *torch.tensor((-INPUT_CLIP, INPUT_CLIP)))
-    if gru := network.gru:
-        state = graph.input(f"hidden_state.{agent}", gru.hidden_size)
-        first = torch.tensor([0])
-        # torch has the gates reset, update and new, ONNX update, reset and new
-        weights = [
-            torch.cat([part.chunk(3)[gate] for gate in (1, 0, 2)])
-            for part in (gru.weight_ih, gru.weight_hh, gru.bias_ih, gru.bias_hh)
-        ]
-        parts = (weights[0][None], weights[1][None], torch.cat(weights[2:])[None])
-        inputs = (graph.add("Unsqueeze", value, first), *parts, "", graph.add("Unsqueeze", state, first))
-        value = graph.add("GRU", *inputs, hidden_size=gru.hidden_size, linear_before_reset=1)
-        made = graph.output(f"next_hidden_state.{agent}", gru.hidden_size)
-        value = graph.add("Squeeze", value, first, to=made)
-    for layer in network.network:
-        if isinstance(layer, nn.Linear):
-            value = graph.add("Gemm", value, layer.weight, layer.bias, transB=1)
-        else:
-            value = graph.add("Elu", value)
-    graph.add("Clip", value, *torch.tensor((-1.0, 1.0)), to=graph.output(f"action.{agent}", num_joints))
-
-
 def largest_difference(policy: Policy, other: LoadedPolicy) -> float:
-    """How far actions of two policies of one contract differ at most, for random observations.
+    """Return the largest difference of the actions of two policies of one contract for random observations.
 
     They are normal, with three times the deviation of the policy's statistics; hidden states go on.
     """
@@ -211,8 +172,7 @@ def largest_difference(policy: Policy, other: LoadedPolicy) -> float:
         observations = dict[str, Tensor]()
         for agent in policy.contract.agents:
             mean, std = policy.network(agent).input_mean, policy.network(agent).input_std
-            noise = torch.randn(NUM_TRIED // NUM_STEPS, len(mean), generator=generator)
-            observations[agent] = mean + 3.0 * std * noise
+            observations[agent] = mean + 3.0 * std * torch.randn(NUM_TRIED, len(mean), generator=generator)
         actions, others = policy.act(observations), other.act(observations)
         differences += [(actions[agent] - others[agent]).abs().max() for agent in actions]
     policy.reset()
@@ -220,57 +180,39 @@ def largest_difference(policy: Policy, other: LoadedPolicy) -> float:
     return float(torch.stack(differences).max())
 
 
+def _shapes(contract: PolicyContract, recurrent: int) -> dict[str, int]:
+    """Sizes of the inputs, then of the outputs, by name."""
+    agents = contract.agents.items()
+    states = {f"hidden_state.{name}": recurrent for name, _ in agents if recurrent}
+    inputs = {f"observation.{name}": agent.num_inputs for name, agent in agents} | states
+    actions = {f"action.{name}": len(agent.joints) for name, agent in agents}
+    return inputs | actions | {f"next_{name}": size for name, size in states.items()}
+
+
 def _needs_libraries() -> AbstractContextManager[None]:
     return needs_extra("onnx", "ONNX files need a package that cannot be imported", PolicyMismatchError)
 
 
-def _session(model: bytes | Path, name: str) -> "InferenceSession":
-    with _needs_libraries():
-        import onnx
-        from onnxruntime import InferenceSession, SessionOptions  # pyright: ignore[reportAttributeAccessIssue]
+def _session(content: bytes) -> Any:
+    import onnx
+    from onnxruntime import InferenceSession, SessionOptions  # pyright: ignore[reportAttributeAccessIssue]
+
     options = SessionOptions()
-    options.intra_op_num_threads = 1  # its threads only make steps of these small tensors slower
+    options.intra_op_num_threads = 1  # more threads make steps of these small tensors slower
     options.log_severity_level = 4
-    with reading("policy", name, FIX, PolicyMismatchError):
-        content = read_bytes(model, MOST_WEIGHTS) if isinstance(model, Path) else model
-        try:
-            _require_ours(onnx.load_model_from_string(content))
-            return InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        except InvalidValueError:
-            raise
-        except Exception as error:  # the libraries raise a class of their own for every kind of damage
-            raise InvalidValueError(f"it is damaged, or no ONNX file: {error}") from error
-
-
-def _require_ours(model: "onnx.ModelProto") -> None:
-    """Refuse a graph with anything but what a policy is made of: others may compute without end."""
-    from onnx import numpy_helper
-
-    other = {node.op_type for node in model.graph.node} - OPERATIONS
-    if other or len(model.functions) or len(model.graph.node) > MOST_NODES:
-        raise InvalidValueError(
-            f"it has {len(model.graph.node)} operations, {shown(sorted(other))} among them; a policy has "
-            f"{', '.join(sorted(OPERATIONS))}, at most {MOST_NODES}"
-        )
-    for each in model.graph.initializer:
-        if each.external_data or not np.isfinite(numpy_helper.to_array(each)).all():
-            raise InvalidValueError(f"its weights '{each.name}' are in another file, or not finite")
-
-
-def _require_shapes(session: "InferenceSession", contract: PolicyContract, recurrent: int, name: str) -> None:
-    """Refuse networks that are not those of the contract."""
-    expected: dict[str, int] = {}
-    for agent, each in contract.agents.items():
-        expected |= {f"observation.{agent}": each.num_inputs, f"action.{agent}": len(each.joints)}
-        states = (f"hidden_state.{agent}", f"next_hidden_state.{agent}")
-        expected |= dict.fromkeys(states, recurrent) if recurrent else {}
-    found = {
-        each.name: each.shape[-1] if each.shape else None
-        for each in (*session.get_inputs(), *session.get_outputs())
-    }
-    for field in expected | found:
-        if expected.get(field) != found.get(field):
-            raise PolicyMismatchError(
-                f"'{name}': '{field}' has size {found.get(field)}, and {expected.get(field)} by its "
-                "contract; export the policy again."
+    try:
+        graph = onnx.load_model_from_string(content).graph
+        other = {node.op_type for node in graph.node} - OPERATIONS
+        if other or len(graph.node) > MOST_NODES:
+            raise InvalidValueError(
+                f"it has {len(graph.node)} operations, {shown(sorted(other))} among them; a policy has "
+                f"{', '.join(sorted(OPERATIONS))}, at most {MOST_NODES}"
             )
+        for each in graph.initializer:
+            if each.external_data or not np.isfinite(onnx.numpy_helper.to_array(each)).all():
+                raise InvalidValueError(f"its weights '{each.name}' are in another file, or not finite")
+        return InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except InvalidValueError:
+        raise
+    except Exception as error:  # the libraries raise a class of their own for every kind of damage
+        raise InvalidValueError(f"it is damaged, or no ONNX file: {error}") from error

@@ -68,12 +68,12 @@ class AgentNetwork(nn.Module):
         self.gru = nn.GRUCell(num_inputs, recurrent) if recurrent else None
         self.network = build_mlp(recurrent or num_inputs, num_outputs, hidden)
 
-    def forward(
-        self,
-        observation: Float[Tensor, "num_envs num_inputs"],
-        hidden_state: Float[Tensor, "num_envs recurrent"],
-    ) -> tuple[Float[Tensor, "num_envs num_outputs"], Float[Tensor, "num_envs recurrent"]]:
-        """Return the unclipped mean action and the new hidden state: see `gru_step`."""
+    def forward(self, observation: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the unclipped mean action and the new hidden state: see `gru_step`.
+
+        Shapes are (num_envs, num_inputs) and (num_envs, recurrent), then (num_envs, num_outputs) and
+        (num_envs, recurrent); annotations would fix num_envs when the network is exported.
+        """
         standardised = (observation - self.input_mean) / self.input_std
         features, hidden_state = gru_step(self.gru, standardised.clamp(-INPUT_CLIP, INPUT_CLIP), hidden_state)
         return self.network(features), hidden_state
