@@ -55,7 +55,7 @@ class Duel:
     def throw(self, seed: int) -> Pair:
         """One throw both ways."""
         by_images = self._round(seed, through_images=True)
-        scores = film_scores(self.detector.shots, self.detector.extractions)
+        scores = film_scores(self.detector.shots, self.detector.boxes)
         by_geometry = self._round(seed, through_images=False)
         name = tuple(OBJECTS)[int(by_images.record.object_id[0])]
         return Pair(object_name=name, images=by_images, geometry=by_geometry, scores=scores)

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pixel2catch.perception.image_fit import Box
+from pixel2catch.camera.image import Edges, Pixels
 from pixel2catch.perception.labels import Truth
-from pixel2catch.perception.segmenter import Image
 
 WIDTH, HEIGHT = 640, 480
 GRAVITY = 0.55  #: Of a flight in the image [px per image²]: 4 m/s², 3 m away, at 30 Hz. Source: ours.
@@ -66,7 +65,7 @@ def outline(thing: Thing, flight: Flight, time: float) -> tuple[np.ndarray, Colo
     return corners @ np.array([[cos, sin], [-sin, cos]]) + (u, v), thing.colors[face]
 
 
-def paint(image: Image, thing: Thing, flight: Flight, time: float) -> Image:
+def paint(image: Pixels, thing: Thing, flight: Flight, time: float) -> Pixels:
     """An image with the thing in it, blurred by its motion during the exposure."""
     instants = [time + EXPOSURE * share for share in np.linspace(-0.5, 0.5, NUM_BLURS).tolist()]
     shapes = [outline(thing, flight, instant) for instant in instants]
@@ -98,7 +97,7 @@ def paint(image: Image, thing: Thing, flight: Flight, time: float) -> Image:
     return result
 
 
-def true_box(thing: Thing, flight: Flight, time: float) -> Box | None:
+def true_box(thing: Thing, flight: Flight, time: float) -> Edges | None:
     """The box of the part of a thing that is on the image; None where less than two pixels of it are."""
     corners, _ = outline(thing, flight, time)
     (xmin, ymin), (xmax, ymax) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
@@ -110,11 +109,13 @@ def true_box(thing: Thing, flight: Flight, time: float) -> Box | None:
 class Film:
     """Images and what they show; None for images in which nothing is held yet."""
 
-    images: tuple[Image, ...]
+    images: tuple[Pixels, ...]
     truths: tuple[Truth | None, ...]
 
 
-def film(backgrounds: Sequence[Image], thing: Thing, flight: Flight, num_empty: int, *others: Flight) -> Film:
+def film(
+    backgrounds: Sequence[Pixels], thing: Thing, flight: Flight, num_empty: int, *others: Flight
+) -> Film:
     """A throw before backgrounds, which repeat; others of the same thing fly at the same time."""
     images, truths = [], []
     for number in range(num_empty + flight.num_held + flight.num_flying):
@@ -135,7 +136,7 @@ def film(backgrounds: Sequence[Image], thing: Thing, flight: Flight, num_empty: 
 Fault = Callable[[Film, np.random.Generator], Film]
 
 
-def scaled(image: Image, gain: float) -> Image:
+def scaled(image: Pixels, gain: float) -> Pixels:
     """An image with another exposure."""
     return cv2.convertScaleAbs(image, alpha=gain)
 
@@ -164,7 +165,7 @@ def exposure_step(film: Film, rng: np.random.Generator, step: float = 0.15) -> F
 def jpeg(film: Film, _: np.random.Generator, quality: int = 30) -> Film:
     """Images as a camera compresses them that is short of bandwidth."""
 
-    def coded(image: Image) -> Image:
+    def coded(image: Pixels) -> Pixels:
         _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
         decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
         assert decoded is not None
@@ -184,11 +185,11 @@ def shake(film: Film, rng: np.random.Generator, amplitude: float = 2.0) -> Film:
     return Film(images=tuple(images), truths=tuple(truths))
 
 
-def _moved(box: Box, dx: float, dy: float) -> Box:
+def _moved(box: Edges, dx: float, dy: float) -> Edges:
     return box[0] + dx, box[1] + dy, box[2] + dx, box[3] + dy
 
 
-def noisy(image: Image, rng: np.random.Generator, sigma: float = 2.5) -> Image:
+def noisy(image: Pixels, rng: np.random.Generator, sigma: float = 2.5) -> Pixels:
     """An image with a sensor's noise. Source: ours, as `rendering.camera` at its middle levels."""
     noise = rng.normal(0.0, sigma, image.shape).astype(np.float32)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)

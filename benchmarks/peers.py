@@ -8,15 +8,12 @@ from typing import Final, final
 import cv2
 import numpy as np
 
+from pixel2catch.camera.image import Edges, Image, Pixels, Verdict
 from pixel2catch.evaluation.box_scores import Score, score_box
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.extractor import CameraFrame, PixelFeatureExtractor
-from pixel2catch.perception.image_fit import Box
 from pixel2catch.perception.labels import Truth
-from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, ColorRange, ColorThreshold, Segmenter
+from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT
 
 CLICK_ERROR = 2.0  #: How far each edge of a person's box is off at most [px]. Source: ours.
@@ -29,15 +26,15 @@ class Method(ABC):
     """Gets every image of a stream once: `learn` until the object is pointed out by `start`, then `see`."""
 
     @abstractmethod
-    def learn(self, image: Image) -> None:
+    def learn(self, image: Pixels) -> None:
         """Look at an image before anything is pointed out."""
 
     @abstractmethod
-    def start(self, image: Image, box: Box) -> Box | None:
+    def start(self, image: Pixels, box: Edges) -> Edges | None:
         """Look at the image in which a person says that the object is in this box."""
 
     @abstractmethod
-    def see(self, image: Image) -> Box | None:
+    def see(self, image: Pixels) -> Edges | None:
         """Return the object's box in the next image; None where it is not found."""
 
 
@@ -47,23 +44,22 @@ class Ours(Method):
 
     def __init__(self, segmenter: Segmenter) -> None:
         self._person: Final = Prompter()
-        self._extractor = PixelFeatureExtractor(segmenter, self._person, waits=True)
+        self._tracker = ObjectTracker(segmenter, self._person, waits=True)
         self._num_seen = 0
 
-    def learn(self, image: Image) -> None:
+    def learn(self, image: Pixels) -> None:
         self.see(image)
 
-    def start(self, image: Image, box: Box) -> Box | None:
-        self._extractor.reset()
+    def start(self, image: Pixels, box: Edges) -> Edges | None:
+        self._tracker.reset()
         self._person.give(BoxPrompt(box=box))
         return self.see(image)
 
-    def see(self, image: Image) -> Box | None:
+    def see(self, image: Pixels) -> Edges | None:
         now = self._num_seen * CONTROL_DT
         self._num_seen += 1
-        seen = self._extractor.step(CameraFrame(image=image, stamp=now), now)
-        xmin, ymin, xmax, ymax = seen.box[0].tolist()
-        return (xmin, ymin, xmax, ymax) if seen.verdict is Verdict.SEEN else None
+        seen = self._tracker.step(Image(pixels=image, stamp=now), now)
+        return seen.edges if seen.verdict is Verdict.SEEN else None
 
 
 @final
@@ -72,18 +68,18 @@ class NearestBlob(Method):
 
     def __init__(self) -> None:
         self._model = cv2.createBackgroundSubtractorMOG2(300, 16.0, detectShadows=True)
-        self._box: Box = (0.0, 0.0, 0.0, 0.0)
+        self._box: Edges = (0.0, 0.0, 0.0, 0.0)
         self._velocity = (0.0, 0.0)
         self._num_lost = 0
 
-    def learn(self, image: Image) -> None:
+    def learn(self, image: Pixels) -> None:
         self._model.apply(image)
 
-    def start(self, image: Image, box: Box) -> Box | None:
+    def start(self, image: Pixels, box: Edges) -> Edges | None:
         self._box, self._velocity, self._num_lost = box, (0.0, 0.0), 0
         return self.see(image)
 
-    def see(self, image: Image) -> Box | None:
+    def see(self, image: Pixels) -> Edges | None:
         mask = (self._model.apply(image) == 255).astype(np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
@@ -116,16 +112,16 @@ class Mil(Method):
     def __init__(self) -> None:
         self._tracker = cv2.TrackerMIL.create()
 
-    def learn(self, image: Image) -> None:
+    def learn(self, image: Pixels) -> None:
         pass
 
-    def start(self, image: Image, box: Box) -> Box | None:
+    def start(self, image: Pixels, box: Edges) -> Edges | None:
         left, top, right, bottom = (round(edge) for edge in box)
         cv2.setRNGSeed(0)
         self._tracker.init(image, (left, top, max(right - left, 4), max(bottom - top, 4)))
         return box
 
-    def see(self, image: Image) -> Box | None:
+    def see(self, image: Pixels) -> Edges | None:
         is_found, (left, top, width, height) = self._tracker.update(image)
         return (float(left), float(top), float(left + width), float(top + height)) if is_found else None
 
@@ -143,7 +139,7 @@ def methods(hue: tuple[float, float] | None) -> dict[str, Callable[[], Method]]:
     return made
 
 
-def follow(method: Method, images: list[Image], truths: list[Truth | None], seed: int) -> list[Score]:
+def follow(method: Method, images: list[Pixels], truths: list[Truth | None], seed: int) -> list[Score]:
     """Show a method a stream; a person points the object out in the first image in which it is labelled.
 
     That image counts for nothing, and neither do images of which the truth is not known.
@@ -151,7 +147,7 @@ def follow(method: Method, images: list[Image], truths: list[Truth | None], seed
     scores: list[Score] = []
     first = next(i for i, truth in enumerate(truths) if truth and truth.box)
     errors = np.random.default_rng(seed).uniform(-CLICK_ERROR, CLICK_ERROR, 4).tolist()
-    last: Box = (0.0, 0.0, 0.0, 0.0)
+    last: Edges = (0.0, 0.0, 0.0, 0.0)
     for number, (image, truth) in enumerate(zip(images, truths, strict=True)):
         if number < first:
             method.learn(image)
@@ -170,9 +166,9 @@ def follow(method: Method, images: list[Image], truths: list[Truth | None], seed
     return scores
 
 
-def _middle(box: Box) -> tuple[float, float]:
+def _middle(box: Edges) -> tuple[float, float]:
     return 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
 
 
-def _area(box: Box) -> float:
+def _area(box: Edges) -> float:
     return (box[2] - box[0]) * (box[3] - box[1])

@@ -12,12 +12,12 @@ from typing import Any
 
 from peers import follow, methods
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.image_fit import camera_for
 from pixel2catch.perception.labels import Labels, Truth
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.perception.sources import SourceCfg, ticks_of
 
 HUES = {"red": (340.0, 20.0), "orange": (8.0, 45.0), "yellow": (42.0, 75.0), "blue": (195.0, 235.0)}
@@ -50,7 +50,7 @@ def main() -> None:
         write_atomically({options.out: content.encode()})
 
 
-def shown(video: Path, labels: Labels) -> tuple[list[Image], list[Truth | None]]:
+def shown(video: Path, labels: Labels) -> tuple[list[Pixels], list[Truth | None]]:
     """The images that a control loop gets of a video, each once, in the policies' size; and their truths.
 
     Raises:
@@ -60,10 +60,10 @@ def shown(video: Path, labels: Labels) -> tuple[list[Image], list[Truth | None]]
     notes: list[str] = []
     images, truths, last = [], [], -1.0
     for tick in ticks_of(SourceCfg(name=str(video)), notes, fit):
-        if tick.frame.stamp <= last:
+        if tick.image.stamp <= last:
             continue
-        last, label = tick.frame.stamp, labels.at(tick.frame.stamp)
-        images.append(tick.frame.image)
+        last, label = tick.image.stamp, labels.at(tick.image.stamp)
+        images.append(tick.image.pixels)
         truths.append(label and Truth(phase=label.phase, box=label.box and fit.box(label.box)))
     if not any(truth and truth.box for truth in truths):
         raise InvalidValueError(f"none of the labels of {labels.video} is of an image that {video} shows.")

@@ -21,10 +21,10 @@ import numpy as np
 from composites import WIDTH, Fault, Film, Flight, Thing, exposure_step, film, flicker, jpeg, noisy, shake
 from peers import follow, methods
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.image_fit import camera_for
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.perception.sources import video_frames
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
@@ -117,7 +117,7 @@ def main() -> None:
         write_atomically({options.out: text.encode()})
 
 
-def made(case: Case, room: list[Image], flight: Flight, rng: np.random.Generator) -> Film:
+def made(case: Case, room: list[Pixels], flight: Flight, rng: np.random.Generator) -> Film:
     """The images of a case."""
     changed = case.change(flight)
     shown = film(room, case.thing, changed, case.num_empty, *case.others(changed))
@@ -135,7 +135,7 @@ def drawn(rng: np.random.Generator) -> Flight:
     return Flight(start=start, velocity=velocity, sizes=(radius, radius * float(rng.uniform(1.4, 2.2))))
 
 
-def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list[Image]:
+def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list[Pixels]:
     """Images of a room without an object: one that is drawn, or those of one of the videos."""
     if not paths:
         scene, people = SceneCfg(), Bystanders(release_pos=np.array(RELEASE), phase=0.3)
@@ -148,7 +148,7 @@ def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list
         with RoomCamera(scene, throw, camera_cfg, room=int(rng.integers(1000)), shadows=True) as camera:
             return [camera.image(empty)]
     frames = islice(video_frames(paths[throw % len(paths)], []), NUM_BACKGROUNDS)
-    images = [frame.image for frame in frames]
+    images = [frame.pixels for frame in frames]
     fit, _ = camera_for((images[0].shape[1], images[0].shape[0]), None)
     return [fit.image(image) for image in images]
 

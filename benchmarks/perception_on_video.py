@@ -27,15 +27,14 @@ from rendered_throws import (
     moments,
 )
 
+from pixel2catch.camera.image import Box
 from pixel2catch.evaluation.box_scores import GOOD, Score, reacquisition, summary
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.perception.segmenter import ColorRange, ColorThreshold, Segmenter
 from pixel2catch.rendering.camera import CameraCfg, Moment
 from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.objects import select_objects
@@ -92,8 +91,8 @@ def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[
     """What each segmenter makes of a throw: scores, images until it is back after a gap, time of an image."""
     plain, gapped = ({name: PerceptionRunner(each) for name, each in segmenters().items()} for _ in range(2))
     shots: list[LabelledImage] = []
-    seen: dict[str, list[Extraction]] = {name: [] for name in plain}
-    seen_gapped: dict[str, list[Extraction]] = {name: [] for name in plain}
+    seen: dict[str, list[Box]] = {name: [] for name in plain}
+    seen_gapped: dict[str, list[Box]] = {name: [] for name in plain}
     states = moments(take)
     release_pos = states[0].qpos[OBJECT_POS]
     first = next(i for i, moment in enumerate(states) if moment.time > 0.0) + GAP_START
@@ -114,7 +113,7 @@ def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[
         name: (
             film_scores(shots, seen[name]),
             reacquisition(film_scores(shots, seen_gapped[name]), back),
-            plain[name].clock.percentiles()["total"].p50,
+            float(np.median(plain[name].durations)),
         )
         for name in plain
     }

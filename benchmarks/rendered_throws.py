@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
+from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
@@ -20,12 +21,10 @@ from pixel2catch.evaluation.box_scores import Score, score
 from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
-from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor, StageClock
 from pixel2catch.perception.labels import Phase, Truth
-from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
+from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robots.geometry import first_chain
@@ -178,9 +177,9 @@ def truths(shots: Sequence[LabelledImage]) -> list[Truth]:
     return found
 
 
-def film_scores(shots: Sequence[LabelledImage], extractions: Sequence[Extraction]) -> list[Score]:
+def film_scores(shots: Sequence[LabelledImage], boxes: Sequence[Box]) -> list[Score]:
     """Compare what was seen in the images of a film with the truth."""
-    return [score(truth, seen) for truth, seen in zip(truths(shots), extractions, strict=True)]
+    return [score(truth, seen) for truth, seen in zip(truths(shots), boxes, strict=True)]
 
 
 class PerceptionRunner:
@@ -199,29 +198,28 @@ class PerceptionRunner:
         """
         self._person, self._rng = Prompter(), np.random.default_rng(seed)
         robot = RobotMask(find_workcell(workcell))
-        self._extractor = PixelFeatureExtractor(segmenter, self._person, robot=robot)
+        self._tracker = ObjectTracker(segmenter, self._person, robot=robot)
         self._is_prompted, self._num_seen = False, 0
-
-    @property
-    def clock(self) -> StageClock:
-        """How long each stage took."""
-        return self._extractor.clock
+        self.durations: list[float] = []  #: Time of each image [s].
 
     def begin(self) -> None:
         """A new film begins."""
         self._is_prompted = False
 
-    def see(self, shot: LabelledImage) -> Extraction:
+    def see(self, shot: LabelledImage) -> Box:
         """Look at the next image of the film."""
         if shot.num_pixels and not self._is_prompted:
             self._is_prompted = True
-            self._extractor.reset()
+            self._tracker.reset()
             edges = shot.box[0].numpy() + self._rng.uniform(-CLICK_ERROR, CLICK_ERROR, 4)
             xmin, ymin, xmax, ymax = edges.tolist()
             self._person.give(BoxPrompt(box=(xmin, ymin, xmax, ymax)))
         now = self._num_seen * CONTROL_DT
         self._num_seen += 1
-        return self._extractor.step(CameraFrame(image=shot.image, stamp=now, joint_pos=shot.joint_pos), now)
+        image = Image(pixels=shot.image, stamp=now, joint_pos=shot.joint_pos)
+        box = self._tracker.step(image, now)
+        self.durations.append(self._tracker.durations["total"])
+        return box
 
 
 class RenderedDetector(Detector):
@@ -234,7 +232,7 @@ class RenderedDetector(Detector):
 
     Attributes:
         shots: The images of this episode, from its beginning to its end or to `close`.
-        extractions: What was made of each.
+        boxes: What was found in each.
     """
 
     def __init__(
@@ -254,7 +252,7 @@ class RenderedDetector(Detector):
         self._num_throws = 0
         self._is_open = False
         self.shots: list[LabelledImage] = []
-        self.extractions: list[Extraction] = []
+        self.boxes: list[Box] = []
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
         """See `Detector.look`."""
@@ -271,9 +269,10 @@ class RenderedDetector(Detector):
         )
         film = self._film or self._begun(episode, moment)
         self.shots.append(film.shot(moment))
-        self.extractions.append(self._perception.see(self.shots[-1]))
-        is_found = self.extractions[-1].verdict is Verdict.SEEN
-        return replace(detection, box=self.extractions[-1].box, is_seen=torch.tensor([is_found]))
+        self.boxes.append(self._perception.see(self.shots[-1]))
+        is_found = self.boxes[-1].verdict is Verdict.SEEN
+        box = torch.tensor([self.boxes[-1].edges])
+        return replace(detection, box=box, is_seen=torch.tensor([is_found]))
 
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
         """See `Detector.disturbed`: an image needs no noise but its own."""
@@ -285,7 +284,7 @@ class RenderedDetector(Detector):
     def open(self) -> None:
         """Film the next episode; call it before the environment's reset."""
         self.close()
-        self._is_open, self.shots, self.extractions = True, [], []
+        self._is_open, self.shots, self.boxes = True, [], []
 
     def close(self) -> None:
         """Film no more, and free the drawing context."""

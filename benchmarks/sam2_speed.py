@@ -31,7 +31,7 @@ import transformers
 from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.image_track import find_blobs
+from pixel2catch.perception.regions import find_blobs
 from pixel2catch.perception.sam2 import COMPILED, MODULES, Module, Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.side_by_side import LONGEST_WAIT, Doubt, SideBySide

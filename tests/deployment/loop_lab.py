@@ -12,15 +12,21 @@ import pytest
 import torch
 
 from paper_robot import JOINTS
+from pixel2catch.camera.image import Edges, Pixels
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
-from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.extractor import PixelFeatureExtractor
-from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import Image, Motion, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import (
+    ColorRange,
+    ColorThreshold,
+    ImageMotion,
+    Prompt,
+    Segmentation,
+    Segmenter,
+)
+from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -32,9 +38,8 @@ from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
-Box = tuple[float, float, float, float]
 
-BOX: Box = (300.0, 200.0, 330.0, 230.0)
+BOX: Edges = (300.0, 200.0, 330.0, 230.0)
 ASKING = 1e-4
 """Time that passes while somebody asks for it [s]."""
 
@@ -42,7 +47,7 @@ RED = ColorRange(hue=(340.0, 20.0))
 NOISE = cycle(range(100, 140))
 
 
-def picture(box: Box | None = BOX) -> np.ndarray:
+def picture(box: Edges | None = BOX) -> np.ndarray:
     """Grey, with a red rectangle; the first pixel is never that of the picture before."""
     image = np.full((480, 640, 3), 120, dtype=np.uint8)
     image[0, 0, 0] = next(NOISE)
@@ -55,10 +60,10 @@ def picture(box: Box | None = BOX) -> np.ndarray:
 class EverythingRed(Segmenter):
     """Takes whatever is red for the object, wherever it is."""
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         return self.track(image, motion)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         return Segmentation(mask=RED.mask(image), score=1.0)
 
     def reset(self) -> None:
@@ -80,9 +85,9 @@ def new_pipeline(
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
     person = Prompter()
-    extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
+    tracker = ObjectTracker(segmenter or ColorThreshold(RED), person)
     return PolicyPipeline(
-        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), extractor, person
+        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), tracker, person
     )
 
 
@@ -164,7 +169,7 @@ def badly_recorded(folder: Path) -> Iterator[Surroundings]:
         yield replace(around, connection=replace(around.connection, recording=recording))
 
 
-def moved(by: float) -> Box:
+def moved(by: float) -> Edges:
     """The box, so far to the right and down [px]."""
     xmin, ymin, xmax, ymax = BOX
     return xmin + by, ymin + by, xmax + by, ymax + by

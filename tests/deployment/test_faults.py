@@ -18,7 +18,7 @@ from pixel2catch.deployment.image_subscriber import NUM_EQUAL
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController, make_pipeline
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA

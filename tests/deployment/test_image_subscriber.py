@@ -28,7 +28,7 @@ def test_the_newest_image_counts():
             around.show(picture((edge, 100, edge + 20, 130)))
         frame = images.newest()
         assert frame is not None
-        assert frame.image[110, 310].tolist() == [200, 30, 20]
+        assert frame.pixels[110, 310].tolist() == [200, 30, 20]
         assert images.newest() is None
 
 

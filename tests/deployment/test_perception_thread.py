@@ -10,14 +10,19 @@ import pytest
 from loop_lab import BOX, HOME, RED, new_pipeline, picture, remembering
 
 from domains import PATIENCE
+from pixel2catch.camera.image import Image, Pixels, Verdict
 from pixel2catch.deployment.perception_thread import LONGEST_WAIT, CallerExecutor, ConcurrentPerception
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.stepped import StepClock, perception_times
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.extractor import CameraFrame
-from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Motion, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import (
+    BoxPrompt,
+    ColorThreshold,
+    ImageMotion,
+    Prompt,
+    Segmentation,
+    Segmenter,
+)
 from pixel2catch.scene.constants import CONTROL_DT
 
 PROMPT = BoxPrompt(box=BOX)
@@ -35,12 +40,12 @@ def looks(took: Callable[[], float], seconds: float) -> list[tuple[float, float]
     num_images = 0
     while clock.time < seconds:
         if clock.time >= num_images * CONTROL_DT + LATENCY:
-            perception.offer(CameraFrame(image=picture(), stamp=num_images * CONTROL_DT))
+            perception.offer(Image(pixels=picture(), stamp=num_images * CONTROL_DT))
             num_images += 1
         if look := perception.go_on():
-            assert look.seen.verdict is Verdict.SEEN
-            assert look.begin >= look.received >= look.frame.stamp + LATENCY
-            found.append((look.frame.stamp, look.end))
+            assert look.box.verdict is Verdict.SEEN
+            assert look.begin >= look.received >= look.box.stamp + LATENCY
+            found.append((look.box.stamp, look.end))
         clock.time += TICK
     return found
 
@@ -76,11 +81,11 @@ class HeldUp(Segmenter):
         self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
         self.settled_by = SimpleQueue[str]()
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         self._wait()
         return self._segmenter.start(image, prompt, motion)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         self._wait()
         return self._segmenter.track(image, motion)
 
@@ -107,7 +112,7 @@ class Threaded:
 
     def show(self, stamp: float) -> None:
         self.clock.time = stamp
-        self.perception.offer(CameraFrame(image=picture(), stamp=stamp))
+        self.perception.offer(Image(pixels=picture(), stamp=stamp))
         assert self.perception.go_on() is None
         assert self.segmenter.has_begun.wait(PATIENCE)
         self.segmenter.has_begun.clear()
@@ -166,7 +171,7 @@ def test_a_look_that_ends_after_a_new_throw_began_is_forgotten(lab: Threaded):
 
 def test_what_goes_wrong_in_the_thread_is_told_to_who_asks(lab: Threaded):
     lab.perception.begin(PROMPT)
-    lab.perception.offer(CameraFrame(image=picture()[:100], stamp=0.0))
+    lab.perception.offer(Image(pixels=picture()[:100], stamp=0.0))
     lab.perception.go_on()
     with pytest.raises(PerceptionError, match="480"):
         lab.end()

@@ -11,7 +11,7 @@ from loop_lab import (
     HOME,
     PROFILE,
     RED,
-    Box,
+    Edges,
     EverythingRed,
     moved,
     new_pipeline,
@@ -19,6 +19,7 @@ from loop_lab import (
     remembering,
 )
 
+from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.deployment.policy_pipeline import (
     BOX_AGE,
     FADE_STEPS,
@@ -31,11 +32,8 @@ from pixel2catch.deployment.sight import LONGEST_GAP, MOTION, NUM_JUMPS, STILL_T
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.snapshot import BoxHistory
-from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.extractor import CameraFrame, Extraction
-from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import BoxPrompt
+from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import JointTargets
@@ -45,19 +43,17 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 PROMPT = BoxPrompt(box=BOX)
 
 
-def frame(stamp: float, by: float = 0.0) -> CameraFrame:
-    return CameraFrame(image=picture(moved(by)), stamp=stamp)
+def frame(stamp: float, by: float = 0.0) -> Image:
+    return Image(pixels=picture(moved(by)), stamp=stamp)
 
 
-def see(pipeline: PolicyPipeline, frame: CameraFrame, now: float) -> Extraction:
-    seen = pipeline.perceive(frame, now)
-    pipeline.remember(frame, seen)
-    return seen
+def see(pipeline: PolicyPipeline, frame: Image, now: float) -> Box:
+    box = pipeline.perceive(frame, now)
+    pipeline.remember(box)
+    return box
 
 
-def think(
-    pipeline: PolicyPipeline, frame: CameraFrame, joint_pos: np.ndarray, now: float
-) -> JointTargets | None:
+def think(pipeline: PolicyPipeline, frame: Image, joint_pos: np.ndarray, now: float) -> JointTargets | None:
     see(pipeline, frame, now)
     return pipeline.decide(joint_pos, now)
 
@@ -78,7 +74,7 @@ def test_what_the_policy_was_trained_for_is_never_too_large(name: str, expected:
     pipeline = make_pipeline(controller, ColorThreshold(RED), Prompter(), RGB_CAMERA, None)
     large = (300.0, 200.0, 460.0, 360.0)
     pipeline.point(BoxPrompt(box=large))
-    assert see(pipeline, CameraFrame(image=picture(large), stamp=1.0), 1.01).verdict is expected
+    assert see(pipeline, Image(pixels=picture(large), stamp=1.0), 1.01).verdict is expected
 
 
 @pytest.mark.parametrize(
@@ -151,7 +147,7 @@ def test_a_policy_that_knows_ages_gets_what_was_measured_when_it_was_measured():
     stamps = [1.0, 1.0 + CONTROL_DT, 1.0 + 4.0 * CONTROL_DT]
     for step, stamp in enumerate(stamps):
         assert think(pipeline, frame(stamp, 4.0 * step), HOME, stamp + 0.06)
-    see(pipeline, CameraFrame(image=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
+    see(pipeline, Image(pixels=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
     now = 1.0 + 6.5 * CONTROL_DT
     joint_targets = pipeline.decide(HOME, now)
     assert joint_targets is not None
@@ -180,7 +176,7 @@ def test_a_perception_that_hangs_is_said_and_gives_no_orders():
     see(pipeline, frame(1.0), 1.02)
     for step in range(1, 30):
         stamp = 1.0 + step * CONTROL_DT
-        see(pipeline, CameraFrame(image=picture(None), stamp=stamp), stamp)
+        see(pipeline, Image(pixels=picture(None), stamp=stamp), stamp)
         assert pipeline.decide(HOME, stamp)
     with pytest.raises(DeploymentError, match=r"looked at is 0\.4 s old"):
         pipeline.decide(HOME, 1.0 + 29 * CONTROL_DT + LONGEST_LOOK + 0.01)
@@ -189,13 +185,13 @@ def test_a_perception_that_hangs_is_said_and_gives_no_orders():
 ARM = slice(0, 6)
 
 
-def run(pipeline: PolicyPipeline, steps: range, box: Box | None) -> np.ndarray:
+def run(pipeline: PolicyPipeline, steps: range, box: Edges | None) -> np.ndarray:
     """Targets of control steps in which the joints are where they were to be; each image is 20 ms old."""
     targets, joint_pos = list[np.ndarray](), HOME
     for step in steps:
         stamp = step * CONTROL_DT
         command = think(
-            pipeline, CameraFrame(image=picture(box), stamp=stamp), joint_pos + 0.01 * step, stamp + 0.02
+            pipeline, Image(pixels=picture(box), stamp=stamp), joint_pos + 0.01 * step, stamp + 0.02
         )
         assert command is not None
         assert command.box_stamp == pipeline.sight.box_stamp

@@ -19,8 +19,8 @@ from pixel2catch.deployment.replay import RecordedTargets, compare, recorded_tar
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.segmenter import ColorThreshold
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import RGB_CAMERA

@@ -12,9 +12,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.image import Pixels
 from pixel2catch.files import json_text
 from pixel2catch.perception.labels import FORMAT_VERSION, Labels
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -41,7 +41,7 @@ def save_labels(path: Path, labels: Labels) -> None:
     path.write_text(json_text({"format_version": FORMAT_VERSION, **asdict(labels)}))
 
 
-def throw() -> Iterator[Image]:
+def throw() -> Iterator[Pixels]:
     """The throw, image by image."""
     return images((DISC,), len(PATH))
 
@@ -52,7 +52,7 @@ def box_at(step: int, margin: float = 1.0) -> list[str]:
     return [f"{edge:g}" for edge in (u - reach, v - reach, u + reach, v + reach)]
 
 
-def save_video(path: Path, pictures: Iterable[Image], fps: int = 30) -> Path:
+def save_video(path: Path, pictures: Iterable[Pixels], fps: int = 30) -> Path:
     with VideoWriter(path, fps=fps, crf=12) as video:
         for picture in pictures:
             video.write(picture)
@@ -96,7 +96,7 @@ def compressed(step: int, data: bytes, kind: str = "rgb8; jpeg compressed bgr8")
     return "/camera/image_raw/compressed", stamp + 20_000_000, message
 
 
-def jpeg(image: Image) -> bytes:
+def jpeg(image: Pixels) -> bytes:
     return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
 
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pixel2catch.camera.image import Mask, Pixels
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.foreground import Foreground
-from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Prompt, Segmentation, Segmenter
 
 HEIGHT, WIDTH = 240, 320
 RED = (200, 40, 30)
@@ -36,11 +37,11 @@ class Follower:
         self.segmenter = segmenter or BackgroundSubtraction()
         self.foreground = Foreground()
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         motion = self.foreground.reveal(self.foreground.step(image, ignored), prompt)
         return self._kept(self.segmenter.start(image, prompt, motion))
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Pixels, ignored: Mask | None = None) -> Segmentation:
         return self._kept(self.segmenter.track(image, self.foreground.step(image, ignored)))
 
     def settle(self) -> None:
@@ -60,7 +61,7 @@ def background(seed: int = 0) -> np.ndarray:
     return np.repeat(grey[..., None], 3, axis=2)
 
 
-def images(discs: tuple[Disc, ...], num_steps: int, noise: float = 3.0) -> Iterator[Image]:
+def images(discs: tuple[Disc, ...], num_steps: int, noise: float = 3.0) -> Iterator[Pixels]:
     """The discs, later ones in front, over the background, with Gaussian noise of this deviation."""
     rng, still = np.random.default_rng(1), background()
     for step in range(num_steps):

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from domains import PATIENCE, own_domain
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.image import Image
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.perception.calibration.capture import Capture, Taken, blur, covered, located, wants
 from pixel2catch.perception.calibration.target import CharucoBoard, View, read_image
-from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.factory import make_transport
@@ -56,7 +56,7 @@ class Session:
         said = []
         for _ in range(times):
             self._time += 0.1
-            frame = CameraFrame(image=image, stamp=self._time, joint_pos=joint_pos)
+            frame = Image(pixels=image, stamp=self._time, joint_pos=joint_pos)
             turn = None if joint_pos is None else Rotation.from_matrix(palm(joint_pos)[:3, :3])
             said.append(self.capture.look(frame, turn))
         return said

@@ -11,10 +11,9 @@ from tiny_sam2 import save_tiny_sam2
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.perception import factory
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
+from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold, PointPrompt
 from pixel2catch.perception.side_by_side import SideBySide
 
 RED = (340.0, 20.0)

@@ -5,9 +5,10 @@ import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
+from pixel2catch.camera.image import Mask
 from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness, closed, sharpened
-from pixel2catch.perception.image_track import GAP
-from pixel2catch.perception.segmenter import BoxPrompt, Mask, Motion
+from pixel2catch.perception.regions import GAP
+from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 ROBOT_COLOR = (20, 20, 20)
 
@@ -137,10 +138,10 @@ def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
     assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2
 
 
-def motion_of(difference: np.ndarray) -> Motion:
+def motion_of(difference: np.ndarray) -> ImageMotion:
     """What moves where an image differs at all from its background."""
     moving, image = difference > 0, np.zeros((*difference.shape, 3), dtype=np.uint8)
-    return Motion(image=image, difference=difference, moving=moving, unknown=np.zeros_like(moving))
+    return ImageMotion(image=image, difference=difference, moving=moving, unknown=np.zeros_like(moving))
 
 
 def test_the_side_of_a_thing_that_is_nearly_as_bright_as_the_wall_is_no_rim():

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.image import Edges
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, _truth_rows
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.evaluation.box_scores import score_box, summary
-from pixel2catch.perception.image_fit import Box, ImageFit, camera_for
+from pixel2catch.perception.image_fit import ImageFit, camera_for
 from pixel2catch.perception.labels import Label, Labels, Truth
 from pixel2catch.perception.sources import video_frames
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -27,7 +28,7 @@ CLIPS = Path(__file__).parents[2] / "benchmarks" / "clips"
 SIZES = st.tuples(st.integers(160, 2000), st.integers(160, 2000))
 
 
-def label(image: int, box: Box | None, phase: Any = "flight") -> Label:
+def label(image: int, box: Edges | None, phase: Any = "flight") -> Label:
     return Label(image=image, time=image / 30.0, phase=phase, box=box)
 
 
@@ -127,7 +128,7 @@ def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
         for packet in stream.encode():
             container.mux(packet)
     plain = next(video_frames(path, []))
-    assert plain.image.shape == (64, 128, 3)
+    assert plain.pixels.shape == (64, 128, 3)
     data = bytearray(
         path.read_bytes()
     )  # a quarter turn clockwise in the track header, as telephones write it
@@ -137,9 +138,9 @@ def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
     data[place : place + len(matrix)] = turned
     path.write_bytes(data)
     upright = next(video_frames(path, []))
-    assert upright.image.shape == (128, 64, 3)
-    assert upright.image[:, -10:, 0].mean() > 200  # what was above is at the right
-    assert upright.image[:, :40, 0].mean() < 30
+    assert upright.pixels.shape == (128, 64, 3)
+    assert upright.pixels[:, -10:, 0].mean() > 200  # what was above is at the right
+    assert upright.pixels[:, :40, 0].mean() < 30
 
 
 @pytest.fixture(scope="module")

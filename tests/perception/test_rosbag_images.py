@@ -8,8 +8,8 @@ import pytest
 from filmed import EPOCH, compressed, joint_state, jpeg, raw, save_bag, stamp_of, throw
 from rosbags.rosbag2 import StoragePlugin
 
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -17,7 +17,7 @@ IMAGE = next(throw())
 NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
-def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[CameraFrame]:
+def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
     return list(bag_frames(path, topic, "/joint_states", NAMES, [] if notes is None else notes))
 
 
@@ -31,7 +31,7 @@ def test_raw_images_come_out_as_they_were(
     frames = read(path)
     assert [frame.stamp for frame in frames] == pytest.approx([stamp_of(step) / 1e9 for step in range(3)])
     for frame in frames:
-        np.testing.assert_array_equal(frame.image, IMAGE)
+        np.testing.assert_array_equal(frame.pixels, IMAGE)
         assert frame.joint_pos is None
 
 
@@ -48,7 +48,7 @@ def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Pa
     notes: list[str] = []
     frames = read(save_bag(tmp_path / "bag", messages), notes=notes)
     assert len(frames) == 2
-    assert np.abs(frames[1].image.astype(float) - IMAGE).mean() < 6.0
+    assert np.abs(frames[1].pixels.astype(float) - IMAGE).mean() < 6.0
     assert len(notes) == 1
     assert notes[0].startswith("damaged images, passed over: 2; the last of 0 bytes at")
 

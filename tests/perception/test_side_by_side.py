@@ -17,10 +17,18 @@ from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, Follower
 from tiny_sam2 import CERTAIN, save_tiny_sam2
 
 from domains import PATIENCE
+from pixel2catch.camera.image import Mask, Pixels
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import (
+    BoxPrompt,
+    ColorRange,
+    ColorThreshold,
+    ImageMotion,
+    Prompt,
+    Segmentation,
+    Segmenter,
+)
 from pixel2catch.perception.side_by_side import Doubt, LastPlace, SideBySide, Source, believe
 
 NUM_STILL, NUM_FLYING = 4, 14
@@ -35,7 +43,7 @@ def held_box() -> BoxPrompt:
 
 
 @cache
-def pictures() -> list[Image]:
+def pictures() -> list[Pixels]:
     return list(painted.images((BALL,), NUM_STEPS))
 
 
@@ -70,11 +78,11 @@ class Troubled(Segmenter):
         self.go_on = Event()
         self.go_on.set()
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         self.num_starts += 1
         return self.segmenter.start(image, prompt, motion)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         assert self.go_on.wait(PATIENCE)
         self.num_tracked += 1
         found = self.segmenter.track(image, motion)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from filmed import HEIGHT, WIDTH, raw, save_bag, save_video, throw
 
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.sources import (
     LONGEST_PAUSE,
     CameraReader,
@@ -33,7 +33,7 @@ def test_video_keeps_pixels_and_stamps(tmp_path: Path):
     pictures = list(islice(throw(), 5))
     frames = list(video_frames(save_video(tmp_path / "v.mp4", pictures, fps=24), []))
     assert [frame.stamp for frame in frames] == pytest.approx([i / 24 for i in range(5)], abs=1e-4)
-    difference = np.array([frame.image for frame in frames], dtype=float) - pictures
+    difference = np.array([frame.pixels for frame in frames], dtype=float) - pictures
     assert np.abs(difference).mean() < 4.0
 
 
@@ -45,7 +45,7 @@ def test_every_kind_of_source_comes_on_the_control_clock(tmp_path: Path):
     for source in (video, bag, file):
         ticks = list(ticks_of(SourceCfg(name=str(source)), []))
         assert len(ticks) == 4
-        assert all(tick.frame.image.shape == (HEIGHT, WIDTH, 3) for tick in ticks)
+        assert all(tick.image.pixels.shape == (HEIGHT, WIDTH, 3) for tick in ticks)
 
 
 def error_of(source: Path | str) -> str:
@@ -87,13 +87,13 @@ IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
 
 def images_got(stamps: list[float], notes: list[str] | None = None) -> list[int]:
     """Number of the image that each control step gets; ticks are whole control steps apart."""
-    frames = [CameraFrame(image=IMAGE, stamp=stamp) for stamp in stamps]
+    frames = [Image(pixels=IMAGE, stamp=stamp) for stamp in stamps]
     ticks = list(on_control_clock(frames, [] if notes is None else notes))
-    assert all(tick.frame.stamp < tick.now for tick in ticks)
+    assert all(tick.image.stamp < tick.now for tick in ticks)
     steps = np.array([(tick.now - stamps[0]) / CONTROL_DT for tick in ticks])
     np.testing.assert_allclose(steps % 1.0, 0.5, atol=1e-4)
     assert (np.diff(steps) > 0.5).all()
-    return [next(i for i, frame in enumerate(frames) if frame is tick.frame) for tick in ticks]
+    return [next(i for i, frame in enumerate(frames) if frame is tick.image) for tick in ticks]
 
 
 def test_no_jitter_of_a_camera_makes_a_tick_miss_its_image():
@@ -157,7 +157,7 @@ def test_only_the_newest_image_waits(capture: cv2.VideoCapture):
         while time.monotonic() - frames[-1].stamp < 0.5:
             frames.append(reader.newest())
     last = list(islice(throw(), 12))[-1]
-    assert np.abs(frames[-1].image.astype(float) - last).mean() < 4.0
+    assert np.abs(frames[-1].pixels.astype(float) - last).mean() < 4.0
     assert len({id(frame) for frame in frames}) <= 12
 
 
@@ -165,7 +165,7 @@ def test_a_camera_that_stalls_repeats_its_image_and_then_ends(capture: cv2.Video
     notes: list[str] = []
     ticks = list(live_ticks(capture, notes, longest_stall=0.4))
     assert 2 <= len(ticks) <= (ticks[-1].now - ticks[0].now) / CONTROL_DT + 2
-    assert ticks[-1].frame is ticks[-2].frame
+    assert ticks[-1].image is ticks[-2].image
     assert notes == ["the camera gave no image for 0.4 s: ended. Is it unplugged?"]
 
 

@@ -5,8 +5,7 @@ import numpy as np
 import painted
 from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, box_of
 
-from pixel2catch.perception.foreground import Foreground
-from pixel2catch.perception.steadiness import shift_between, shifted
+from pixel2catch.perception.foreground import Foreground, shift_between, shifted
 
 EVERYWHERE = np.ones((HEIGHT, WIDTH), dtype=bool)
 

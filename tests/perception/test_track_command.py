@@ -35,8 +35,7 @@ from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.installation import install_command
-from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
-from pixel2catch.perception.tracking import COLUMNS
+from pixel2catch.perception.sightings import COLUMNS, HEADER, PLOT_HEIGHT, PLOT_ROWS
 from pixel2catch.scene.constants import CONTROL_DT
 
 AT = ["--at", f"{HELD * CONTROL_DT:.3f}"]

@@ -6,6 +6,7 @@ import pytest
 import torch
 from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector, moments
 
+from pixel2catch.camera.image import Verdict
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
@@ -14,7 +15,6 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL
 
@@ -74,8 +74,8 @@ def test_the_throw_and_the_noise_are_the_same_and_the_boxes_agree(env: CatchEnv)
 def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEnv):
     throw(env, through_images=True)
     assert isinstance(env.detector, RenderedDetector)
-    assert len(env.detector.shots) == len(env.detector.extractions) == NUM_STEPS + 1
-    assert all(seen.verdict is Verdict.SEEN for seen in env.detector.extractions)
+    assert len(env.detector.shots) == len(env.detector.boxes) == NUM_STEPS + 1
+    assert all(seen.verdict is Verdict.SEEN for seen in env.detector.boxes)
     times = [shot.time for shot in env.detector.shots]
     assert torch.tensor(times).diff().tolist() == pytest.approx([CONTROL_DT] * NUM_STEPS, abs=1e-6)
     assert -20 * CONTROL_DT < times[0] <= -5 * CONTROL_DT

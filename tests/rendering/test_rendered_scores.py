@@ -3,10 +3,9 @@ import pytest
 import torch
 from rendered_throws import LabelledImage, film_scores
 
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.evaluation.box_scores import reacquisition, score_box, summary
-from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.labels import Truth
-from pixel2catch.perception.plausibility import Verdict
 
 IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
 BOX = (100.0, 100.0, 120.0, 110.0)
@@ -24,20 +23,10 @@ def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> Labe
     )
 
 
-def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Extraction:
+def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
     """A box of which the right edge is wrong by so much."""
-    return Extraction(
-        box=torch.tensor([BOX]) + torch.tensor([[0.0, 0.0, error, 0.0]]),
-        before=torch.zeros(1, 4),
-        verdict=verdict,
-        is_valid=True,
-        is_fresh=True,
-        age=0.0,
-        score=0.0,
-        num_skipped=0,
-        mask=None,
-        message="",
-    )
+    xmin, ymin, xmax, ymax = BOX
+    return Box(edges=(xmin, ymin, xmax + error, ymax), verdict=verdict, is_valid=True, age=0.0)
 
 
 SHOTS = [

@@ -19,8 +19,8 @@ from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
-from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.segmenter import ColorThreshold
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages

@@ -5,7 +5,8 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from pixel2catch.rendering.camera import Exposure, Image, Moment
+from pixel2catch.camera.image import Pixels
+from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.twin.drivers import Camera
 
 
@@ -13,9 +14,9 @@ class SlowDrawing:
     """Draws when it is told to."""
 
     def __init__(self) -> None:
-        self.begun: list[Future[Image]] = []
+        self.begun: list[Future[Pixels]] = []
 
-    def __call__(self, exposure: Exposure) -> "Future[Image]":
+    def __call__(self, exposure: Exposure) -> "Future[Pixels]":
         self.begun.append(Future())
         return self.begun[-1]
 
@@ -29,7 +30,7 @@ def exposure(time: float) -> Exposure:
 
 
 def developed(camera: Camera, now: float) -> list[tuple[float, int]]:
-    return [(time, int(image[0, 0, 0])) for time, image in camera.developed(now)]
+    return [(image.stamp, int(image.pixels[0, 0, 0])) for image in camera.developed(now)]
 
 
 def test_an_image_comes_when_it_is_due_and_not_before():

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from paper_robot import JOINTS
+from pixel2catch.camera.image import Pixels
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.rendering.camera import Exposure, Image
+from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
@@ -23,8 +24,8 @@ BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
 START = 1000.0
 
 
-def draw_black(_: Exposure) -> "Future[Image]":
-    future: Future[Image] = Future()
+def draw_black(_: Exposure) -> "Future[Pixels]":
+    future: Future[Pixels] = Future()
     future.set_result(BLACK)
     return future
 
@@ -32,7 +33,7 @@ def draw_black(_: Exposure) -> "Future[Image]":
 class Bench:
     """The twin and a node that listens to all of it, in memory and without real time."""
 
-    def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Image]"] = draw_black) -> None:
+    def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Pixels]"] = draw_black) -> None:
         self.broker, clock = Broker(), RealClock()
         self.lab, self.node = SimulatedLab(task, seed=0), self.broker.node(clock)
         self.camera = Camera(draw)

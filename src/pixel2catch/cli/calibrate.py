@@ -25,11 +25,11 @@ from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
+    from pixel2catch.camera.image import Image
     from pixel2catch.perception.calibration.capture import Capture
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
-    from pixel2catch.perception.extractor import CameraFrame
     from pixel2catch.robots.workcell import WorkcellSpec
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
@@ -129,7 +129,7 @@ class Calibrate:
     @contextmanager
     def _frames(
         self, joints: tuple[str, ...], notes: list[str]
-    ) -> "Iterator[tuple[Iterator[CameraFrame | None], bool]]":
+    ) -> "Iterator[tuple[Iterator[Image | None], bool]]":
         """The images of the source, and whether they come with positions of joints."""
         from pixel2catch.perception.calibration.capture import topic_frames
         from pixel2catch.perception.sources import SourceCfg, ticks_of
@@ -144,12 +144,12 @@ class Calibrate:
         names = tuple(theirs.get(joint, joint) for joint in joints)
         source = SourceCfg(name=self.source, topic=self.image_topic, joints=names)
         with closing(ticks_of(source, notes)) as ticks:
-            frames = (tick.frame for tick in ticks)
+            frames = (tick.image for tick in ticks)
             new = (next(same) for _, same in groupby(frames, key=attrgetter("stamp")))
             yield new, is_bag(Path(self.source))
 
     def _look_at(
-        self, capture: "Capture", frames: "Iterator[CameraFrame | None]", workcell: "WorkcellSpec"
+        self, capture: "Capture", frames: "Iterator[Image | None]", workcell: "WorkcellSpec"
     ) -> None:
         """Look at images until all that is wanted is there, or Ctrl-C; say what changes."""
         import torch

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from pixel2catch.evaluation.report import Cells
     from pixel2catch.perception.image_fit import ImageFit
     from pixel2catch.perception.labels import Labels
-    from pixel2catch.perception.prompt import Prompter
+    from pixel2catch.perception.sightings import Sighting, Tally
     from pixel2catch.perception.sources import SourceCfg
-    from pixel2catch.perception.tracking import Sighting, Tally
+    from pixel2catch.perception.tracker import Prompter
     from pixel2catch.scene.constants import CameraSpec
 
 VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
@@ -68,7 +68,7 @@ class Track:
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
             from pixel2catch.perception.labels import load_labels
-            from pixel2catch.perception.tracking import Tally
+            from pixel2catch.perception.sightings import Tally
 
         labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
@@ -91,11 +91,11 @@ class Track:
     def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
         """Follow the object and write video and table until the end, or until Ctrl-C; compare with labels."""
         from pixel2catch.evaluation.box_scores import scored
-        from pixel2catch.perception.extractor import ExtractorCfg, PixelFeatureExtractor
-        from pixel2catch.perception.plausibility import PlausibilityCfg
+        from pixel2catch.perception.regions import PlausibilityCfg
         from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.sightings import follow
         from pixel2catch.perception.sources import SourceCfg, is_camera, ticks_of
-        from pixel2catch.perception.tracking import follow
+        from pixel2catch.perception.tracker import ObjectTracker
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -105,17 +105,17 @@ class Track:
         fit, camera = self._fit(source, notes)
         if labels:
             labels.require_size(*fit.own)
-        extractor = PixelFeatureExtractor(
+        tracker = ObjectTracker(
             self.perception.make_segmenter(is_live=is_camera(self.source), say=say),
             self._prompter(fit, camera),
             robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
-            cfg=ExtractorCfg(plausibility=PlausibilityCfg.up_to(self.object_radius)),
+            limits=PlausibilityCfg.up_to(self.object_radius),
             waits=True,
         )
         scores: list[Score] = []
         with closing(ticks_of(source, notes, fit)) as ticks:
-            sightings = follow(ticks, extractor, self.at)
+            sightings = follow(ticks, tracker, self.at, camera)
             if labels:
                 sightings = scored(sightings, labels, fit, self.at, scores)
             first = next(sightings, None)
@@ -164,8 +164,7 @@ class Track:
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
-        from pixel2catch.perception.annotate import Annotator
-        from pixel2catch.perception.tracking import COLUMNS
+        from pixel2catch.perception.sightings import COLUMNS, Annotator
         from pixel2catch.rendering.video import VideoWriter
 
         annotator = Annotator(camera)
@@ -183,7 +182,7 @@ class Track:
                 video.write(annotator.picture(sighting))
                 if time.monotonic() - said > REPORT_SECONDS:
                     said = time.monotonic()
-                    say(f"{sighting.time:.1f} s: {sighting.extraction.verdict}")
+                    say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
 
 
 def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:

@@ -16,9 +16,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from jaxtyping import UInt8
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
+from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_folder
 from pixel2catch.rendering.video import VideoWriter
@@ -45,7 +45,6 @@ QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)  #: That the statistics have.
 GOP = 2  #: Images from one that is stored whole to the next: readers jump about. Source: LeRobot.
 SAMPLED = (5, 16)  #: Every so many images, rows and columns count in the images' statistics. Source: ours.
 
-Image = UInt8[np.ndarray, "height width 3"]
 Statistics = dict[str, list[Any]]
 
 
@@ -100,7 +99,7 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
         """Control steps so far."""
         return self._num_steps
 
-    def add(self, step: Mapping[str, Any], image: Image | None = None) -> None:
+    def add(self, step: Mapping[str, Any], image: Pixels | None = None) -> None:
         """Add a control step to the episode: numbers or booleans by feature, and what the camera saw."""
         if image is not None:
             self._add_image(image)
@@ -140,7 +139,7 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
         if error is None:
             self._write()
 
-    def _add_image(self, image: Image) -> None:
+    def _add_image(self, image: Pixels) -> None:
         path = self._folder / "videos" / IMAGES / f"{FILE}.mp4"
         if self._video is None:
             path.parent.mkdir(parents=True)

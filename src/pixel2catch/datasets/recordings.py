@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from pixel2catch.camera.boxes import pixel_features
-from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, DatasetWriter, Image
+from pixel2catch.camera.image import Pixels
+from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, DatasetWriter
 from pixel2catch.deployment.recorder import ORDERS, SERVO
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
@@ -113,7 +114,7 @@ def _image_topics(profile: Profile) -> tuple[str, ...]:
     return (topic.name, messages.compressed_topic(topic).name)
 
 
-def _pictures(recording: Path, profile: Profile, wanted: np.ndarray) -> Iterator[Image | None]:
+def _pictures(recording: Path, profile: Profile, wanted: np.ndarray) -> Iterator[Pixels | None]:
     """Images by their numbers, which never fall: the last good one where one is damaged, None without any."""
     if wanted.max() < 0:
         yield from (None for _ in wanted)

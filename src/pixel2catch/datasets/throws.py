@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from pixel2catch.camera.boxes import pixel_features
-from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter, Image
+from pixel2catch.camera.image import Pixels
+from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
 from pixel2catch.mdp.snapshot import Measurement
@@ -96,7 +97,7 @@ def write_throws(
     return int(record.is_success.sum())
 
 
-def _pictures(qpos: list[np.ndarray], scene: SceneCfg, object_name: str) -> Iterator[Image]:
+def _pictures(qpos: list[np.ndarray], scene: SceneCfg, object_name: str) -> Iterator[Pixels]:
     """What the robot's camera sees at positions of the simulation, (nq,) each."""
     with Renderer(build_model(replace(scene, visuals=True), object_name), RGB_VIEW) as renderer:
         for positions in qpos:

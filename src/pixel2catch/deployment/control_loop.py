@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pixel2catch.camera.image import Box, Image
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.operator_requests import OperatorRequests
 from pixel2catch.deployment.perception_thread import ConcurrentPerception, PerceptionResult
@@ -20,7 +21,6 @@ from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
 from pixel2catch.errors import DeploymentError, NonFiniteError
-from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.scene.constants import CONTROL_DT
@@ -100,7 +100,7 @@ class ControlLoop:
         self._mode = int(Mode.IDLE)
         self._perception = ConcurrentPerception(pipeline, executor, connection.clock)
         self._look: PerceptionResult | None = None
-        self._seen: Extraction | None = None
+        self._box: Box | None = None
         self._sent: JointTargets | None = None
         self._timer = DecisionTimer(connection.clock.now())
 
@@ -132,15 +132,15 @@ class ControlLoop:
         Returned is the status of a control step that was made; it raises what `run` does.
         """
         self._hear()
-        frame = self._images.newest()
+        image = self._images.newest()
         if self._recording:
             self._recording.record_images(self._images.received)
-        if frame:
-            self._perception.offer(frame)
-            self._show_servo(frame)
+        if image:
+            self._perception.offer(image)
+            self._show_servo(image)
         if look := self._perception.go_on():
-            self._look, self._seen = look, look.seen
-            self._timer.learn(look.frame.stamp, look.end)
+            self._look, self._box = look, look.box
+            self._timer.learn(look.box.stamp, look.end)
         now = self._clock.now()
         if not self._timer.is_due(now, self._perception.stamp):
             return None
@@ -163,10 +163,10 @@ class ControlLoop:
         for prompt in self._requests.take():
             self._perception.begin(prompt)
 
-    def _show_servo(self, frame: CameraFrame) -> None:
+    def _show_servo(self, image: Image) -> None:
         """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
         if self._sent and self._mode in ACTIVE:
-            newest, is_sound = min(frame.stamp, self._clock.now()), not self._problem
+            newest, is_sound = min(image.stamp, self._clock.now()), not self._problem
             told = replace(self._sent, image_stamp=newest, is_perception_sound=is_sound)
             self._connection.servo.send(told)
 
@@ -186,19 +186,19 @@ class ControlLoop:
             self._connection.servo.send(joint_targets)
             self._sent = joint_targets
         end = self._clock.now()
-        seen = self._seen if end - self._images.stamp < SILENCE else None
+        box = self._box if end - self._images.stamp < SILENCE else None
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=look is None)
         if self._mode in ACTIVE and joint_targets and look:
             times = {"received": look.received, "begun": look.begin, "looked": look.end, "decided": end}
-            self.statistics.count_stages(look.frame.stamp, times)
+            self.statistics.count_stages(look.box.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
-        of_image = self._images.message or (seen.message if seen else "")
+        of_image = self._images.message or (box.message if box else "")
         message = self._requests.complaint or self._problem or of_image or complaint
         sight = self._pipeline.sight
         message = self._images.take_notice() or message
         message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
-        status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
+        status = self.statistics.status(box, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
             if joint_targets:

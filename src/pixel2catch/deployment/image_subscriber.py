@@ -5,11 +5,10 @@ from math import inf
 
 import numpy as np
 
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import ImageReading
 from pixel2catch.ros2.profile import CameraProfile
 from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
@@ -38,7 +37,7 @@ class ImageChecks:
     def __init__(self, transport: Transport, profile: CameraProfile, clock: Clock) -> None:
         """Trust the camera."""
         self._transport, self._profile, self._clock = transport, profile, clock
-        self._before: ImageReading | None = None
+        self._before: Image | None = None
         self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
         self._others = self._size = self._older = ""
 
@@ -62,7 +61,7 @@ class ImageChecks:
         shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
         self._others = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
 
-    def is_new(self, reading: ImageReading) -> bool:
+    def is_new(self, reading: Image) -> bool:
         """Take note of the next image; say whether it is none that was there before."""
         before, self._before = self._before, reading
         self._size = ""
@@ -135,12 +134,12 @@ class ImageSubscriber:
         """
         return self._checks.problem or self._other_lens or self._ahead
 
-    def newest(self) -> CameraFrame | None:
+    def newest(self) -> Image | None:
         """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`."""
         self._check_lens()
         self._checks.count_cameras()
         self.received = self._images.take()
-        newest: CameraFrame | None = None
+        newest: Image | None = None
         for message in self.received:
             try:
                 reading = messages.read_image(message.data)
@@ -157,14 +156,14 @@ class ImageSubscriber:
                     continue
                 self.stamp = stamp
                 if is_new:
-                    newest = CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
+                    newest = Image(pixels=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
         return None if self.problem else newest
 
     def take_notice(self) -> str:
         """What was found out about the camera's stamps, once; else nothing."""
         return self._notices.pop() if self._notices else ""
 
-    def _exposed(self, reading: ImageReading, arrival: float) -> float:
+    def _exposed(self, reading: Image, arrival: float) -> float:
         """When an image was taken [s], from its stamp or, if there is no sound one, from its arrival [s].
 
         Once stamps were sound, they are believed: what is old then is late.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, final
 
+from pixel2catch.camera.image import Box, Image
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import Prompt
 from pixel2catch.ros2.transport import Clock
 from pixel2catch.scene.constants import CONTROL_DT
@@ -62,8 +62,7 @@ class CallerExecutor(Executor):
 class PerceptionResult:
     """One look at an image."""
 
-    frame: CameraFrame
-    seen: Extraction
+    box: Box
     received: float  #: When the image was received [s].
     begin: float  #: When the look began [s].
     end: float  #: When it was done [s].
@@ -79,8 +78,8 @@ class ConcurrentPerception:
     def __init__(self, pipeline: PolicyPipeline, executor: Executor, clock: Clock) -> None:
         """Look at nothing yet; the executor looks at one image at a time, the clock is of their stamps."""
         self._pipeline, self._executor, self._clock = pipeline, executor, clock
-        self._waiting: tuple[CameraFrame, float] | None = None
-        self._work: tuple[CameraFrame, float, float, Future[Extraction]] | None = None
+        self._waiting: tuple[Image, float] | None = None
+        self._work: tuple[Image, float, float, Future[Box]] | None = None
         self._later: Callable[[], None] | None = None
 
     @property
@@ -107,9 +106,9 @@ class ConcurrentPerception:
         else:
             self._later = point
 
-    def offer(self, frame: CameraFrame) -> None:
+    def offer(self, image: Image) -> None:
         """Have an image that has just arrived looked at, if no newer one comes before its turn."""
-        self._waiting = (frame, self._clock.now())
+        self._waiting = (image, self._clock.now())
 
     def go_on(self) -> PerceptionResult | None:
         """Take what was seen, if a look is done and not at a throw before, and begin with the next image.
@@ -124,24 +123,24 @@ class ConcurrentPerception:
         if self._waiting and now - self._waiting[1] > LONGEST_WAIT:
             self._waiting = None
         if self._waiting and self.is_free:
-            frame, received = self._waiting
+            image, received = self._waiting
             self._waiting = None
-            future = self._executor.submit(self._pipeline.perceive, frame, now)
+            future = self._executor.submit(self._pipeline.perceive, image, now)
             future.add_done_callback(lambda _: self._pipeline.settle())  # there, while this one decides
-            self._work = (frame, received, now, future)
+            self._work = (image, received, now, future)
         return look
 
     def _done(self) -> PerceptionResult | None:
         """The look that is done; the pipeline remembers it."""
         if self._work is None or not self._work[3].done():
             return None
-        frame, received, begin, future = self._work
+        _, received, begin, future = self._work
         self._work = None
-        seen = future.result()
+        box = future.result()
         if self._later:
             self._later()
             self._later = None
             return None
-        self._pipeline.remember(frame, seen)
+        self._pipeline.remember(box)
         end = self._clock.now()
-        return PerceptionResult(frame=frame, seen=seen, received=received, begin=begin, end=end)
+        return PerceptionResult(box=box, received=received, begin=begin, end=end)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.deployment.sight import Sight, SightTrack
 from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
@@ -17,11 +18,10 @@ from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.snapshot import BoxHistory, History, Measurement
 from pixel2catch.mdp.tensors import put
 from pixel2catch.methods import Method
-from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
-from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
-from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.regions import PlausibilityCfg
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
+from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.policy import LoadedPolicy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -168,11 +168,9 @@ class PolicyPipeline:
     of perception may run while `perceive` does.
     """
 
-    def __init__(
-        self, controller: PolicyController, extractor: PixelFeatureExtractor, person: Prompter
-    ) -> None:
+    def __init__(self, controller: PolicyController, tracker: ObjectTracker, person: Prompter) -> None:
         """Begin before the first throw, with a person that tells perception where the operator points."""
-        self._controller, self._extractor, self._person = controller, extractor, person
+        self._controller, self._tracker, self._person = controller, tracker, person
         #: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
         self.knows_age = controller.method.knows_age
         self.num_joints = len(controller.joints)
@@ -199,11 +197,11 @@ class PolicyPipeline:
 
     def point(self, prompt: Prompt | None) -> None:
         """A new throw begins for the perception, which looks where the operator points."""
-        self._extractor.reset()
+        self._tracker.reset()
         if prompt is not None:
             self._person.give(prompt)
 
-    def perceive(self, frame: CameraFrame, now: float) -> Extraction:
+    def perceive(self, image: Image, now: float) -> Box:
         """Look at the newest image: what takes most of the time.
 
         Now is a time [s] of the clock of the image's stamp.
@@ -211,29 +209,29 @@ class PolicyPipeline:
         Raises:
             PerceptionError: The first image has the wrong size.
         """
-        return self._extractor.step(frame, now)
+        return self._tracker.step(image, now)
 
     def settle(self) -> None:
         """Learn from the last look what no decision waits for; the next look does it at the latest."""
-        self._extractor.settle()
+        self._tracker.settle()
 
-    def remember(self, frame: CameraFrame, seen: Extraction) -> None:
+    def remember(self, box: Box) -> None:
         """Keep the box of an image for the policy.
 
         Where nothing was seen, the last box gets older for a policy that knows it; for another one it is also
         the box of this image, as in its training. A box that does not continue the one before, or that ends a
         hold, is the first.
         """
-        if not seen.is_valid or frame.stamp <= self._looked:
+        if not box.is_valid or box.stamp <= self._looked:
             return
-        self._looked = frame.stamp
-        self.sight.note(frame.stamp, seen)
-        is_seen = seen.verdict is Verdict.SEEN
-        if is_seen and (seen.is_elsewhere or self._num_held):
+        self._looked = box.stamp
+        self.sight.note(box)
+        is_seen = box.verdict is Verdict.SEEN
+        if is_seen and (box.is_elsewhere or self._num_held):
             self._begin_track()
         if is_seen or not self.knows_age:
-            self._stamps.append(frame.stamp)
-            self._boxes.append(seen.box[0])
+            self._stamps.append(box.stamp)
+            self._boxes.append(torch.tensor(box.edges))
 
     def decide(self, joint_pos: Joints, now: float) -> JointTargets | None:
         """Let the policy decide on what was seen, and on joints as they are now.
@@ -307,6 +305,6 @@ def make_pipeline(
     The prompter points the object out, and is told where the operator does. The motion of a robot that is
     given is not the object's.
     """
-    cfg = ExtractorCfg(plausibility=PlausibilityCfg.up_to(controller.object_radius))
-    extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, cfg=cfg, waits=True)
-    return PolicyPipeline(controller, extractor, prompter)
+    limits = PlausibilityCfg.up_to(controller.object_radius)
+    tracker = ObjectTracker(segmenter, prompter, robot=robot, camera=camera, limits=limits, waits=True)
+    return PolicyPipeline(controller, tracker, prompter)

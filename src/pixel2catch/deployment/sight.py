@@ -6,9 +6,8 @@ from math import inf
 
 import numpy as np
 
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 
@@ -51,11 +50,12 @@ class SightTrack:
         self._place, self._moved = np.full(2, inf), -inf
         self._jumps: deque[bool] = deque(maxlen=NUM_LOOKS)
 
-    def note(self, stamp: float, seen: Extraction) -> None:
-        """Take note of a look at an image of this time [s]."""
-        self._jumps.append(seen.verdict is Verdict.JUMP)
-        if seen.verdict is Verdict.SEEN:
-            place = seen.box[0].view(2, 2).mean(0).numpy()
+    def note(self, box: Box) -> None:
+        """Take note of the box of the next image."""
+        stamp = box.stamp
+        self._jumps.append(box.verdict is Verdict.JUMP)
+        if box.verdict is Verdict.SEEN:
+            place = np.reshape(box.edges, (2, 2)).mean(axis=0)
             if np.abs(place - self._place).max() > MOTION or stamp - self.box_stamp > LONGEST_GAP:
                 self._place, self._moved = place, stamp
             self.box_stamp = stamp

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.deployment.sight import Sight
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
 from pixel2catch.servo.link import Command, JointTargets
@@ -120,7 +119,7 @@ class RunStatistics:
         self._last = command
 
     def status(
-        self, seen: Extraction | None, message: str, sight: Sight | None = None, age: float = inf
+        self, box: Box | None, message: str, sight: Sight | None = None, age: float = inf
     ) -> dict[str, Any]:
         """What is going on now, and what is known of the object, if one matters, last seen so long ago [s].
 
@@ -134,8 +133,8 @@ class RunStatistics:
             "found": flag_names(Fault, last.found) if last else [],
             "refused": flag_names(Fault, refused),
             "clamped": flag_names(Clamp, clamped),
-            "box": seen.box[0].tolist() if seen and seen.is_valid else None,
-            "verdict": str(seen.verdict) if seen else sight and str(Verdict.NO_IMAGE),
+            "box": list(box.edges) if box and box.is_valid else None,
+            "verdict": str(box.verdict) if box else sight and str(Verdict.NO_IMAGE),
             "object": sight and str(sight),
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": self._latencies.milliseconds(50, 90, 99),

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from pixel2catch.camera.image import Box, Edges, Verdict
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.image_fit import Box, ImageFit
+from pixel2catch.perception.image_fit import ImageFit
 from pixel2catch.perception.labels import PHASES, Labels, Phase, Truth
-from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.tracking import Sighting
+from pixel2catch.perception.sightings import Sighting
 
 GOOD = 5.0
 """Largest error of an edge that is good enough [px]. Source: the noise of training."""
@@ -42,13 +41,12 @@ class Score:
         return self.is_seen and self.is_apart
 
 
-def score(truth: Truth, seen: Extraction) -> Score:
+def score(truth: Truth, seen: Box) -> Score:
     """Compare what was seen in an image with the truth."""
-    xmin, ymin, xmax, ymax = seen.box[0].tolist()
-    return score_box(truth, (xmin, ymin, xmax, ymax), is_seen=seen.verdict is Verdict.SEEN)
+    return score_box(truth, seen.edges, is_seen=seen.verdict is Verdict.SEEN)
 
 
-def score_box(truth: Truth, box: Box, *, is_seen: bool = True) -> Score:
+def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
     """Compare a box with the truth; it is an older one where nothing was seen."""
     if truth.box is None:
         return Score(phase=truth.phase, is_visible=False, is_seen=is_seen, error=float("nan"), is_apart=True)
@@ -70,11 +68,11 @@ def scored(
         scores: What is added to.
     """
     for sighting in sightings:
-        label = labels.at(sighting.tick.frame.stamp)
-        is_counted = sighting.extraction.verdict is not Verdict.REPEATED and sighting.time >= begin
+        label = labels.at(sighting.tick.image.stamp)
+        is_counted = sighting.box.verdict is not Verdict.REPEATED and sighting.time >= begin
         if label is not None and is_counted:
             truth = Truth(phase=label.phase, box=label.box and fit.box(label.box))
-            scores.append(score(truth, sighting.extraction))
+            scores.append(score(truth, sighting.box))
         yield sighting
 
 

@@ -1,4 +1,4 @@
-"""The object by its motion and its colours: what differs from a learned background where it should be."""
+"""The object by its motion and its colours: what differs from the background near its expected place."""
 
 from dataclasses import replace
 from functools import partial
@@ -7,102 +7,95 @@ from math import hypot, inf, pi
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Int, UInt8
 
-from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
-from pixel2catch.perception.image_track import (
-    GAP,
-    REACH,
-    SPECK,
-    Blob,
-    ImageTrack,
-    Window,
-    grown_window,
-    window_of,
-)
+from pixel2catch.camera.image import Edges, Mask, Pixels
+from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, prompted, sharpened
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
+    REACH,
     BoxPrompt,
-    Image,
-    Mask,
-    Motion,
+    ImageMotion,
+    ImageTrack,
     Prompt,
     Segmentation,
     Segmenter,
 )
 
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
-"""How many times larger or smaller than before the object may be; where the robot or the image's edge may
-hide a part of it, any times smaller. Source: ours."""
+"""Largest and smallest area of the object, relative to before. Where the robot or the image's edge may hide a
+part, any smaller area is possible. Source: ours."""
 
 LEAST_KNOWN = 0.2
-"""Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
+"""Smallest share of a region with the object's colours if the rest is an unseen side of it. Source: ours."""
 
 LEAST_OWN = 0.5
-"""Share of the object that has colours of its own if what moves without them is something else. Source:
+"""Share of the object with colours of its own from which a moving thing without them is another one. Source:
 ours."""
 
 LARGEST_RATIO = 4.0
-"""Largest factor between the area of what was lost and of a flight that is taken for it, either way.
-Source: ours: half or twice as far from the camera."""
+"""Largest ratio of the areas of a lost object and of a flight that is taken for it. Source: ours: half or
+twice as far from the camera."""
 
 SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
-"""Largest weight of what the object's width, height and area were before, in every image. Source: ours."""
+"""Largest weight of the earlier width, height and area of the object, in every image. Source: ours."""
 
 AREA_WEIGHT = 0.6
-"""How much a change of the area counts beside one of the sides.
+"""Weight of a change of the area, relative to a change of a side. Source: ours; the area is less certain
+where the object is as bright as the background."""
 
-Source: ours; the area is less sure where the object is as bright as what is behind it."""
-
+#: Distance up to which still things beside the object are learned as other things [px]. Source: ours.
 NEAR = 10.0
-"""How far from the object things that stand still have colours that it could be confused with [px].
-
-Source: ours; what is further off and does not move does not touch it."""
-
-THINNING = 2
-"""Of what is ignored, every second pixel of every second row is learned."""
+THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
 
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
-"""Speed from which the object moves [px an image], and for how many images after that it is no background
-yet, so that what differs in nothing from the background is not the object. Source: ours."""
+"""Speed from which the object moves [px per image], and images after that in which it is not yet background:
+until then a region that equals the background is not the object. Source: ours."""
 
+SHIFT = 4  #: A colour is the upper four bits of each channel: 16 levels. Source: ours.
+LEVELS = 256 >> SHIFT
+FADE = 0.8  #: Weight of the earlier colours, in every image. Source: ours; five images.
+LEAST_COUNT = 0.1  #: Pixels of a colour and its neighbours below which it is unknown. Source: ours.
 
 Size = Float[np.ndarray, "3"]  #: Width, height [px] and area [px²].
+Colors = UInt8[np.ndarray, "_ 3"]  #: Red, green and blue of some pixels.
+Histogram = Float32[np.ndarray, " num_colors"]  #: Pixels of each colour; older images count less.
 
 
 class BackgroundSubtraction(Segmenter):
-    """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
+    """Follows what has the object's colours, or moves, near the object's expected place; needs no weights.
 
-    The camera must not move. The colours (`Appearance`) are learned from the prompt and while the object
-    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the
-    robot. An object without colours of its own is followed by its motion alone. It never becomes background.
+    The camera must not move. The colours (`Appearance`) are learned from the prompt and during the flight.
+    They separate the object from an arm that moves beside it, and show it at the robot, where motion is
+    ignored. An object without colours of its own is followed by its motion alone. It never becomes
+    background.
     """
 
     uses_motion = True
 
     def __init__(self) -> None:
-        """Know no object."""
+        """Start without an object."""
         self._track: ImageTrack | None = None
         self._appearance, self._num_still = Appearance(), inf
         self._size: Size | None = None
         self._later: partial[None] | None = None
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
-        """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+        """Start at a prompt, and learn its colours if it is a box: see `Segmenter.start`.
 
-        What only flies is passed by where it does not resemble what was followed before.
+        A guess that does not resemble the last object is ignored.
         """
         self.settle()
         guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
         if self._track is not None and guess is not None and not self._resembles(image, guess):
             return self.track(image, motion)
-        self._track = ImageTrack(center=prompt.center, plausibility=self.plausibility)
+        self._track = ImageTrack(center=prompt.center, limits=self.limits)
         self._appearance = Appearance()
         self._size, self._num_still = None, inf
         return self._follow(motion, prompt)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         self.settle()
         return self._follow(motion, None)
@@ -117,8 +110,8 @@ class BackgroundSubtraction(Segmenter):
         """See `Segmenter.reset`."""
         self._track = None
 
-    def _follow(self, motion: Motion | None, prompt: Prompt | None) -> Segmentation:
-        """Find the object in the next image, in which it is where a prompt says, if there is one."""
+    def _follow(self, motion: ImageMotion | None, prompt: Prompt | None) -> Segmentation:
+        """Find the object in the next image, or at its prompt."""
         assert motion is not None
         if self._track is None:
             return replace(NOT_FOUND, doubt=motion.doubt)
@@ -141,23 +134,15 @@ class BackgroundSubtraction(Segmenter):
         return replace(segmentation, doubt=motion.doubt)
 
     def _object(
-        self, motion: Motion, track: ImageTrack, within: Mask | None
+        self, motion: ImageMotion, track: ImageTrack, within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
-        """The region of the object's colours, else of less, else whatever moves.
+        """Return the regions of the image, and the one that is the object; None if none is.
 
-        A whole thing that moves, its part with the object's and new colours, or with the object's alone:
-        that is taken which continues the size, so that no hand is added and no blurred rim cut off; one that
-        is far off, where another thing of this size may move, only if none is near. Looked at is what is in
-        reach, or may be in the next image, and is known for another thing then. Where a person's box is all
-        that is known, the object may fill little of it, as a cross does.
-
-        Args:
-            motion: What moves in the image.
-            track: Where the object should be.
-            within: Where a person says that it is; None without a prompt.
-
-        Returns:
-            The regions that were looked at, and which of them is the object; None if none is.
+        First come regions with the object's colours, then smaller ones, then whatever moves. A region is a
+        whole moving thing, its part with the object's or new colours, or its part with the object's colours
+        alone. The one whose size is nearest to the object's is chosen, so that no hand is added and no
+        blurred rim is lost; a region far from the expected place only if none is near. In a person's box
+        `within`, the object may fill little of it, as a cross does.
         """
         window = _window((track.center, track.expected), track.reach + REACH, motion.image)
         alone, whole, alike = self._resembling(motion, window)
@@ -178,24 +163,24 @@ class BackgroundSubtraction(Segmenter):
         return blobs, None if within is None else next(iter(blobs), None)
 
     def _first(
-        self, track: ImageTrack, blobs: list[Blob], motion: Motion, least: float, *, is_alike: bool
+        self, track: ImageTrack, blobs: list[Blob], motion: ImageMotion, least: float, *, is_alike: bool
     ) -> Blob | None:
-        """The likeliest region that fits; where colours of its own are missing, only where it should be."""
+        """The likeliest region of a suitable size; without the object's own colours, only where expected."""
         anywhere = is_alike or self._appearance.own_share < LEAST_OWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
         return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
 
     def _change(self, blob: Blob) -> float:
-        """How far a region's sides, or its area, whatever is more, are from the object's, as logarithms."""
+        """Difference of a region's sides or area from the object's, in logarithms; the larger of the two."""
         if self._size is None:
             return 0.0
         width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
         return max(width + height, AREA_WEIGHT * area)
 
     def _resize(self, blob: Blob, num_seen: int) -> None:
-        """Learn the size of the object, seen so often, as a mean in which later images count more.
+        """Update the size of an object that was seen so often, as a mean in which later images count more.
 
-        What the image's edge cuts is as much larger than before as the side that it leaves whole.
+        If the image's edge cuts the region, its whole side gives the growth of all sides.
         """
         size, before = _size(blob), self._size
         if before is None:
@@ -208,22 +193,18 @@ class BackgroundSubtraction(Segmenter):
             learned = before * (growth, growth, growth**2)
         self._size = learned
 
-    @property
-    def _is_fresh(self) -> bool:
-        """Whether the object moved so lately that it is no background yet."""
-        return self._num_still < NUM_FRESH
-
     def _fits(self, blob: Blob, unknown: Mask, least: float) -> bool:
-        """Whether a region has the object's area, or less where robot or image's edge may hide a part."""
+        """Whether a region has the object's area, or less where the robot or the edge may hide a part."""
         if self._size is None:
             return True
         share = blob.area / float(self._size[2])
         return share <= LARGEST_GROWTH and (share >= least or blob.is_cut or _touches(blob, unknown))
 
-    def _resembling(self, motion: Motion, window: Window) -> tuple[Mask, Mask, Mask]:
-        """In a window, things that move and have the object's colours; these with new colours; these alone.
+    def _resembling(self, motion: ImageMotion, window: Window) -> tuple[Mask, Mask, Mask]:
+        """Three masks of a window, of pixels that differ from the background or have none.
 
-        What differs in nothing from a background that is known is not the object.
+        They show moving things with the object's colours, the parts of them with the object's or new colours,
+        and the parts with the object's colours alone.
         """
         has_colors, is_new = self._appearance.compare(motion.image[window])
         sharp = sharpened(motion, window)
@@ -231,8 +212,8 @@ class BackgroundSubtraction(Segmenter):
         changed = sharp | motion.unknown[window]
         return _extended(has_colors & sharp, sharp), extended & changed, has_colors & changed
 
-    def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
-        """Whether what fills a box has the size of what was followed, and its colours if it has any."""
+    def _resembles(self, image: Pixels, box: Edges) -> bool:
+        """Whether the content of a box has the size of the last object, and its colours if it has any."""
         inside, _ = prompted(box, image)
         area = float(inside.sum()) / INNER**2
         if self._size is not None and not 1 / LARGEST_RATIO <= area / self._size[2] <= LARGEST_RATIO:
@@ -241,10 +222,11 @@ class BackgroundSubtraction(Segmenter):
         least = LEAST_KNOWN * self._appearance.own_share
         return bool(has_colors[inside].sum() >= least * inside.sum())
 
-    def _learn(self, motion: Motion, mask: Mask, maybe: Mask) -> None:
-        """Learn the colours of the object, and of what it could be confused with.
+    def _learn(self, motion: ImageMotion, mask: Mask, maybe: Mask) -> None:
+        """Learn the colours of the object and of other things.
 
-        That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
+        Other things are ignored pixels, what else moves, and, unless the object moved lately, what is beside
+        it.
         """
         image, ignored = motion.image, motion.ignored
         box = window_of(mask)
@@ -254,23 +236,76 @@ class BackgroundSubtraction(Segmenter):
         others = [image[far][motion.moving[far] & ~maybe[far]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
-        if not self._is_fresh:
+        if self._num_still >= NUM_FRESH:
             others.append(image[near][~motion.moving[near] & ~maybe[near]])
         self._appearance.learn(image[box][mask[box]], np.concatenate(others))
+
+
+class Appearance:
+    """Two colour histograms: of the object, and of everything that it could be confused with.
+
+    They count pixels. A colour belongs to the object only if the object has more of it than everything else:
+    a black ball over a black hand has no colour of its own.
+    """
+
+    def __init__(self) -> None:
+        """Start without colours."""
+        self._object = np.zeros(LEVELS**3, dtype=np.float32)
+        self._other = np.zeros(LEVELS**3, dtype=np.float32)
+
+    def learn(self, pixels: Colors, others: Colors) -> None:
+        """Learn pixels of the object in an image, and pixels of other things."""
+        self._object = _faded(self._object, pixels)
+        self._other = _faded(self._other, others)
+
+    def compare(self, image: Pixels) -> tuple[Mask, Mask]:
+        """Return the pixels with the object's colours, and those with colours that no other thing has.
+
+        The latter may show an unseen side of the object. The former is empty if its colours are unknown.
+        """
+        codes, other = _codes(image), _spread(self._other)
+        is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
+        return is_likely[codes], is_new[codes]
+
+    @property
+    def own_share(self) -> float:
+        """Share of the object that has colours of its own."""
+        is_own = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
+        return float(self._object[is_own].sum() / max(self._object.sum(), LEAST_COUNT))
+
+
+def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
+    """Index of every colour in a histogram."""
+    levels = colors >> SHIFT
+    return (levels[..., 0].astype(np.intp) * LEVELS + levels[..., 1]) * LEVELS + levels[..., 2]
+
+
+def _faded(histogram: Histogram, colors: Colors) -> Histogram:
+    counts = np.bincount(_codes(colors), minlength=len(histogram)).astype(np.float32)
+    return FADE * histogram + (1.0 - FADE) * counts
+
+
+def _spread(histogram: Histogram) -> Histogram:
+    """The histogram, blurred over neighbouring colours, because the lighting of the object changes."""
+    cube = histogram.reshape(LEVELS, LEVELS * LEVELS)
+    for _ in range(3):  # one channel at a time; the transposition brings the next to the front
+        cube = cv2.blur(np.ascontiguousarray(cube), (1, 3), borderType=cv2.BORDER_CONSTANT)
+        cube = cube.reshape(LEVELS, LEVELS, LEVELS).transpose(1, 2, 0).reshape(LEVELS, LEVELS * LEVELS)
+    return cube.reshape(-1)
 
 
 def _size(blob: Blob) -> Size:
     return np.array((blob.width, blob.height, blob.area), dtype=float)
 
 
-def _prompted_size(box: tuple[float, float, float, float]) -> Size:
-    """The size of an ellipse that fills a box."""
+def _prompted_size(box: Edges) -> Size:
+    """Size of an ellipse that fills a box."""
     width, height = max(box[2] - box[0], 1.0), max(box[3] - box[1], 1.0)
     return np.array((width, height, 0.25 * pi * width * height))
 
 
-def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> Window:
-    """Rows and columns within reach of places, or of the points of the image nearest to them [px]."""
+def _window(places: tuple[tuple[float, float], ...], reach: float, image: Pixels) -> Window:
+    """Rows and columns within reach of places, which are clipped to the image first [px]."""
     ends = (
         sorted(min(max(place[axis], 0.0), image.shape[1 - axis] - 1.0) for place in places) for axis in (1, 0)
     )
@@ -279,13 +314,12 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
 
 
 def _touches(blob: Blob, mask: Mask) -> bool:
-    """Whether a region touches a mask."""
     place = grown_window(blob.place, 1)
     return bool((grown(blob.pixels(place), SPECK) & mask[place]).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:
-    """A mask with those connected regions of it and of more that are to a good part its own."""
+    """The connected regions of a mask and of more, as far as a sufficient share of each is in the mask."""
     _, labels = cv2.connectedComponents((mask | more).view(np.uint8))
     own = np.bincount(labels[mask], minlength=labels.max() + 1)
     is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())

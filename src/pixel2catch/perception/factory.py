@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pixel2catch.camera.image import Edges
 from pixel2catch.checks import CameraPath, Count, Device, Share
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 if TYPE_CHECKING:
-    from pixel2catch.perception.color import ColorRange
-    from pixel2catch.perception.prompt import Prompter
-    from pixel2catch.perception.segmenter import Segmenter
+    from pixel2catch.perception.segmenter import ColorRange, Segmenter
+    from pixel2catch.perception.tracker import Prompter
 
 Span = tuple[float, float]
-Corners = tuple[float, float, float, float]
 
 TIMED_IMAGES = 10  #: Images from which it is told what one takes, on CUDA.
 
@@ -38,10 +37,10 @@ class PerceptionArgs:
     #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint; sam2+background:
     #: both on the same images, the one where the other loses the object or is late.
     segmenter: Literal["background", "color", "sam2", "sam2+background"] = "background"
-    box: Corners | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
+    box: Edges | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
     point: tuple[float, float] | None = None  #: A point on the object when the throw begins: u, v [px].
     #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
-    region: Corners | None = None
+    region: Edges | None = None
     #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
     color: Span | None = None
     saturation: tuple[Share, Share] = (0.4, 1.0)  #: Smallest and largest saturation of --color.
@@ -89,7 +88,7 @@ class PerceptionArgs:
         if self.segmenter in ("sam2", "sam2+background"):
             return self._make_sam2(is_live, say)
         if self.segmenter == "color":
-            from pixel2catch.perception.color import ColorThreshold
+            from pixel2catch.perception.segmenter import ColorThreshold
 
             if (colors := self._colors()) is None:
                 raise InvalidValueError(
@@ -135,8 +134,8 @@ class PerceptionArgs:
         Raises:
             InvalidValueError: If box and point are given, or one of them or the region is not on the image.
         """
-        from pixel2catch.perception.prompt import Prompter
         from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
+        from pixel2catch.perception.tracker import Prompter
 
         if self.box and self.point:
             raise InvalidValueError("give the object's box or a point on it, not both.")
@@ -150,7 +149,7 @@ class PerceptionArgs:
         return Prompter(prompt, colors=self._colors(), region=region)
 
     def _colors(self) -> "ColorRange | None":
-        from pixel2catch.perception.color import ColorRange
+        from pixel2catch.perception.segmenter import ColorRange
 
         return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
 
@@ -162,7 +161,7 @@ def _too_slow(cost: str) -> InvalidValueError:
     )
 
 
-def _on_image(name: str, box: Corners, camera: CameraSpec) -> Corners:
+def _on_image(name: str, box: Edges, camera: CameraSpec) -> Edges:
     """The box, if it is one and on the image."""
     xmin, ymin, xmax, ymax = box
     if 0.0 <= xmin < xmax <= camera.width and 0.0 <= ymin < ymax <= camera.height:

@@ -1,4 +1,4 @@
-"""What differs from a learned background, in whatever light: where it moves, and where its edges are."""
+"""Which pixels differ from a learned background, under changing light and with a shaking camera."""
 
 from collections import deque
 from dataclasses import replace
@@ -10,73 +10,90 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.perception.image_track import (
+from pixel2catch.camera.image import Edges, Mask, Pixels
+from pixel2catch.perception.regions import (
     GAP,
     SPECK,
-    Blob,
     Window,
-    find_blobs,
+    closed,
+    grown,
     grown_window,
+    opened,
+    regions,
     window_of,
 )
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
-from pixel2catch.perception.steadiness import Shift, shift_between, shifted
+from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion, Prompt
 
-MEMORY = 100
-"""Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
+MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
 
 LEARNING_IMAGES = 30
-"""Images that a pixel must have been seen in without the robot before its changes mean anything, where it was
-not seen in all; and of something new that stands still, until it is background. Source: ours: 1 s."""
+"""Images in which a pixel must be seen without the robot before it can differ from the background, and images
+after which a new thing that stands still becomes background. Source: ours: 1 s."""
 
 LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
-"""Levels by which a pixel differs from the background, and how many times its usual difference, at least.
+"""Smallest difference from the background [levels], and as a multiple of the pixel's usual difference.
 Source: ours; five standard deviations of noise are 3.8 times the mean of the largest of three channels."""
 
 USUAL_WEIGHT, BUSY_WEIGHT = 0.05, 0.003
-"""Weight of a new image in what difference of a pixel is usual, and where it differs.
+"""Weight of a new image in the usual difference of a pixel that does not differ, and of one that does.
 
-Source: ours: 20 images, and 10 s, in which a place that never rests gets to say nothing, but not one where
-a thing passes."""
+Source: ours: 20 images, and 10 s. A place that always moves is then ignored, a place where a thing passes is
+not."""
 
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
-"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no
-noise, and not saturated with a sixth more."""
+"""Levels of the pixels that measure the gain of the light, and how many are needed. Source: ours: above the
+noise, and not saturated with a sixth more light."""
 
-LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
+LEAST_GAIN = 0.004  #: Smaller changes of the light are not compensated: one level in 255.
+
 FLICKER, FLICKER_IMAGES = 0.01, 10
-"""Change of the light between two images, as a share, in the median of so many, that is flicker.
+"""Relative change of the light between two images that counts as flicker, and number of images whose median
+is taken. Source: ours: an automatic exposure changes few images, or each by less."""
 
-Source: ours: an exposure that adapts or steps changes few images or each by less."""
+SMOOTHED = np.ones((3, 3), dtype=np.uint8)  #: Pixels that are averaged for each smoothed one.
+SAMPLING = 12  #: Distance of the rows and columns that measure light and noise of an image [px].
 
-SMOOTHED = np.ones((3, 3), dtype=np.uint8)  #: Pixels that each smoothed one is the mean of.
-SAMPLING = 12  #: Every so many rows and columns tell light and noise of an image.
-
-EDGE = 0.3
-"""Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
-around it, and no more than half, where the edge of a blurred thing is."""
-BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
+EDGE, BRIGHT = 0.3, 80.0
+"""The edge of a thing is where the difference is this share of the difference inside, which is this
+percentile of its region. Source: ours: more than compression adds around it, and less than half, the edge of
+a blurred thing."""
 
 RIM, LEAST_PART = 0.125, 0.2
-"""Share of a thing's width and height that is its rim at most, and of its area that another thing beside it
-has at least. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
+"""Widest rim of a thing, as a share of its width and height, and smallest area of another thing beside it, as
+a share of its area. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
 
-INNER = 0.8
-"""Share of the width and height of a prompted box in which the object surely is. Source: ours."""
+INNER = 0.8  #: Share of width and height of a prompted box that the object surely fills. Source: ours.
 
 LEAST_MOVING = 0.2
-"""Share of a prompted object that differs from the background, below which it was taken for background."""
+"""Smallest share of a prompted object that differs from the background; with less it was learned as
+background. Source: ours."""
+
+Shift = tuple[float, float]  #: Of an image, in columns and rows [px].
+
+LARGEST_SHIFT = 4  #: Along columns and rows [px]. Source: ours: twice that of a bad stand.
+SPACING = 10  #: Distance of the rows and columns that measure the shift [px]. Source: ours.
+NUM_ROUNDS = 5  #: Iterations of the shift, because brightness is linear for a pixel or two only.
+
+LEAST_SLOPE, LEAST_STEEP = 3.0, 50
+"""Smallest slope of the brightness at a pixel that measures the shift [levels/px], and number of such pixels
+that are needed. Source: ours: four times the noise."""
+
+LARGEST_RESIDUAL = 2.5  #: Largest difference of a background pixel, in medians. Source: ours.
+LEAST_SHIFT = 0.05  #: Smaller shifts are not compensated [px]. Source: ours: five times the error.
+
+EXPLAINED = 0.7
+"""A shift is used if it lowers the median difference to at most this share. Source: ours."""
 
 
 class Weakness(StrEnum):
-    """Why what differs from the background is less sure than usual."""
+    """Why the motion in an image is less reliable than usual."""
 
     FEW_IMAGES = "few images of the room"
     FLICKER = "the light flickers"
 
     @property
     def remedy(self) -> str:
-        """What a person can do."""
+        """What the user can do."""
         return {
             Weakness.FEW_IMAGES: "let the camera see the room for a second before the object is pointed out",
             Weakness.FLICKER: "expose for a multiple of 10 ms at 50 Hz of mains, of 8.33 ms at 60 Hz",
@@ -84,14 +101,14 @@ class Weakness(StrEnum):
 
 
 class Foreground:
-    """Which pixels differ from the background, in a stream of images, in whatever light.
+    """Finds the pixels that differ from the background in a stream of images.
 
-    Where pixels are ignored the background is not learned: the robot that waits for a throw is not taken for
-    background, and neither is what it uncovers taken for an object.
+    Ignored pixels are not learned. A waiting robot does not become background, and the place that it leaves
+    is no moving thing.
     """
 
     def __init__(self) -> None:
-        """Know no background."""
+        """Start without a background."""
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._num_images = 0
         self._later: partial[None] | None = None
@@ -101,14 +118,14 @@ class Foreground:
 
     @property
     def weakness(self) -> Weakness | None:
-        """What the last image lacked; None for nothing."""
+        """Why the last image is less reliable than usual; None without a reason."""
         if self._num_images < LEARNING_IMAGES:
             return Weakness.FEW_IMAGES
         is_unsteady = len(self._light) > FLICKER_IMAGES and np.median(np.abs(np.diff(self._light))) > FLICKER
         return Weakness.FLICKER if is_unsteady else None
 
-    def step(self, image: Image, ignored: Mask | None) -> Motion:
-        """Learn the next image, but for pixels in which motion means nothing; None for no such pixel."""
+    def step(self, image: Pixels, ignored: Mask | None) -> ImageMotion:
+        """Return the motion in the next image; the motion of ignored pixels has no meaning."""
         self.settle()
         smooth = cv2.blur(image, (3, 3))
         if self._mean.shape != image.shape:
@@ -117,7 +134,7 @@ class Foreground:
         counted = np.ones_like(self._num_seen)
         if ignored is not None:
             counted[grown(ignored, SMOOTHED)] = 0
-        smooth = self._lit(smooth, counted)
+        smooth = self._with_background_light(smooth, counted)
         shift = shift_between(smooth, self._background, (counted * self._num_seen).view(bool))
         smooth, self._shift = shifted(smooth, (-shift[0], -shift[1])), (round(shift[0]), round(shift[1]))
         first = counted * (self._num_seen == 0)
@@ -131,7 +148,7 @@ class Foreground:
         moving = opened(differs) & known
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
-        return Motion(
+        return ImageMotion(
             image=shifted(smooth, self._shift),
             difference=shifted(difference, self._shift),
             moving=shifted(moving, self._shift),
@@ -141,17 +158,17 @@ class Foreground:
         )
 
     def settle(self) -> None:
-        """Learn from the last image, which its motion need not wait for; the next image does so first."""
+        """Learn from the last image; else the next step does it."""
         later, self._later = self._later, None
         if later:
             later()
 
     def keep(self, mask: Mask | None) -> None:
-        """The object's pixels in the last image, which stay foreground however long it stands still."""
+        """Set the object's pixels in the last image: they are not learned, however long it stands still."""
         self._kept = None if mask is None else grown(self._steadied(mask), GAP)
 
-    def reveal(self, motion: Motion, prompt: Prompt) -> Motion:
-        """The motion in the last image, unknown where a person's box holds what was background so far."""
+    def reveal(self, motion: ImageMotion, prompt: Prompt) -> ImageMotion:
+        """Return the motion in the last image, unknown in a person's box whose object was background."""
         if not isinstance(prompt, BoxPrompt) or prompt.is_guess:
             return motion
         inside, maybe = prompted(prompt.box, motion.image)
@@ -162,10 +179,10 @@ class Foreground:
         return replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
 
     def _steadied(self, mask: Mask) -> Mask:
-        """A mask of the last image, where the background is."""
+        """A mask of the last image in the coordinates of the background."""
         return shifted(mask, (-self._shift[0], -self._shift[1]))
 
-    def _begin(self, image: Image) -> None:
+    def _begin(self, image: Pixels) -> None:
         shape = image.shape[:2]
         self._mean, self._background, self._last = image.astype(np.float32), image.copy(), image
         self._usual, self._tolerance = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
@@ -173,19 +190,19 @@ class Foreground:
         self._num_images = 0
         self._light.clear()
 
-    def _lit(self, image: Image, counted: np.ndarray) -> Image:
-        """The image in the light of the background."""
+    def _with_background_light(self, image: Pixels, counted: np.ndarray) -> Pixels:
+        """The image, scaled to the brightness of the background."""
         every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
         now, before = image[every].astype(np.float32), self._mean[every]
-        told = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
-        told &= (counted[every] * self._num_seen[every]).view(bool)[..., None]
-        ratios = now[told] / before[told]
+        usable = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
+        usable &= (counted[every] * self._num_seen[every]).view(bool)[..., None]
+        ratios = now[usable] / before[usable]
         gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
         self._light.append(log(gain))
         return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
 
-    def _learn(self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray) -> None:
-        """Learn what does not differ, and what has stood still for long."""
+    def _learn(self, image: Pixels, difference: np.ndarray, differs: Mask, counted: np.ndarray) -> None:
+        """Learn the pixels that do not differ, and those that have stood still for long."""
         differs = grown(differs, SPECK)
         free = counted if self._kept is None else counted * ~self._kept
         part, num_still = window_of(differs), np.zeros_like(self._num_still)
@@ -200,16 +217,16 @@ class Foreground:
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
-        self._last = image  # and what the next image is compared with, before it comes
+        self._last = image
         cv2.convertScaleAbs(self._mean, dst=self._background)
         cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
-def sharpened(motion: Motion, window: Window) -> Mask:
-    """What moves in a part of the image, each thing up to where it differs much less than inside.
+def sharpened(motion: ImageMotion, window: Window) -> Mask:
+    """Return what moves in a part of the image, without the dim rims of things.
 
-    That is a rim, as wide on either side. What a thing would lose more of on one side, unless it falls apart,
-    is nearly as bright as the background: there it loses no more than the widest rim.
+    The rim is removed where it is equally wide on opposite sides. Where one side would lose more, the thing
+    is nearly as bright as the background: it loses at most `RIM` there, unless it falls into two things.
     """
     moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
     for blob in regions(moving):
@@ -226,8 +243,8 @@ def sharpened(motion: Motion, window: Window) -> Mask:
     return closed(sharp)
 
 
-def prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:
-    """Where the object surely is, the ellipse that fills `INNER` of a box, and where it may be, the box."""
+def prompted(box: Edges, image: Pixels) -> tuple[Mask, Mask]:
+    """Return where the object of a box surely is, the ellipse in its `INNER` share, and where it may be."""
     xmin, ymin, xmax, ymax = box
     rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
     across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
@@ -236,43 +253,74 @@ def prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask
     return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
 
 
-def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
-    """The regions of a mask, with small gaps closed: see `find_blobs`."""
-    return find_blobs(closed(mask), window, shape)
+def shift_between(image: Pixels, before: Pixels, known: Mask) -> Shift:
+    """Return by how much an image is shifted from another one; (0, 0) if no shift explains the differences.
+
+    Least squares of the differences of brightness over its slopes, at steep pixels of a grid (Lucas and
+    Kanade, 1981), without pixels that differ much more than the median.
+
+    Args:
+        image: The shifted image.
+        before: The other image, of the same size.
+        known: Pixels that show the background.
+    """
+    rim, (height, width) = LARGEST_SHIFT + 1, known.shape
+
+    def at(du: int, dv: int, image: np.ndarray = before[..., 1]) -> np.ndarray:
+        return image[rim + dv : height - rim + dv : SPACING, rim + du : width - rim + du : SPACING]
+
+    slopes = 0.5 * np.stack([at(1, 0).astype(float) - at(-1, 0), at(0, 1).astype(float) - at(0, -1)])
+    rows, columns = np.nonzero((np.abs(slopes).max(axis=0) >= LEAST_SLOPE) & at(0, 0, known))
+    slopes, rows, columns = slopes[:, rows, columns], rim + SPACING * rows, rim + SPACING * columns
+    if len(rows) < LEAST_STEEP:
+        return 0.0, 0.0
+    there, shift, medians = before[rows, columns, 1].astype(float), np.zeros(2), []
+    for _ in range(NUM_ROUNDS):
+        du, dv = whole = np.clip(np.rint(shift), -LARGEST_SHIFT, LARGEST_SHIFT).astype(int)
+        difference = image[rows + dv, columns + du, 1] - there
+        left = np.abs(difference - (whole - shift) @ slopes)
+        medians.append(float(np.median(left)))
+        fits = left <= LARGEST_RESIDUAL * medians[-1] + 1.0
+        used = slopes[:, fits]
+        change = whole - shift - np.linalg.solve(used @ used.T + np.eye(2), used @ difference[fits])
+        if np.abs(change).max() < LEAST_SHIFT:
+            break
+        shift = shift + change
+    is_explained = medians[-1] <= EXPLAINED * medians[0] and np.abs(shift).max() <= LARGEST_SHIFT
+    return (float(shift[0]), float(shift[1])) if is_explained else (0.0, 0.0)
 
 
-def closed(mask: Mask) -> Mask:
-    """The mask without small gaps; only the part is looked at in which there is anything."""
-    part, whole = grown_window(window_of(mask), len(GAP) // 2 + 1), np.zeros_like(mask)
-    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
-    return whole
+def shifted(image: np.ndarray, shift: Shift) -> np.ndarray:
+    """Return an image or a mask, shifted with linear interpolation; its edge is repeated outwards."""
+    if not any(shift):
+        return image
+    rim, (height, width) = LARGEST_SHIFT + 1, image.shape[:2]
+    (left, across), (top, down) = (divmod(rim - by, 1.0) for by in shift)
+    pixels = cv2.copyMakeBorder(image.view(np.uint8), rim, rim, rim, rim, cv2.BORDER_REPLICATE)
+    pixels = pixels[int(top) : int(top) + height + 1, int(left) : int(left) + width + 1]
+    pixels = _between(pixels[:, :-1], pixels[:, 1:], across)
+    return _between(pixels[:-1], pixels[1:], down).view(image.dtype)
+
+
+def _between(pixels: np.ndarray, others: np.ndarray, share: float) -> np.ndarray:
+    return cv2.addWeighted(pixels, 1.0 - share, others, share, 0.0) if share else np.ascontiguousarray(pixels)
 
 
 def _percentile(values: np.ndarray, percent: float) -> float:
-    """What `np.percentile` returns, in a tenth of its time for a few hundred values (3 µs for 30)."""
+    """The same as `np.percentile`, but ten times as fast for a few hundred values."""
     rank = 0.01 * percent * (len(values) - 1)
     low = int(rank)
     pair = np.partition(values, (low, min(low + 1, len(values) - 1)))[low : low + 2].astype(float)
     return float(pair[0] + (rank - low) * (pair[-1] - pair[0]))
 
 
-def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
-    """Take some pixels of another image over."""
+def _replace(image: np.ndarray, other: Pixels, mask: np.ndarray) -> None:
+    """Copy the masked pixels of another image."""
     if mask.any():
         cv2.copyTo(other.astype(image.dtype), mask, image)
 
 
-def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:
-    """How far the pixels of two images are apart, in the worst channel."""
+def _difference(image: Pixels, other: Pixels) -> UInt8[np.ndarray, "height width"]:
+    """Absolute difference of two images, in the channel where it is largest."""
     red, green, blue = cv2.split(cv2.absdiff(image, other))
     return cv2.max(cv2.max(red, green), blue)
-
-
-def opened(mask: Mask) -> Mask:
-    """The mask without specks."""
-    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
-
-
-def grown(mask: Mask, shape: np.ndarray) -> Mask:
-    """The mask with a rim."""
-    return cv2.dilate(mask.view(np.uint8), shape) > 0

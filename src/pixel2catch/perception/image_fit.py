@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from pixel2catch.camera.image import Edges, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 Size = tuple[int, int]  #: Width and height [px].
-Box = tuple[float, float, float, float]  #: xmin, ymin, xmax, ymax in continuous image coordinates [px].
 
 SAME_SHAPE = 0.02
 """Largest relative difference of the aspect ratios of a camera file and of the images that it is for: what
@@ -46,7 +45,7 @@ class ImageFit:
         """Where the scaled image is in the frame: column and row of its first pixel."""
         return (self.size[0] - self._inner[0]) // 2, (self.size[1] - self._inner[1]) // 2
 
-    def image(self, image: Image) -> UInt8[np.ndarray, "rows columns 3"]:
+    def image(self, image: Pixels) -> UInt8[np.ndarray, "rows columns 3"]:
         """Return an image as it is made; one of yet another size as it is."""
         if not self.changes or (image.shape[1], image.shape[0]) != self.own:
             return image
@@ -61,7 +60,7 @@ class ImageFit:
         (fx, fy), (left, top) = self._factors, self._corner
         return fx * point[0] + left, fy * point[1] + top
 
-    def box(self, box: Box) -> Box:
+    def box(self, box: Edges) -> Edges:
         """Return where a box of an image is in the image as it is made."""
         return *self.point(box[:2]), *self.point(box[2:])
 

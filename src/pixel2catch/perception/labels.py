@@ -13,9 +13,10 @@ from typing import Any, Literal, get_args
 from xml.etree import ElementTree
 
 from pixel2catch.camera.camera_file import LARGEST_IMAGE
+from pixel2catch.camera.image import Edges
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, parse_json, read_json_object, read_text, reading
-from pixel2catch.perception.image_fit import Box, Size
+from pixel2catch.perception.image_fit import Size
 from pixel2catch.perception.sources import video_frames
 
 FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older one can no longer be read.
@@ -36,7 +37,7 @@ class Truth:
     """What one image shows."""
 
     phase: Phase
-    box: Box | None  #: Of the visible part of the object; None where nothing of it is visible.
+    box: Edges | None  #: Of the visible part of the object; None where nothing of it is visible.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +74,7 @@ class Labels:
                     f"image of {self.width} by {self.height} px, null where nothing is visible"
                 )
 
-    def _holds(self, box: Box) -> bool:
+    def _holds(self, box: Edges) -> bool:
         xmin, ymin, xmax, ymax = box
         in_order = 0 <= xmin < xmax <= self.width and 0 <= ymin < ymax <= self.height
         return in_order and all(map(isfinite, box))
@@ -128,7 +129,7 @@ def load_labels(path: Path, video: Path) -> Labels:
         stamps, size = [], (0, 0)
         for frame in video_frames(video, []):
             stamps.append(frame.stamp)
-            size = (frame.image.shape[1], frame.image.shape[0])
+            size = (frame.pixels.shape[1], frame.pixels.shape[0])
         match content:
             case None:
                 size, marks = _cvat(text)
@@ -156,7 +157,7 @@ class _Mark:
     image: int  #: From 0.
     name: str
     phase: str  #: Empty where the program has none.
-    box: Box | None
+    box: Edges | None
 
 
 def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Label]:

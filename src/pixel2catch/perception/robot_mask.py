@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
+from pixel2catch.camera.image import Mask
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.segmenter import Mask
 from pixel2catch.robots.geometry import bare_model
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene import shapes

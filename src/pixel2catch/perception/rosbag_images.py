@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.extractor import CameraFrame
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.ros2.bags import BagMessage, decoded, opened_bag
 from pixel2catch.ros2.messages import (
     CAMERA_INFO,
@@ -49,7 +48,7 @@ def first_camera_info(path: Path, topic: str | None) -> Any:
 
 def bag_frames(
     path: Path, topic: str | None, joint_states: str, joints: Sequence[str], notes: list[str]
-) -> Iterator[CameraFrame]:
+) -> Iterator[Image]:
     """Yield the images of a topic, with the joint positions of their time if all joints were recorded.
 
     The stamp is that of the header, or the time of recording where it has none. No topic is the only one with
@@ -74,7 +73,7 @@ def bag_frames(
                 num_damaged += 1
                 reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
                 continue
-            yield CameraFrame(image=image, stamp=stamp, joint_pos=positions.at(stamp))
+            yield Image(pixels=image, stamp=stamp, joint_pos=positions.at(stamp))
         if num_damaged:
             notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
@@ -118,7 +117,7 @@ class _JointPositions:
         return self._positions[index] if index >= 0 else None
 
 
-def _image(message: BagMessage) -> Image | None:
+def _image(message: BagMessage) -> Pixels | None:
     """The image that a message has; None if it is damaged."""
     content = message.content
     if message.type == COMPRESSED_IMAGE:

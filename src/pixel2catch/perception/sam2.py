@@ -23,12 +23,12 @@ from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils import _pytree as pytree
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.sam2_checkpoint import Sam2VideoInferenceSession, load_sam2, require_compiler
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
-    Image,
-    Motion,
+    ImageMotion,
     PointPrompt,
     Prompt,
     Segmentation,
@@ -137,7 +137,7 @@ class Sam2Segmenter(Segmenter):
         """Side of the square that the model sees [px]."""
         return cast("int", self._model.image_size)
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.start`. A session has one prompt, because the model never forgets one."""
         self._check(image)
         height, width, _ = image.shape
@@ -160,7 +160,7 @@ class Sam2Segmenter(Segmenter):
         self._session.obj_with_new_inputs = [OBJECT]
         return self._segment(self._session, image)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         self._check(image)
         if self._session is None:
@@ -189,7 +189,7 @@ class Sam2Segmenter(Segmenter):
 
     @torch.inference_mode()
     @sdpa_kernel(ATTENTION)
-    def _segment(self, session: Sam2VideoInferenceSession, image: Image) -> Segmentation:
+    def _segment(self, session: Sam2VideoInferenceSession, image: Pixels) -> Segmentation:
         """Run the model on the session's next image."""
         self._model(session, frame=self._pixels(image), frame_idx=self._frame_idx)
         self._prune(session)
@@ -210,7 +210,7 @@ class Sam2Segmenter(Segmenter):
             self._is_read.record()
         self._encode_memory(inference_session=inference_session, **inputs)
 
-    def _pixels(self, image: Image) -> Float[Tensor, "1 3 size size"]:
+    def _pixels(self, image: Pixels) -> Float[Tensor, "1 3 size size"]:
         """Return the image as the model wants it: a square, whatever its aspect, and standardised."""
         np.copyto(self._upload.numpy(), image)
         pixels = self._upload.to(self._device, non_blocking=True).permute(2, 0, 1).unsqueeze(0).float()
@@ -230,7 +230,7 @@ class Sam2Segmenter(Segmenter):
             if self._frame_idx in kind:
                 del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
 
-    def _check(self, image: Image) -> None:
+    def _check(self, image: Pixels) -> None:
         is_first = self._upload.numel() == 0
         height, width = (image if is_first else self._upload).shape[:2]
         check_image(image, width, height)
@@ -312,7 +312,7 @@ def mask_of_logits(
     return F.interpolate(logits.float(), (height, width), mode="bilinear", align_corners=False)[0, 0] > 0.0
 
 
-def _blank() -> Image:
+def _blank() -> Pixels:
     return np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
 
 

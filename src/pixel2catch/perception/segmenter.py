@@ -1,46 +1,37 @@
-"""What finds the object's pixels in a stream of images: the interface, its input and its output."""
+"""What finds the object's pixels in a stream of images: the interface, its data, and a colour threshold."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import hypot
 from typing import ClassVar
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 
+from pixel2catch.camera.image import Edges, Mask, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.plausibility import USUAL, PlausibilityCfg
-
-Image = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
-Mask = Bool[np.ndarray, "height width"]  #: Which pixels of an image are meant.
+from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, find_blobs, opened
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """What an image shows of motion.
+class ImageMotion:
+    """Where an image differs from the background."""
 
-    Attributes:
-        image: The image, smoothed, in the light of the background.
-        difference: How far each pixel is from the background, in its worst channel.
-        moving: Which pixels differ from the background.
-        unknown: In which pixels that cannot be told, but for the smoothed rim of what is ignored.
-        ignored: In which pixels it means nothing, such as those of the robot; None for no such pixel.
-        doubt: Why it is less sure than usual; empty if it is not.
-    """
-
-    image: Image
-    difference: UInt8[np.ndarray, "height width"]
-    moving: Mask
-    unknown: Mask
-    ignored: Mask | None = None
-    doubt: str = ""
+    image: Pixels  #: The image, smoothed, with the brightness of the background.
+    difference: UInt8[np.ndarray, "height width"]  #: From the background, in the channel where it is largest.
+    moving: Mask  #: Pixels that differ from the background.
+    unknown: Mask  #: Pixels without a known background, except the smoothed rim of `ignored`.
+    ignored: Mask | None = None  #: Pixels whose motion has no meaning, such as those of the robot.
+    doubt: str = ""  #: Why it is less reliable than usual; empty without a reason.
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxPrompt:
-    """The object is what this box holds: xmin, ymin, xmax, ymax in continuous image coordinates [px]."""
+    """The object fills this box."""
 
-    box: tuple[float, float, float, float]
-    is_guess: bool = False  #: Whether only its flight points it out.
+    box: Edges
+    is_guess: bool = False  #: Whether it was found by its flight alone.
 
     @property
     def center(self) -> tuple[float, float]:
@@ -51,74 +42,73 @@ class BoxPrompt:
 
 @dataclass(frozen=True, kw_only=True)
 class PointPrompt:
-    """The object is what this point (u, v) lies on, in continuous image coordinates [px]."""
+    """The object covers this point (u, v), in continuous image coordinates [px]."""
 
     center: tuple[float, float]
 
 
-Prompt = BoxPrompt | PointPrompt  #: Which of all the things in an image is the object.
+Prompt = BoxPrompt | PointPrompt  #: Which of the things in an image is the object.
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Segmentation:
-    """What a segmenter makes of one image."""
+    """The pixels of the object in one image. It stays inside perception: the tracker makes a `Box` of it."""
 
     mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
-    score: float  #: How sure the segmenter is, larger is surer; the scale is its own.
-    source: str = ""  #: Which of several segmenters was believed; empty where there is one.
-    doubt: str = ""  #: What speaks against it; empty where nothing does.
+    score: float  #: Larger is more certain; each segmenter has its own scale.
+    source: str = ""  #: Which of two segmenters was used; empty if there is one.
+    doubt: str = ""  #: Why it is less reliable than usual; empty without a reason.
 
 
 NOT_FOUND = Segmentation(mask=None, score=0.0)
-"""The object is not in the image, as far as a segmenter without a score of its own can tell."""
+"""Result of a segmenter without a score of its own where it does not find the object."""
 
 
 class Segmenter(ABC):
     """Follows one object through a stream of images.
 
-    Every image of the stream goes once to `start` or to `track`, in order. All images have the size of the
-    first. A segmenter never changes an image or a mask that it was given, and never returns one that it
-    changes later.
+    Every image of the stream is passed once to `start` or to `track`, in order. All images have the size of
+    the first. A segmenter changes neither its inputs nor what it has returned.
     """
 
-    uses_motion: ClassVar[bool] = False  #: Whether it must be told what moves in each image.
-    plausibility = USUAL  #: What can be the object, for one that chooses among regions.
+    uses_motion: ClassVar[bool] = False  #: Whether it needs an `ImageMotion` for every image.
+    limits = USUAL  #: What can be the object.
 
-    def expect(self, plausibility: PlausibilityCfg) -> None:
-        """Learn what can be the object, before the first image."""
-        self.plausibility = plausibility
+    def set_limits(self, limits: PlausibilityCfg) -> None:
+        """Set what can be the object; call it before the first image."""
+        self.limits = limits
 
     @abstractmethod
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
-        """Begin to follow what the prompt points at; what was followed before is forgotten.
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+        """Start to follow the object of a prompt, and discard the object before.
 
         Args:
-            image: The image that the prompt belongs to.
+            image: The image of the prompt.
             prompt: Where the object is.
             motion: What moves in the image; None where `uses_motion` is false.
 
         Raises:
-            PerceptionError: If the image is none, or of another size than those before.
+            PerceptionError: The array is no image, or its size differs from the images before.
         """
 
     @abstractmethod
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
-        """Find the object in the next image, see `start`; not found where nothing was started."""
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+        """Find the object in the next image, as `start`; it is not found before a start."""
 
     def settle(self) -> None:
-        """Do what the last answer need not wait for, such as to learn; else the next image does it first."""
+        """Do the work that the last result did not need, such as learning; else the next image does it."""
         return
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget the object."""
+        """Discard the object."""
 
 
 def check_image(image: np.ndarray, width: int, height: int) -> None:
-    """Refuse what a camera or a file delivered if it is not an RGB image of this size [px].
+    """Require an RGB image of this size [px].
 
     Raises:
-        PerceptionError: If shape or dtype are wrong; the message says how they must be.
+        PerceptionError: Shape or dtype differ.
     """
     if image.dtype == np.uint8 and image.shape == (height, width, 3):
         return
@@ -127,3 +117,161 @@ def check_image(image: np.ndarray, width: int, height: int) -> None:
         f"({height}, {width}, 3) and uint8, in the order red, green, blue: set the camera's resolution and "
         "encoding (rgb8) accordingly."
     )
+
+
+REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
+"""Largest distance of the object from the line between its last and its expected place, its growth with every
+image without the object, and its limit [px]. Source: ours; a release moves the object by up to 30 px in an
+image interval."""
+
+FIRST_REACH = 90.0
+"""The same while its velocity is unknown [px]. Source: ours: the largest jump of `PlausibilityCfg`."""
+
+LARGEST_CHANGE = 12.0
+"""Largest change of a flying object's motion between two images [px]. Source: ours; gravity and approach
+cause up to 10."""
+
+LONGEST_STEP = 20.0
+"""Largest motion of another thing between two images with which it is recognised [px]. Source: ours."""
+
+LONGEST_COAST = 3  #: Image intervals for which an unseen object keeps its velocity. Source: ours.
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageTrack:
+    """Last place and motion of the object, with constant velocity in the image."""
+
+    center: tuple[float, float]  #: Middle of its last box [px].
+    velocity: tuple[float, float] = (0.0, 0.0)  #: Its last change in an image interval [px].
+    num_missed: int = 0  #: Images since then.
+    num_seen: int = 0  #: Images in which it was seen; the velocity is known from two on.
+    others: tuple[tuple[float, float], ...] = ()  #: Middles of the other things in the last image [px].
+    limits: PlausibilityCfg = USUAL  #: What can be the object.
+
+    @property
+    def expected(self) -> tuple[float, float]:
+        """Expected place in the next image [px]. It stops after `LONGEST_COAST` images without the object."""
+        steps = min(self.num_missed + 1, LONGEST_COAST)
+        return self.center[0] + steps * self.velocity[0], self.center[1] + steps * self.velocity[1]
+
+    def seen(self, center: tuple[float, float]) -> "ImageTrack":
+        """Return the track after an image with the object at a place [px]."""
+        steps = self.num_missed + 1
+        velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
+        return ImageTrack(center=center, velocity=velocity, num_seen=self.num_seen + 1, limits=self.limits)
+
+    def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
+        """Return the track after the next image, in which the object is one of the regions, and its pixels.
+
+        The score is the region's share of its box.
+        """
+        others = tuple(each.center for each in blobs if each is not blob)
+        if blob is None:
+            return replace(self, num_missed=self.num_missed + 1, others=others), NOT_FOUND
+        score = blob.area / (blob.width * blob.height)
+        return replace(self.seen(blob.center), others=others), Segmentation(mask=blob.mask(), score=score)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the object from the line between its last and its expected place [px]."""
+        least = REACH if self.num_seen > 1 else FIRST_REACH
+        return min(least + REACH_GROWTH * self.num_missed, LARGEST_REACH)
+
+    def candidates(self, blobs: list[Blob]) -> list[Blob]:
+        """Return the regions that can be the object, the nearest to its expected place first.
+
+        They have an object's size and are near the line from its last place to there, because a hand may have
+        stopped it. Regions that continue another thing of the last image are left out.
+        """
+        sized = (blob for blob in blobs if blob.is_plausible(self.limits))
+        plausible = (blob for blob in sized if not self._is_other(blob, blobs))
+        near = (blob for blob in plausible if self._distance(blob.center) <= self.reach)
+        return sorted(near, key=lambda blob: blob.distance(self.expected))
+
+    def leads_to(self, blob: Blob) -> bool:
+        """Return whether a region is at the expected place, within what gravity and approach change."""
+        return self.num_seen > 1 and blob.distance(self.expected) <= LARGEST_CHANGE * (self.num_missed + 1)
+
+    def is_far(self, blob: Blob) -> bool:
+        """Return whether a region is farther from the expected place than a release moves the object."""
+        return blob.distance(self.expected) > REACH
+
+    def _distance(self, point: tuple[float, float]) -> float:
+        """Distance of a point from the line between the last and the expected place [px]."""
+        (u, v), (end_u, end_v) = self.center, self.expected
+        du, dv = end_u - u, end_v - v
+        length = max(du * du + dv * dv, 1.0)
+        share = min(max((du * (point[0] - u) + dv * (point[1] - v)) / length, 0.0), 1.0)
+        return hypot(point[0] - u - share * du, point[1] - v - share * dv)
+
+    def _is_other(self, blob: Blob, blobs: list[Blob]) -> bool:
+        """Whether a region continues another thing.
+
+        It does not cover the object's expected place, and it is the nearest region to that thing's last
+        place.
+        """
+        (u, v), (end_u, end_v) = blob.center, self.expected
+        if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
+            return False
+        reach = min(blob.distance(self.expected), LONGEST_STEP)
+        near = (other for other in self.others if blob.distance(other) < reach)
+        return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorRange:
+    """A range of hue, saturation and value."""
+
+    hue: tuple[float, float]  #: First and last [degrees]: red 0, green 120, blue 240; (340, 20) is reds.
+    saturation: tuple[float, float] = (0.4, 1.0)  #: Smallest and largest saturation in [0, 1]; grey is 0.
+    value: tuple[float, float] = (0.2, 1.0)  #: Smallest and largest brightness in [0, 1].
+
+    def __post_init__(self) -> None:
+        """Refuse a range without colours."""
+        if not all(0.0 <= bound <= 360.0 for bound in self.hue):
+            raise PerceptionError(f"hue is {self.hue}; both ends must be in [0, 360] degrees.")
+        for name in ("saturation", "value"):
+            low, high = getattr(self, name)
+            if not 0.0 <= low <= high <= 1.0:
+                raise PerceptionError(f"{name} is ({low:g}, {high:g}); it must be ordered and in [0, 1].")
+
+    def mask(self, image: Pixels) -> Mask:
+        """Return the pixels with such a colour, without specks."""
+        hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
+        pixels = np.zeros(image.shape[:2], dtype=bool)
+        start, end = self.hue
+        for first, last in [(start, end)] if start <= end else [(start, 360.0), (0.0, end)]:
+            lower = np.array((first / 2, 255 * self.saturation[0], 255 * self.value[0]))
+            upper = np.array((last / 2, 255 * self.saturation[1], 255 * self.value[1]))
+            pixels |= cv2.inRange(hsv, lower, upper) > 0
+        return opened(pixels)
+
+
+class ColorThreshold(Segmenter):
+    """Follows the region of the object's colour that is nearest to the object's expected place.
+
+    It suits objects whose colour nothing else has. It needs no background, and finds the object in the hand.
+    """
+
+    def __init__(self, colors: ColorRange) -> None:
+        """Follow these colours."""
+        self._colors = colors
+        self._track: ImageTrack | None = None
+
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+        """See `Segmenter.start`."""
+        self._track = ImageTrack(center=prompt.center, limits=self.limits)
+        return self.track(image)
+
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+        """See `Segmenter.track`."""
+        if self._track is None:
+            return NOT_FOUND
+        blobs = find_blobs(self._colors.mask(image))
+        found = next(iter(self._track.candidates(blobs)), None)
+        self._track, segmentation = self._track.advanced(blobs, found)
+        return segmentation
+
+    def reset(self) -> None:
+        """See `Segmenter.reset`."""
+        self._track = None

@@ -10,15 +10,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-import torch
-
-from pixel2catch.perception.image_track import Blob, ImageTrack, find_blobs
-from pixel2catch.perception.plausibility import PlausibilityCfg, is_jump
+from pixel2catch.camera.image import Edges, Mask, Pixels
+from pixel2catch.perception.regions import Blob, PlausibilityCfg, find_blobs, is_jump
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
-    Image,
-    Mask,
-    Motion,
+    ImageMotion,
+    ImageTrack,
     Prompt,
     Segmentation,
     Segmenter,
@@ -59,14 +56,14 @@ class Doubt(StrEnum):
 class LastPlace(ImageTrack):
     """Where the object was last, and how it moved."""
 
-    box: tuple[float, float, float, float]  #: Its box there [px].
+    box: Edges  #: Its box there [px].
 
     @classmethod
-    def of(cls, prompt: Prompt, plausibility: PlausibilityCfg) -> "LastPlace":
+    def of(cls, prompt: Prompt, limits: PlausibilityCfg) -> "LastPlace":
         """Where a prompt says."""
         u, v = prompt.center
         box = prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v)
-        return cls(center=(u, v), box=box, plausibility=plausibility)
+        return cls(center=(u, v), box=box, limits=limits)
 
     def after(self, blob: Blob | None) -> "LastPlace":
         """The place after the next image, in which it is this region, or none."""
@@ -77,12 +74,11 @@ class LastPlace(ImageTrack):
     def likeliest(self, mask: Mask | None) -> Blob | None:
         """The largest region of a mask that can be the object in the next image; others are specks."""
         blobs = [] if mask is None else find_blobs(mask)
-        sized = (blob for blob in blobs if blob.is_plausible(self.plausibility))
+        sized = (blob for blob in blobs if blob.is_plausible(self.limits))
         return next((blob for blob in sized if not self._is_jump(blob)), None)
 
     def _is_jump(self, blob: Blob) -> bool:
-        before, now = torch.tensor([self.box]), torch.tensor([blob.box])
-        return is_jump(self.plausibility, now, before, self.num_missed + 1.0)
+        return is_jump(self.limits, blob.box, self.box, self.num_missed + 1.0)
 
 
 class SideBySide(Segmenter):
@@ -104,21 +100,21 @@ class SideBySide(Segmenter):
         self._last: LastPlace | None = None
         self._num_unbelieved, self._is_trusted = 0, True
 
-    def expect(self, plausibility: PlausibilityCfg) -> None:
-        """See `Segmenter.expect`."""
-        super().expect(plausibility)
-        self._background.expect(plausibility)
+    def set_limits(self, limits: PlausibilityCfg) -> None:
+        """See `Segmenter.set_limits`."""
+        super().set_limits(limits)
+        self._background.set_limits(limits)
 
-    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
-        self._last = LastPlace.of(prompt, self.plausibility)
+        self._last = LastPlace.of(prompt, self.limits)
         self._num_unbelieved, self._is_trusted = 0, True
         other = self._background.start(image, prompt, motion)
         return self._judged(image, self._last, other, begin, is_asked=True)
 
-    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.track`; where SAM 2 still looks at an earlier image, this one passes it by."""
         begin = time.perf_counter()
         last = self._last
@@ -140,7 +136,7 @@ class SideBySide(Segmenter):
         self._background.reset()
         self._last = None
 
-    def _tell(self, image: Image, prompt: Prompt) -> None:
+    def _tell(self, image: Pixels, prompt: Prompt) -> None:
         """Have SAM 2 begin anew after what it does now, which nobody waits for any more."""
         self._cancel()
         self._work = self._thread.submit(self._sam2.start, self._kept(image), prompt)
@@ -156,7 +152,7 @@ class SideBySide(Segmenter):
             self._work.exception()
         return self._work is None or self._work.done()
 
-    def _kept(self, image: Image) -> Image:
+    def _kept(self, image: Pixels) -> Pixels:
         """An image that SAM 2 may look at longer than the caller leaves it as it is."""
         return image if self._longest_wait is None else image.copy()
 
@@ -172,7 +168,7 @@ class SideBySide(Segmenter):
             return Doubt.FAILED
 
     def _judged(
-        self, image: Image, last: LastPlace, other: Segmentation, begin: float, *, is_asked: bool
+        self, image: Pixels, last: LastPlace, other: Segmentation, begin: float, *, is_asked: bool
     ) -> Segmentation:
         """Decide whom to believe, and go on from there."""
         seen = self._look(begin) if is_asked else Doubt.LATE

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from av.error import FFmpegError
 
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.image_fit import ImageFit, Size
 from pixel2catch.perception.rosbag_images import bag_frames
 from pixel2catch.ros2.bags import BAG_SUFFIXES
@@ -54,7 +54,7 @@ OPTIONS = {
 class Tick:
     """One control step: the newest image, be it the same as before, and the time by the stamps' clock [s]."""
 
-    frame: CameraFrame
+    image: Image
     now: float
 
 
@@ -80,11 +80,11 @@ def ticks_of(cfg: SourceCfg, notes: list[str], fit: ImageFit | None = None) -> G
         return live_ticks(open_camera(cfg.name), notes)
     frames = file_frames(cfg, notes)
     if fit is not None:
-        frames = (replace(frame, image=fit.image(frame.image)) for frame in frames)
+        frames = (replace(frame, pixels=fit.image(frame.pixels)) for frame in frames)
     return on_control_clock(frames, notes)
 
 
-def file_frames(cfg: SourceCfg, notes: list[str]) -> Iterator[CameraFrame]:
+def file_frames(cfg: SourceCfg, notes: list[str]) -> Iterator[Image]:
     """Yield the images of a recording, each once.
 
     Raises:
@@ -112,10 +112,10 @@ def image_size(cfg: SourceCfg) -> Size | None:
     first = next(iter(file_frames(cfg, [])), None)
     if first is None:
         raise PerceptionError(f"{cfg.name} has no images.")
-    return first.image.shape[1], first.image.shape[0]
+    return first.pixels.shape[1], first.pixels.shape[0]
 
 
-def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generator[Tick, None, None]:
+def on_control_clock(frames: Iterable[Image], notes: list[str]) -> Generator[Tick, None, None]:
     """Yield a tick in every control step of a recording; of several new images it has the newest.
 
     The frames come in the order of the recording; notes get what is wrong with their stamps.
@@ -133,16 +133,16 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
             notes.append(f"{pause:.1f} s without an image after {played:.1f} s.")
             tick = due - LONGEST_PAUSE
         while newest is not None and tick < due:
-            yield Tick(frame=newest, now=start + (tick + PHASE) * CONTROL_DT)
+            yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
             tick += 1
         newest = frame
     if newest is not None:
-        yield Tick(frame=newest, now=start + (tick + PHASE) * CONTROL_DT)
+        yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
     if num_older:
         notes.append(f"images no newer than those before them, passed over: {num_older}.")
 
 
-def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
+def video_frames(path: Path, notes: list[str]) -> Iterator[Image]:
     """Yield the images of a video file with their own stamps; a damaged file ends where notes get to know.
 
     They are upright as a player shows them, such as those of a telephone that was held upright.
@@ -159,7 +159,7 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
             for frame in container.decode(video=0):
                 stamp = float(frame.time) if frame.time is not None else stamp + period
                 turned = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
-                yield CameraFrame(image=np.ascontiguousarray(turned), stamp=stamp)
+                yield Image(pixels=np.ascontiguousarray(turned), stamp=stamp)
                 num_frames += 1
     except (FFmpegError, ValueError, OverflowError) as error:
         reason = getattr(error, "strerror", error)
@@ -207,12 +207,12 @@ class CameraReader:
     def __init__(self, capture: cv2.VideoCapture) -> None:
         """Begin to read."""
         self._capture = capture
-        self._newest: CameraFrame | None = None
+        self._newest: Image | None = None
         self._has_image, self._is_over = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def first(self) -> CameraFrame:
+    def first(self) -> Image:
         """Wait for the first image.
 
         Raises:
@@ -225,7 +225,7 @@ class CameraReader:
             )
         return self.newest()
 
-    def newest(self) -> CameraFrame:
+    def newest(self) -> Image:
         """Return the newest image; there is one."""
         assert self._newest is not None
         return self._newest
@@ -246,7 +246,7 @@ class CameraReader:
                 self._is_over.wait(RETRY)
                 continue
             stamp = time.monotonic()
-            self._newest = CameraFrame(image=cv2.cvtColor(image, cv2.COLOR_BGR2RGB), stamp=stamp)
+            self._newest = Image(pixels=cv2.cvtColor(image, cv2.COLOR_BGR2RGB), stamp=stamp)
             self._has_image.set()
         self._capture.release()
 
@@ -269,7 +269,7 @@ def live_ticks(
             if now - frame.stamp > longest_stall:
                 notes.append(f"the camera gave no image for {longest_stall:g} s: ended. Is it unplugged?")
                 return
-            yield Tick(frame=frame, now=now)
+            yield Tick(image=frame, now=now)
             step = max(step + 1, ceil((time.monotonic() - start) / CONTROL_DT))
             time.sleep(max(start + step * CONTROL_DT - time.monotonic(), 0.0))
 
@@ -298,6 +298,6 @@ def measure_camera(capture: cv2.VideoCapture, seconds: float) -> CameraReport:
             stamp = reader.newest().stamp
             if stamp > stamps[-1]:
                 stamps.append(stamp)
-        height, width = reader.newest().image.shape[:2]
+        height, width = reader.newest().pixels.shape[:2]
     pauses = [after - before for before, after in pairwise([*stamps, max(end, stamps[-1])])]
     return CameraReport(width=width, height=height, rate=(len(stamps) - 1) / seconds, pause=max(pauses))

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import UNDRAWN_GROUP, Renderer
 from pixel2catch.rendering.room import build_room
@@ -23,8 +24,6 @@ SURROUNDINGS = ("world", "floor")  #: Nothing hides behind these but the sky: wa
 AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].
 COARSE = (16, 8)  #: Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again.
 NOISE_LENGTH = 1 << 21  #: Numbers in the stock of noise; every image begins somewhere else in it.
-
-Image = UInt8[np.ndarray, "height width 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +105,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
             self._background = renderer.image(self._room.qpos0).reshape(-1, 3)
         self._renderer = Renderer(_without(self._room, is_fixed), shadows=False, sky=False)
 
-    def image(self, exposure: Exposure) -> Image:
+    def image(self, exposure: Exposure) -> Pixels:
         """The image, with motion blur and noise."""
         moment = self._shown(exposure)
         times = self._part_times(moment).tolist()

@@ -11,10 +11,11 @@ from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.errors import DeploymentError, InvalidValueError
 from pixel2catch.files import json_object
 from pixel2catch.robots.spec import IDENTITY
@@ -108,7 +109,6 @@ CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 """Encodings of images that are read, and how their channels become red, green and blue."""
 
 OPTICAL_FRAME = "camera_color_optical_frame"  #: Frame of the images. Source: RealSense driver.
-Pixels = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,15 +118,6 @@ class JointReading:
     names: tuple[str, ...]  #: the sender's names of the joints, as many as it likes, in its order
     position: Float[np.ndarray, " num_joints"]  #: their positions [rad]
     stamp: float  #: when they were measured [s]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImageReading:
-    """An image as it arrived."""
-
-    pixels: Pixels  #: it cannot be written into, as it may be the message itself
-    stamp: float  #: when it was exposed [s]
-    encoding: str  #: how the message had it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +196,7 @@ def pixels_of(message: Any) -> Pixels | None:
     return np.ascontiguousarray(rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]])
 
 
-def read_image(data: bytes) -> ImageReading:
+def read_image(data: bytes) -> Image:
     """Decode an image; see `pixels_of`.
 
     Raises:
@@ -222,7 +213,7 @@ def read_image(data: bytes) -> ImageReading:
             f"an image of {message.width} x {message.height} has {len(message.data)} bytes, "
             f"{message.step} a row: it is damaged."
         )
-    return ImageReading(pixels=pixels, stamp=seconds(message.header), encoding=message.encoding)
+    return Image(pixels=pixels, stamp=seconds(message.header), encoding=message.encoding)
 
 
 def camera_info(camera: CameraSpec, stamp: float) -> bytes:

@@ -14,10 +14,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import ImageReading, JointReading
+from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.transport import Topic
 
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
@@ -240,7 +241,7 @@ class CameraProfile:
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
 
-    def require(self, reading: ImageReading) -> None:
+    def require(self, reading: Image) -> None:
         """Refuse an image of another size or encoding.
 
         Raises:

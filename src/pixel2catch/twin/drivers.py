@@ -14,7 +14,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.rendering.camera import Exposure, Image
+from pixel2catch.camera.image import Image, Pixels
+from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
 CYCLE = 0.002  #: Period in which drivers read a command and publish joints [s]. Source: UR driver, 500 Hz.
@@ -181,13 +182,13 @@ def _braked(motion: Motion) -> Motion:
 class Camera:
     """The camera's driver: images on their way from exposure to wire."""
 
-    def __init__(self, draw: Callable[[Exposure], "Future[Image]"], clock_error: float = 0.0) -> None:
+    def __init__(self, draw: Callable[[Exposure], "Future[Pixels]"], clock_error: float = 0.0) -> None:
         """Begin without an image, and with what begins to draw one.
 
         The clock that stamps the images is late by its error [s].
         """
         self._draw, self._clock_error = draw, clock_error
-        self._waiting: deque[tuple[float, Future[Image]]] = deque()
+        self._waiting: deque[tuple[float, Future[Pixels]]] = deque()
         self._is_overdue = False
         self.num_images = 0  #: Images that came out.
         self.num_late = 0  #: Those of them that were not drawn in time.
@@ -200,8 +201,8 @@ class Camera:
         else:
             self._waiting.append((exposure.moment.time, self._draw(exposure)))
 
-    def developed(self, now: float) -> Iterator[tuple[float, Image]]:
-        """Yield the images that are due, each with its stamp: the middle of its exposure [s]."""
+    def developed(self, now: float) -> Iterator[Image]:
+        """Yield the images that are due; the stamp is the middle of the exposure."""
         while self._waiting and self._waiting[0][0] + LATENCY <= now:
             time, image = self._waiting[0]
             if not image.done():
@@ -211,4 +212,4 @@ class Camera:
             self.num_images += 1
             self.num_late += self._is_overdue
             self._is_overdue = False
-            yield time - self._clock_error, image.result()
+            yield Image(pixels=image.result(), stamp=time - self._clock_error)

@@ -194,10 +194,10 @@ class LabNode:
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)
         self._status.publish(self.num_cycles, self.arms)
-        for time, image in self.camera.developed(self.time):
-            self._image.publish(messages.image(image, start + time))
+        for image in self.camera.developed(self.time):
+            self._image.publish(messages.image(image.pixels, start + image.stamp))
             if self._info:
-                self._info.publish(messages.camera_info(self._lens, start + time))
+                self._info.publish(messages.camera_info(self._lens, start + image.stamp))
         for message in self._requests.take():
             self._heed(message.data)
         joints, aim = self.lab.joints, np.empty(self._num_joints)

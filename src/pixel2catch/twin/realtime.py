@@ -13,9 +13,10 @@ from multiprocessing import get_context
 
 import torch
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.interruption import end_with_parent
-from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
+from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock
@@ -38,7 +39,7 @@ def obey_parent(niceness: int) -> None:
 
 
 @contextmanager
-def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Image]"]]:
+def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Pixels]"]]:
     """A process that draws what the camera sees, so that the physics keeps its time.
 
     It yields a function that begins to draw. The seed is of the room's looks and the sensor's noise.
@@ -61,7 +62,7 @@ def _open(scene: SceneCfg, seed: int) -> None:
     _VIEWS.append(RoomCamera(scene, seed))
 
 
-def _draw(exposure: Exposure) -> Image:
+def _draw(exposure: Exposure) -> Pixels:
     return _VIEWS[0].image(exposure)
 
 

@@ -9,16 +9,16 @@ from typing import Any, final
 
 import numpy as np
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
-from pixel2catch.perception.segmenter import Image
+from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -40,7 +40,7 @@ HOP = 0.0005
 Source: ours, for DDS between two processes.
 """
 
-Draw = Callable[[SimulatedLab, Exposure], Image]  #: Draws what the camera sees.
+Draw = Callable[[SimulatedLab, Exposure], Pixels]  #: Draws what the camera sees.
 
 
 @final
@@ -117,9 +117,9 @@ class SteppedRehearsal:
             self._recording.require_whole()
 
 
-def _done(image: Image) -> "Future[Image]":
+def _done(image: Pixels) -> "Future[Pixels]":
     """An image that need not be waited for."""
-    future: Future[Image] = Future()
+    future: Future[Pixels] = Future()
     future.set_result(image)
     return future
 
@@ -179,7 +179,7 @@ def in_step(
         yield stack.enter_context(closing(SteppedRehearsal(cfg, task, draw, pipeline, limits)))
 
 
-def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
+def plain_image(lab: SimulatedLab, _: Exposure) -> Pixels:
     """A grey image with a red box where the camera would see the object; no two in a row are equal."""
     camera = lab.camera
     shift = round(lab.time / CONTROL_DT) % NUM_SHIFTS
@@ -191,7 +191,7 @@ def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
 
 
 @cache
-def _grey(height: int, width: int) -> Image:
+def _grey(height: int, width: int) -> Pixels:
     """Grey, with the noise of a sensor."""
     noise = np.random.default_rng(0).integers(-NOISE, NOISE + 1, (height, width, 3))
     return (GREY + noise).astype(np.uint8)

@@ -10,9 +10,9 @@ from math import isfinite
 from threading import Event
 from typing import Any, final
 
+from pixel2catch.camera.image import Verdict
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
-from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport

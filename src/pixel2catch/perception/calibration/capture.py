@@ -18,10 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from scipy.spatial.transform import Rotation
 
+from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.calibration.target import Board, View
-from pixel2catch.perception.extractor import CameraFrame
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Transport
@@ -89,7 +88,7 @@ def located(view: View, matrix: np.ndarray) -> Candidate | None:
     return Candidate(view=view, turn=Rotation.from_rotvec(turn.ravel()), distance=float(np.linalg.norm(pos)))
 
 
-def blur(image: Image, view: View) -> float:
+def blur(image: Pixels, view: View) -> float:
     """Standard deviation of the spread of the edges about the corners of a board [px].
 
     An edge of contrast c that is spread by a Gaussian of deviation σ has the gradient c / (√(2π) σ).
@@ -154,7 +153,7 @@ class Capture:
         """Begin with none; the matrix is about the lens, and so many views are wanted."""
         self.taken: list[Taken] = []
         self._folder, self._board, self._matrix, self._joints, self._num = folder, board, matrix, joints, num
-        self._before: tuple[CameraFrame, View] | None = None
+        self._before: tuple[Image, View] | None = None
         self._still_since = -np.inf
         self._size = (0, 0)
         folder.mkdir(parents=True, exist_ok=True)
@@ -170,10 +169,10 @@ class Capture:
         """What is still wanted, in words."""
         return list(wants(self.taken, self._size))
 
-    def look(self, frame: CameraFrame, palm: Rotation | None) -> str:
+    def look(self, frame: Image, palm: Rotation | None) -> str:
         """Take an image if it is worth it; say what was done with it, or what is wrong."""
-        self._size = (frame.image.shape[1], frame.image.shape[0])
-        view = self._board.find(frame.image)
+        self._size = (frame.pixels.shape[1], frame.pixels.shape[0])
+        view = self._board.find(frame.pixels)
         is_still = self._is_still(frame, view)
         candidate = located(view, self._matrix) if view else None
         if view is None or candidate is None:
@@ -182,7 +181,7 @@ class Capture:
             return "no positions of the arm's joints yet: is its driver running?"
         if not is_still:
             return f"hold still; {self._next}"
-        if (spread := blur(frame.image, view)) > LARGEST_BLUR:
+        if (spread := blur(frame.pixels, view)) > LARGEST_BLUR:
             return f"blurred ({spread:.1f} px): hold still, focus, expose for a shorter time"
         if twin := next((each for each in self.taken if _is_alike(each, candidate)), None):
             return f"like {twin.name}; {self._next}"
@@ -195,7 +194,7 @@ class Capture:
         """What to do next."""
         return next(wants(self.taken, self._size), "any view unlike the others")
 
-    def _is_still(self, frame: CameraFrame, view: View | None) -> bool:
+    def _is_still(self, frame: Image, view: View | None) -> bool:
         """Whether board and arm have rested for long enough."""
         before, self._before = self._before, (frame, view) if view else None
         if before is None or view is None or len(before[1].pixels) != len(view.pixels):
@@ -209,11 +208,11 @@ class Capture:
             self._still_since = frame.stamp
         return frame.stamp - self._still_since >= STILL_TIME
 
-    def _take(self, frame: CameraFrame, found: Candidate, palm: Rotation | None) -> None:
+    def _take(self, frame: Image, found: Candidate, palm: Rotation | None) -> None:
         """Write the image, then the table."""
         name = f"pose{len(self.taken) + 1:02d}.png"
         joint_pos = np.zeros(0) if frame.joint_pos is None else frame.joint_pos
-        content = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))[1].tobytes()
+        content = cv2.imencode(".png", cv2.cvtColor(frame.pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
         write_atomically({self._folder / name: content})
         self.taken.append(Taken(**vars(found), name=name, joint_pos=joint_pos, palm=palm))
         text = io.StringIO()
@@ -268,9 +267,7 @@ def coverage_figure(taken: Sequence[Taken], size: tuple[int, int]) -> Figure:
     return figure
 
 
-def topic_frames(
-    transport: Transport, profile: Profile, joints: Sequence[str]
-) -> Iterator[CameraFrame | None]:
+def topic_frames(transport: Transport, profile: Profile, joints: Sequence[str]) -> Iterator[Image | None]:
     """Yield the newest images of a robot's camera as they arrive, or None if none came for a moment.
 
     Each has the newest positions of some joints, once all of them have been heard.
@@ -291,6 +288,6 @@ def topic_frames(
         for message in newest:
             reading = messages.read_image(message.data)
             profile.camera.require(reading)
-            yield CameraFrame(image=reading.pixels, stamp=reading.stamp, joint_pos=known)
+            yield Image(pixels=reading.pixels, stamp=reading.stamp, joint_pos=known)
         if not newest:
             yield None

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import read_bytes, reading
-from pixel2catch.perception.segmenter import Image
 from pixel2catch.ros2.messages import MOST_PIXELS, unpacked_image
 from pixel2catch.scene.constants import PIXEL_CENTER
 
@@ -41,7 +41,7 @@ class Board(ABC):
     """A flat board with corners at known places."""
 
     @abstractmethod
-    def find(self, image: Image) -> View | None:
+    def find(self, image: Pixels) -> View | None:
         """Return the corners in an image; None where they do not tell the board's pose."""
 
 
@@ -60,7 +60,7 @@ class CharucoBoard(Board):
         self._board = cv2.aruco.CharucoBoard(SQUARES, square, MARKER_SHARE * square, dictionary)
         self._detector = cv2.aruco.CharucoDetector(self._board)
 
-    def find(self, image: Image) -> View | None:
+    def find(self, image: Pixels) -> View | None:
         """See `Board.find`."""
         corners, ids, _, _ = self._detector.detectBoard(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
         if ids is None or len(ids) < MIN_CORNERS:
@@ -89,14 +89,14 @@ class Chessboard(Board):
         row, column = np.indices(corners[::-1])
         self._points = np.stack((column, row, 0 * row), axis=-1).reshape(-1, 3).astype(np.float64)
 
-    def find(self, image: Image) -> View | None:
+    def find(self, image: Pixels) -> View | None:
         """See `Board.find`; all corners or none."""
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         is_found, pixels = cv2.findChessboardCornersSB(gray, self._corners, flags=cv2.CALIB_CB_ACCURACY)
         return _view(self._points, pixels) if is_found else None
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path) -> Pixels:
     """Read an image file.
 
     Raises:

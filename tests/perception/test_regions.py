@@ -1,63 +1,67 @@
-"""Which boxes can be the object's, in a camera of 640 x 480."""
+"""Connected regions, and which of them can be an object."""
 
+import numpy as np
 import pytest
 import torch
 
+from pixel2catch.camera.boxes import box_of_mask
+from pixel2catch.camera.image import Edges
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.tasks import HUMAN_THROWS, SIDEWAYS
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
+from pixel2catch.perception.regions import PlausibilityCfg, find_blobs, is_jump
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA
 
-Box = tuple[float, float, float, float]
-OBJECT: Box = (300.0, 200.0, 330.0, 230.0)
+
+def two_blobs() -> np.ndarray:
+    mask = np.zeros((48, 64), dtype=bool)
+    mask[5:10, 8:14] = True  # 30 pixels
+    mask[20:30, 40:44] = True  # 40 pixels
+    return mask
+
+
+def test_regions_have_the_boxes_of_training_and_are_together_the_mask():
+    large, small = find_blobs(two_blobs())
+    assert (large.area, large.width, large.height, large.center) == (40, 4, 10, (42.0, 25.0))
+    assert (small.area, small.width, small.height, small.center) == (30, 6, 5, (11.0, 7.5))
+    for blob in (large, small):
+        box, _ = box_of_mask(torch.from_numpy(blob.mask())[None])
+        assert box[0].tolist() == list(blob.box)
+    assert not (large.mask() & small.mask()).any()
+    assert np.array_equal(large.mask() | small.mask(), two_blobs())
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_a_uniform_mask_is_one_region_or_none(level: bool):
+    assert len(find_blobs(np.full((6, 8), level))) == level
 
 
 CFG = PlausibilityCfg()
+OBJECT: Edges = (300.0, 200.0, 330.0, 230.0)
 
 
 @pytest.mark.parametrize(
-    ("box", "area", "expected"),
+    ("jump", "growth", "steps", "expected"),
     [
-        (OBJECT, 700, Verdict.SEEN),
-        ((300.0, 200.0, 305.0, 201.0), 5, Verdict.TOO_SMALL),
-        ((0.0, 0.0, 640.0, 480.0), 307_200, Verdict.TOO_LARGE),
-        ((100.0, 100.0, 200.0, 162.0), 900, Verdict.TOO_LARGE),  # 6,200 px of 6,144 allowed
-        ((100.0, 100.0, 200.0, 161.0), 900, Verdict.SEEN),  # 6,100 px
-        ((300.0, 0.0, 330.0, 20.0), 500, Verdict.SEEN),  # leaves the image at the top
-        ((300.0, 460.0, 330.0, 480.0), 500, Verdict.SEEN),
-        ((0.0, 100.0, 640.0, 105.0), 900, Verdict.BORDER),  # from the left to the right
-        ((620.0, 460.0, 640.0, 480.0), 300, Verdict.BORDER),  # a corner
+        (61.0, 0.0, 1.0, False),
+        (91.0, 0.0, 1.0, True),
+        (91.0, 0.0, 2.0, False),  # an image was skipped
+        (91.0, 0.0, 0.5, True),  # a camera of 60 Hz sees no faster objects
+        (0.0, 49.0, 1.0, False),
+        (0.0, 51.0, 1.0, True),
+        (0.0, -29.0, 1.0, False),
     ],
 )
-def test_size_and_borders(box: Box, area: int, expected: Verdict):
-    assert judge(CFG, RGB_CAMERA, torch.tensor([box]), area) is expected
+def test_a_box_moves_and_grows_no_faster_than_objects_do(
+    jump: float, growth: float, steps: float, expected: bool
+):
+    now = (OBJECT[0], OBJECT[1] + jump, OBJECT[2], OBJECT[3] + jump + growth)
+    assert is_jump(CFG, now, OBJECT, steps) is expected
 
 
-@pytest.mark.parametrize(
-    ("jump", "steps", "expected"),
-    [
-        (61.0, 1.0, False),
-        (91.0, 1.0, True),
-        (91.0, 2.0, False),  # an image was skipped
-        (181.0, 2.0, True),
-        (91.0, 0.5, True),  # a camera of 60 Hz sees no faster objects
-    ],
-)
-def test_a_box_moves_no_faster_than_objects_do(jump: float, steps: float, expected: bool):
-    moved = (OBJECT[0], OBJECT[1] + jump, OBJECT[2], OBJECT[3] + jump)
-    assert is_jump(CFG, torch.tensor([moved]), torch.tensor([OBJECT]), steps) is expected
-
-
-@pytest.mark.parametrize(("by", "expected"), [(49.0, False), (51.0, True), (-29.0, False)])
-def test_a_box_grows_no_faster_than_what_was_hidden_appears(by: float, expected: bool):
-    grown = (OBJECT[0], OBJECT[1], OBJECT[2], OBJECT[3] + by)
-    assert is_jump(CFG, torch.tensor([grown]), torch.tensor([OBJECT]), 1.0) is expected
-
-
-@pytest.mark.parametrize(("radius", "scale"), [(0.02, 1.0), (0.04, 1.0), (0.08, 2.0), (0.14, 3.5)])
-def test_limits_grow_with_what_is_thrown(radius: float, scale: float):
-    """In proportion where it is larger than the paper's objects, the sides, and the area by its square."""
+@pytest.mark.parametrize(("radius", "scale"), [(0.02, 1.0), (0.04, 1.0), (0.14, 3.5)])
+def test_limits_grow_with_the_object(radius: float, scale: float):
+    """In proportion if it is larger than the paper's objects; the area by the square."""
     cfg = PlausibilityCfg.up_to(radius)
     sides = cfg.largest_side / CFG.largest_side, cfg.largest_growth / CFG.largest_growth
     assert (*sides, cfg.largest_share / CFG.largest_share) == pytest.approx((scale, scale, scale**2))

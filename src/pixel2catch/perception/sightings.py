@@ -1,0 +1,281 @@
+"""Following the object through a stream of images: a row, a picture and a summary of what was seen."""
+
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+
+from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.camera.image import Box, Pixels, Verdict
+from pixel2catch.perception.sources import Tick
+from pixel2catch.perception.tracker import ObjectTracker
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+
+LARGEST_AGE = 2.5 * CONTROL_DT
+"""Age up to which a box is fresh [s]. Source: release; in training boxes are one or two steps old."""
+
+STAGES = ("robot", "segment", "box", "total")  #: Stages of the tracker, in the order in which they run.
+BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
+
+COLUMNS = (
+    *("time", "stamp", *BOX_EDGES, *PIXEL_FEATURES, "verdict", "is_valid", "is_fresh", "age", "score"),
+    *("source", "doubt", "num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
+)
+"""Columns of a table of sightings: box and differences [px], centre and size as shares, times [s] or [ms]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sighting:
+    """One control step."""
+
+    tick: Tick  #: The image, and the time.
+    time: float  #: Since the first control step [s].
+    box: Box  #: What was found.
+    #: Pixel features of this box and that of the step before. The first box of a throw stands for its
+    #: predecessor, as at the beginning of an episode.
+    features: tuple[float, ...]
+    num_skipped: int  #: Control steps without an image since the last one; differences span them.
+    durations: dict[str, float]  #: Duration of each stage that ran [s].
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the box is no older than those of training."""
+        return self.box.age <= LARGEST_AGE
+
+    def row(self) -> dict[str, Any]:
+        """Return the row of a table, by `COLUMNS`."""
+        box = self.box
+        row: dict[str, Any] = {
+            "time": f"{self.time:.4f}",
+            "stamp": f"{box.stamp:.6f}",
+            "age": f"{box.age:.4f}",
+            "score": f"{box.score:.4f}",
+            "is_fresh": self.is_fresh,
+            "num_skipped": self.num_skipped,
+        }
+        row |= {name: f"{value:g}" for name, value in zip(BOX_EDGES, box.edges, strict=True)}
+        row |= {f"{stage}_ms": f"{1e3 * took:.3f}" for stage, took in self.durations.items()}
+        row |= {name: getattr(box, name) for name in ("verdict", "is_valid", "source", "doubt", "message")}
+        return row | {name: f"{value:.6g}" for name, value in zip(PIXEL_FEATURES, self.features, strict=True)}
+
+
+def follow(
+    ticks: Iterable[Tick], tracker: ObjectTracker, begin: float = 0.0, camera: CameraSpec = RGB_CAMERA
+) -> Iterator[Sighting]:
+    """Yield a sighting in every control step; the throw begins, with a reset, at a time after the first [s].
+
+    Raises:
+        PerceptionError: The first image has the wrong size.
+    """
+    start: Tick | None = None
+    has_begun = False
+    before, newest = Box(verdict=Verdict.NO_IMAGE), -inf
+    for tick in ticks:
+        start, stamp = start or tick, tick.image.stamp
+        if not has_begun and stamp - start.image.stamp >= begin - 0.5 * CONTROL_DT:
+            tracker.reset()
+            has_begun, before, newest = True, Box(verdict=Verdict.NO_IMAGE), -inf
+        box = tracker.step(tick.image, tick.now)
+        is_next = stamp > newest > -inf
+        first = before if before.is_valid else box
+        features = pixel_features(torch.tensor([first.edges]), torch.tensor([box.edges]), camera)
+        yield Sighting(
+            tick=tick,
+            time=tick.now - start.now,
+            box=box,
+            features=tuple(features[0].tolist()),
+            num_skipped=max(round((stamp - newest) / CONTROL_DT) - 1, 0) if is_next else 0,
+            durations=tracker.durations,
+        )
+        before, newest = box, max(newest, stamp)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Percentiles:
+    """Durations of one stage [s]: half, 95 % and 99 % of them were shorter; and their number."""
+
+    p50: float
+    p95: float
+    p99: float
+    count: int
+
+    @classmethod
+    def of(cls, durations: Iterable[float]) -> "Percentiles":
+        """Return those of some durations [s]."""
+        values = list(durations)
+        p50, p95, p99 = np.percentile(values, (50, 95, 99)).tolist()
+        return cls(p50=p50, p95=p95, p99=p99, count=len(values))
+
+
+class Tally:
+    """Counts sightings and measures how long they took."""
+
+    def __init__(self) -> None:
+        """Start without sightings."""
+        self.num_steps = 0
+        self.num_without_joints = 0  #: Control steps whose image has no joint positions.
+        self._verdicts: Counter[Verdict] = Counter()
+        self._sources: Counter[str] = Counter()
+        self._doubts: Counter[str] = Counter()
+        self._durations: dict[str, list[float]] = {}
+        self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
+        self._last_image: np.ndarray | None = None
+        self._longest_pause = self._seconds = 0.0
+
+    def add(self, sighting: Sighting) -> None:
+        """Count one more."""
+        box, image = sighting.box, sighting.tick.image
+        self.num_steps += 1
+        self.num_without_joints += image.joint_pos is None
+        self._verdicts[box.verdict] += 1
+        if box.source:
+            self._sources[f"{box.source} ({box.doubt})" if box.doubt else box.source] += 1
+        elif box.doubt:
+            self._doubts[box.doubt] += 1
+        self._seconds = sighting.time
+        self._num_skipped += sighting.num_skipped
+        self._longest_pause = max(self._longest_pause, sighting.tick.now - image.stamp)
+        if box.verdict is Verdict.REPEATED:
+            return
+        self._num_valid += box.is_valid
+        self._num_seen += box.verdict is Verdict.SEEN
+        last, self._last_image = self._last_image, image.pixels
+        self._num_identical += last is not None and np.array_equal(image.pixels, last)
+        if "segment" in sighting.durations:
+            for stage, took in sighting.durations.items():
+                self._durations.setdefault(stage, []).append(took)
+
+    def percentiles(self) -> dict[str, Percentiles]:
+        """Return the durations of the stages, over the control steps whose image was processed."""
+        return {stage: Percentiles.of(self._durations[stage]) for stage in STAGES if stage in self._durations}
+
+    @property
+    def is_fast_enough(self) -> bool:
+        """Whether 99 % of the images took less than a control step."""
+        report = self.percentiles()
+        return "total" in report and report["total"].p99 < CONTROL_DT
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers for programs; times [s] and durations [ms]."""
+        stages = {
+            name: {"p50": 1e3 * p.p50, "p95": 1e3 * p.p95, "p99": 1e3 * p.p99, "count": p.count}
+            for name, p in self.percentiles().items()
+        }
+        return {
+            "num_steps": self.num_steps,
+            "seconds": self._seconds,
+            "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
+            "believed": dict(self._sources.most_common()),
+            "doubts": dict(self._doubts.most_common()),
+            "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
+            "num_skipped": self._num_skipped,
+            "num_identical": self._num_identical,
+            "longest_pause": self._longest_pause,
+            "stages_ms": stages,
+            "limit_ms": 1e3 * CONTROL_DT,
+            "is_fast_enough": self.is_fast_enough,
+        }
+
+
+Color = tuple[int, int, int]
+Canvas = UInt8[np.ndarray, "rows columns 3"]
+
+SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
+"""Colours of a new box, of a held one, and of one that is too old."""
+
+UNKNOWN, OUTLINE, TEXT, FRAME = (120, 120, 120), (255, 80, 255), (235, 235, 235), (70, 70, 70)
+HEADER = 24  #: Height of the line of text [px].
+PLOT_ROWS, PLOT_COLUMNS, PLOT_HEIGHT = 2, 4, 72  #: Plots of the features, and the height of one [px].
+HISTORY = 150  #: Control steps in a plot: 5 s.
+
+LIMITS = {
+    **dict.fromkeys(("cx", "cy"), (0.0, 1.0)),
+    **dict.fromkeys(("w", "h"), (0.0, 0.25)),
+    **dict.fromkeys(("dcx", "dcy"), (-60.0, 60.0)),
+    **dict.fromkeys(("dw", "dh"), (-20.0, 20.0)),
+}
+"""Lower and upper end of a plot; differences [px]. Source: ours; rendered catches move by 61 px."""
+
+
+class Annotator:
+    """Draws one picture per control step, all of one size, with plots of the last steps."""
+
+    def __init__(self, camera: CameraSpec = RGB_CAMERA) -> None:
+        """Start with empty plots, for images of the camera's size."""
+        self._camera = camera
+        self._past: deque[tuple[tuple[float, ...], Color]] = deque(maxlen=HISTORY)
+
+    def picture(self, sighting: Sighting) -> Canvas:
+        """Return the image with box and outline, a line of text above and the plots below."""
+        color = _color(sighting)
+        self._past.append((sighting.features, color))
+        return np.concatenate([self._header(sighting), self._image(sighting, color), self._plots()])
+
+    def _header(self, sighting: Sighting) -> Canvas:
+        box = sighting.box
+        age = f"{1e3 * box.age:.0f} ms old" if box.is_valid else "never seen"
+        took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
+        words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took]
+        words += filter(None, (box.source, box.doubt))
+        header = np.zeros((HEADER, self._camera.width, 3), dtype=np.uint8)
+        _write(header, "   ".join(words), (8, HEADER - 8), _color(sighting))
+        return header
+
+    def _image(self, sighting: Sighting, color: Color) -> Pixels:
+        """The image with box and outline; black if it has another size."""
+        box, shape = sighting.box, (self._camera.height, self._camera.width, 3)
+        if box.verdict is Verdict.BAD_IMAGE:
+            return np.zeros(shape, dtype=np.uint8)
+        image = sighting.tick.image.pixels.copy()
+        if box.mask is not None:
+            mask = box.mask.view(np.uint8)
+            outline, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(image, outline, -1, OUTLINE, 1)
+        if box.is_valid:
+            xmin, ymin, xmax, ymax = map(round, box.edges)
+            cv2.rectangle(image, (xmin - 1, ymin - 1), (xmax, ymax), color, 1)
+        return image
+
+    def _plots(self) -> Canvas:
+        strip = np.zeros((PLOT_ROWS * PLOT_HEIGHT, self._camera.width, 3), dtype=np.uint8)
+        width = self._camera.width // PLOT_COLUMNS
+        values = np.array([features for features, _ in self._past])
+        for i, name in enumerate(PIXEL_FEATURES):
+            top, left = PLOT_HEIGHT * (i // PLOT_COLUMNS), width * (i % PLOT_COLUMNS)
+            part = strip[top : top + PLOT_HEIGHT, left : left + width]
+            _plot(part, name, values[:, i], [color for _, color in self._past])
+        return strip
+
+
+def _plot(canvas: Canvas, name: str, values: np.ndarray, colors: list[Color]) -> None:
+    """Draw the last values of one feature, the newest at the right."""
+    height, width = canvas.shape[:2]
+    low, high = LIMITS[name]
+    share = np.clip((values - low) / (high - low), 0.0, 1.0)
+    rows = np.rint((height - 4) - share * (height - 8)).astype(int).tolist()
+    columns = np.rint((width - 2) - np.arange(len(values))[::-1] * (width - 3) / HISTORY).astype(int).tolist()
+    places = list(zip(columns, rows, strict=True))
+    cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), FRAME, 1)
+    if low < 0.0:
+        cv2.line(canvas, (0, height // 2), (width - 1, height // 2), FRAME, 1)
+    for start, end, color in zip(places[:1] + places[:-1], places, colors, strict=True):
+        cv2.line(canvas, start, end, color, 1)
+    _write(canvas, f"{name} {values[-1]:.3g}{' px' if low < 0.0 else ''}", (6, 15), TEXT)
+
+
+def _color(sighting: Sighting) -> Color:
+    if not sighting.box.is_valid:
+        return UNKNOWN
+    if sighting.box.verdict is Verdict.SEEN:
+        return SEEN
+    return HELD if sighting.is_fresh else STALE
+
+
+def _write(canvas: Canvas, text: str, place: tuple[int, int], color: Color) -> None:
+    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, 1, cv2.LINE_AA)

@@ -1,0 +1,301 @@
+"""The tracker makes a box of every image; the prompter decides which of the things in it is the object."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from pixel2catch.camera.image import Box, Edges, Image, Mask, Pixels, Verdict
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.foreground import Foreground, Weakness
+from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, closed, find_blobs, is_jump
+from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.segmenter import (
+    LARGEST_CHANGE,
+    BoxPrompt,
+    ColorRange,
+    ImageMotion,
+    Prompt,
+    Segmentation,
+    Segmenter,
+    check_image,
+)
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+
+PATIENCE = 5  #: Images without the object after which the prompter looks for it again. Source: ours.
+
+LEAST_SPEED, LARGEST_SPEED = 8.0, 90.0
+"""Smallest and largest motion of a flying thing between two images [px]. Source: ours; a throw begins with 10
+or more, and rendered catches move by 61 at most."""
+
+LARGEST_GROWTH = 2.5
+"""Largest ratio of the areas of a flying thing in two of three images. Source: ours."""
+
+
+class Prompter:
+    """Points the object out before it is found, and after a loss.
+
+    A box or a point from a person comes first, best while the object is held still. Then comes the largest
+    thing of its colour, then what flies: a thing of an object's size that moved by about the same between
+    three images. Flights are found once the camera has seen the background for a second.
+    """
+
+    def __init__(
+        self, prompt: Prompt | None = None, *, colors: ColorRange | None = None, region: Edges | None = None
+    ) -> None:
+        """Start before the first throw.
+
+        Args:
+            prompt: Where the object is when a throw begins, such as on a stand; None without such a place.
+            colors: The object's colours, if they are known.
+            region: Where it is searched by colour or flight; None for the whole image.
+        """
+        self._usual, self._colors, self._region = prompt, colors, region
+        self.limits = USUAL  #: What can be the object.
+        self.reset()
+
+    def reset(self) -> None:
+        """Start a new throw."""
+        self._given = self._usual
+        self._before: tuple[list[Blob], list[Blob]] = ([], [])
+
+    def give(self, prompt: Prompt) -> None:
+        """Point the object out in the next image, once."""
+        self._given = prompt
+
+    def look(self, image: Pixels, motion: ImageMotion | None = None) -> Prompt | None:
+        """Return where the object is in the newest image, or None.
+
+        Args:
+            image: The newest image.
+            motion: What moves in it; None if nothing does.
+        """
+        given, self._given = self._given, None
+        flying = self._flying(motion)  # for every image, because it compares three
+        return given or self._colored(image) or flying
+
+    def _colored(self, image: Pixels) -> BoxPrompt | None:
+        if self._colors is None:
+            return None
+        blobs = self._sized(self._colors.mask(image))
+        return BoxPrompt(box=blobs[0].box) if blobs else None
+
+    def _flying(self, motion: ImageMotion | None) -> BoxPrompt | None:
+        if motion is None or motion.doubt == Weakness.FEW_IMAGES:
+            return None
+        newest = self._sized(closed(motion.moving))
+        oldest, middle = self._before
+        self._before = (middle, newest)
+        flying = (now for now in newest for before in middle if _flies(now, before, oldest))
+        return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
+
+    def _sized(self, mask: Mask) -> list[Blob]:
+        """Regions with an object's size in the region of interest, the largest first."""
+        if self._region is not None:
+            xmin, ymin, xmax, ymax = (max(round(edge), 0) for edge in self._region)
+            place, whole = (slice(ymin, ymax), slice(xmin, xmax)), mask
+            mask = np.zeros_like(whole)
+            mask[place] = whole[place]
+        return [blob for blob in find_blobs(mask) if blob.is_plausible(self.limits)]
+
+
+def _flies(now: Blob, before: Blob, oldest: list[Blob]) -> bool:
+    """Whether two regions of successive images continue the flight of one in the image before."""
+    if not LEAST_SPEED <= now.distance(before.center) <= LARGEST_SPEED:
+        return False
+    for first in oldest:
+        expected = (2 * before.center[0] - first.center[0], 2 * before.center[1] - first.center[1])
+        areas = (now.area, before.area, first.area)
+        if now.distance(expected) <= LARGEST_CHANGE and max(areas) <= LARGEST_GROWTH * min(areas):
+            return True
+    return False
+
+
+@dataclass(kw_only=True)
+class TrackState:
+    """State of the tracker in one throw."""
+
+    edges: Edges = (0.0, 0.0, 0.0, 0.0)  #: Last accepted box [px].
+    seen_stamp: float = -inf  #: When its image was taken [s].
+    image_stamp: float = -inf  #: When the last processed image was taken [s].
+    num_lost: int = 0  #: Images since that box, or since the last prompt.
+    has_jumped: bool = False  #: Whether a box since the last accepted one was refused as a jump.
+    is_prompted: bool = False  #: Whether the segmenter has got a prompt.
+    is_continued: bool = False  #: Whether the box is one of the thing of the last prompt.
+    #: Whether the box touched the robot. An object that vanishes there is taken to be in its hand: only the
+    #: segmenter can find it again, the prompter does not look for another one.
+    is_at_robot: bool = False
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the object was seen in this throw."""
+        return self.seen_stamp > -inf
+
+    def update(self, found: Box, stamp: float, ignored: Mask | None) -> None:
+        """Take over the result for an image; without a new box, the last one is held."""
+        if found.verdict is not Verdict.SEEN:
+            self.num_lost += 1
+            self.has_jumped |= found.verdict is Verdict.JUMP
+            return
+        self.edges, self.seen_stamp = found.edges, stamp
+        self.num_lost, self.is_continued, self.has_jumped = 0, True, False
+        xmin, ymin, xmax, ymax = map(int, found.edges)
+        self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
+
+
+class ObjectTracker:
+    """Makes a box of every image of a stream. It refuses a stream whose first image is unsuitable."""
+
+    def __init__(
+        self,
+        segmenter: Segmenter,
+        prompter: Prompter,
+        *,
+        robot: RobotMask | None = None,
+        camera: CameraSpec = RGB_CAMERA,
+        limits: PlausibilityCfg = USUAL,
+        waits: bool = False,
+    ) -> None:
+        """Start before the first throw.
+
+        Args:
+            segmenter: Finds the object's pixels.
+            prompter: Points the object out.
+            robot: Marks the robot's pixels, whose motion is ignored; None to ignore no motion.
+            camera: Takes the images.
+            limits: What can be the object.
+            waits: Only learn the background before the first reset.
+        """
+        self.durations: dict[str, float] = {}  #: Duration of each stage of the last step [s].
+        self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
+        self._camera, self._limits = camera, limits
+        segmenter.set_limits(limits)
+        prompter.limits = limits
+        self._foreground, self._state = Foreground(), TrackState()
+        self._is_checked, self._has_begun = False, not waits
+
+    def reset(self) -> None:
+        """Start a new throw, whose stamps may start again. The background is kept."""
+        self._segmenter.reset()
+        self._prompter.reset()
+        self._state, self._has_begun = TrackState(), True
+
+    def settle(self) -> None:
+        """Learn from the last image; else the next step does it."""
+        self._segmenter.settle()
+        self._foreground.settle()
+
+    def step(self, image: Image | None, now: float) -> Box:
+        """Process the newest image; call it once in every control step.
+
+        Args:
+            image: The newest image, which may be that of the step before; None if there is none yet.
+            now: The time, by the clock of the stamps [s].
+
+        Raises:
+            PerceptionError: The very first image has the wrong size or encoding. Later ones are skipped.
+        """
+        self.durations = {}
+        with self._stage("total"):
+            found = self._process(image)
+        state = self._state
+        return replace(
+            found,
+            stamp=-inf if image is None else image.stamp,
+            edges=state.edges,
+            is_valid=state.is_valid,
+            age=now - state.seen_stamp,
+        )
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.durations[name] = time.perf_counter() - begin
+
+    def _process(self, image: Image | None) -> Box:
+        if image is None:
+            return Box(verdict=Verdict.NO_IMAGE)
+        if not image.stamp > self._state.image_stamp:
+            return Box(verdict=Verdict.REPEATED)
+        problem = Verdict.BAD_IMAGE
+        try:
+            check_image(image.pixels, self._camera.width, self._camera.height)
+            self._is_checked, problem = True, Verdict.FAILED
+            found = self._find(image)
+        except PerceptionError as error:
+            if not self._is_checked:
+                raise
+            found = Box(verdict=problem, message=str(error))
+        self._state.image_stamp = image.stamp
+        return found
+
+    def _find(self, image: Image) -> Box:
+        """Find the object in an image of the camera's size, and update the state."""
+        ignored = None
+        if self._robot is not None and image.joint_pos is not None:
+            with self._stage("robot"):
+                ignored = self._robot.at(image.joint_pos)
+        with self._stage("segment"):
+            segmentation = self._segment(image.pixels, ignored)
+        with self._stage("box"):
+            found = self._judge(segmentation, image.stamp)
+        self._state.update(found, image.stamp, ignored)
+        return found
+
+    def _segment(self, image: Pixels, ignored: Mask | None) -> Segmentation:
+        """Follow the object, or start at a prompt if it is unknown or lost."""
+        state = self._state
+        is_lost = state.num_lost >= PATIENCE and not state.is_at_robot
+        needs_prompt = is_lost or not state.is_prompted
+        if not (needs_prompt or self._segmenter.uses_motion):
+            return self._segmenter.track(image)
+        motion = self._foreground.step(image, ignored)
+        prompt = self._prompter.look(image, motion) if needs_prompt else None
+        if prompt is not None and self._has_begun:
+            state.is_prompted, state.is_continued, state.num_lost = True, False, 0
+            motion = self._foreground.reveal(motion, prompt)
+            segmentation = self._segmenter.start(image, prompt, motion)
+        else:
+            segmentation = self._segmenter.track(image, motion)
+        self._foreground.keep(segmentation.mask)
+        return segmentation
+
+    def _judge(self, segmentation: Segmentation, stamp: float) -> Box:
+        """Return the box of the largest region, or why it is refused."""
+        state, mask = self._state, segmentation.mask
+        found = Box(
+            verdict=Verdict.NOT_FOUND if state.is_prompted else Verdict.NO_PROMPT,
+            score=segmentation.score,
+            source=segmentation.source,
+            doubt=segmentation.doubt,
+        )
+        if mask is None:
+            return found
+        blobs = find_blobs(mask)
+        verdict = judge(self._limits, self._camera, blobs[0]) if blobs else Verdict.TOO_SMALL
+        if verdict is not Verdict.SEEN:
+            return replace(found, verdict=verdict)
+        edges, steps = blobs[0].box, (stamp - state.seen_stamp) / CONTROL_DT
+        is_far = state.is_valid and is_jump(self._limits, edges, state.edges, steps)
+        if is_far and state.is_continued:
+            return replace(found, verdict=Verdict.JUMP)
+        is_elsewhere = is_far or state.has_jumped
+        return replace(found, verdict=verdict, edges=edges, mask=blobs[0].mask(), is_elsewhere=is_elsewhere)
+
+
+def judge(limits: PlausibilityCfg, camera: CameraSpec, blob: Blob) -> Verdict:
+    """Return `SEEN` if a region can be the object, or why it cannot."""
+    xmin, ymin, xmax, ymax = blob.box
+    if blob.area < limits.least_area:
+        return Verdict.TOO_SMALL
+    if blob.width * blob.height > limits.largest_share * camera.width * camera.height:
+        return Verdict.TOO_LARGE
+    if (xmin <= 0) + (ymin <= 0) + (xmax >= camera.width) + (ymax >= camera.height) > limits.largest_sides:
+        return Verdict.BORDER
+    return Verdict.SEEN

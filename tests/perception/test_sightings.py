@@ -1,0 +1,211 @@
+"""Following a stream of images: features, rows of the table, the summary and the pictures."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from filmed import CAMERA, DISC, HELD, PATH, throw
+
+from pixel2catch.camera.boxes import PIXEL_FEATURES
+from pixel2catch.camera.image import Box, Image, Verdict
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.mdp.observations import ObservationInputs, pixels
+from pixel2catch.mdp.snapshot import BoxHistory
+from pixel2catch.mdp.tensors import clone
+from pixel2catch.methods import find_method
+from pixel2catch.perception.regions import PlausibilityCfg, find_blobs
+from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
+from pixel2catch.perception.sightings import (
+    COLUMNS,
+    HEADER,
+    OUTLINE,
+    PLOT_HEIGHT,
+    PLOT_ROWS,
+    SEEN,
+    STALE,
+    Annotator,
+    Color,
+    Sighting,
+    Tally,
+    follow,
+)
+from pixel2catch.perception.sightings import (
+    HELD as HELD_COLOR,
+)
+from pixel2catch.perception.sources import Tick, on_control_clock
+from pixel2catch.perception.tracker import ObjectTracker, Prompter
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+
+RED = ColorRange(hue=(340, 20))
+
+
+def sightings(begin: float) -> list[Sighting]:
+    tracker = ObjectTracker(ColorThreshold(RED), Prompter(colors=RED), camera=CAMERA, waits=True)
+    images = (Image(pixels=image, stamp=step * CONTROL_DT) for step, image in enumerate(throw()))
+    return list(follow(on_control_clock(images, []), tracker, begin, CAMERA))
+
+
+def test_features_are_those_of_training():
+    """The boxes of an episode, painted, seen again, and turned into features by the observation term."""
+    env = CatchEnv(CatchEnvCfg(), find_method("proposed"), num_envs=1, seed=3)
+    stay = {name: torch.zeros(1, size) for name, size in env.action_sizes.items()}
+    measurements = [clone(env.step(stay).measurement) for _ in range(30)]
+    env.close()
+    boxes = [measurement.box.round() for measurement in measurements]
+    assert len({tuple(box[0].tolist()) for box in boxes}) > 20
+
+    def ticks() -> Iterator[Tick]:
+        for i, box in enumerate(boxes):
+            image = np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), dtype=np.uint8)
+            xmin, ymin, xmax, ymax = box[0].int().tolist()
+            image[ymin:ymax, xmin:xmax] = (220, 20, 20)
+            yield Tick(image=Image(pixels=image, stamp=i * CONTROL_DT), now=i * CONTROL_DT)
+
+    anything = PlausibilityCfg(least_area=1, largest_share=1.0, largest_jump=1e4, largest_sides=4)
+    seen = list(follow(ticks(), ObjectTracker(ColorThreshold(RED), Prompter(colors=RED), limits=anything)))
+    for now, box in zip(seen, boxes, strict=True):
+        assert (now.box.verdict, list(now.box.edges)) == (Verdict.SEEN, box[0].tolist())
+    pairs = zip(seen, boxes[:1] + boxes[:-1], boxes, measurements, strict=True)
+    for now, before, box, measurement in pairs:
+        frames = [
+            replace(measurement, boxes=BoxHistory.begun(each, torch.zeros(1), 1)) for each in (before, box)
+        ]
+        inputs = ObservationInputs(
+            before=frames[0], now=frames[1], joints=(), palms=(), pixel_columns=tuple(range(8))
+        )
+        assert list(now.features) == pixels(inputs)[0].tolist()
+
+
+@pytest.mark.parametrize("step", [HELD, HELD + 3])
+def test_nothing_is_pointed_out_before_its_time(step: int):
+    """The object is there from image 40 on, and found in the very image that was meant."""
+    seen = sightings(step * CONTROL_DT)
+    assert [each.box.verdict for each in seen[:step]] == [Verdict.NO_PROMPT] * step
+    assert [each.box.verdict for each in seen[step:]] == [Verdict.SEEN] * (len(PATH) - step)
+    assert seen[step].features[4:] == (0.0, 0.0, 0.0, 0.0)  # the first box stands for its predecessor
+
+
+def test_skipped_images_are_counted():
+    steps = {0: 0, 1: 0, 3: 1, 4: 0, 8: 3}
+    image = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    stamps = [(step + 0.1 * (step % 2)) * CONTROL_DT for step in steps]  # a camera is never quite on time
+    ticks = [Tick(image=Image(pixels=image, stamp=stamp), now=stamp) for stamp in stamps]
+    tracker = ObjectTracker(ColorThreshold(RED), Prompter(), camera=CAMERA)
+    assert [each.num_skipped for each in follow(ticks, tracker)] == list(steps.values())
+
+
+def test_a_row_has_what_was_seen():
+    seen = sightings(HELD * CONTROL_DT)[50]
+    row = seen.row()
+    assert set(row) <= set(COLUMNS)
+    assert float(row["time"]) == pytest.approx(50 * CONTROL_DT, abs=1e-4)
+    assert float(row["stamp"]) == pytest.approx(50 * CONTROL_DT, abs=1e-6)
+    center = 0.5 * (float(row["xmin"]) + float(row["xmax"])), 0.5 * (float(row["ymin"]) + float(row["ymax"]))
+    np.testing.assert_allclose(center, PATH[50], atol=1.0)
+    np.testing.assert_allclose([float(row[name]) for name in PIXEL_FEATURES], seen.features, rtol=1e-5)
+    parts = sum(float(row[f"{stage}_ms"]) for stage in ("segment", "box"))
+    assert 0.0 < parts <= float(row["total_ms"])
+
+
+IMAGE = list(throw())[50]
+MASK = DISC.mask(50)
+EDGES = find_blobs(MASK)[0].box
+
+
+def sighting(step: int, verdict: Verdict, took: float = 0.010, **changes) -> Sighting:
+    """A control step whose image is as old as half a step, or one step more if it is repeated."""
+    is_new = verdict is not Verdict.REPEATED
+    box = Box(verdict=verdict, is_valid=verdict is not Verdict.NO_PROMPT, edges=EDGES, age=0.0)
+    pixels = changes.pop("pixels", np.full((2, 2, 3), step % 7, dtype=np.uint8))
+    image = Image(pixels=pixels, stamp=(step - (not is_new)) * CONTROL_DT)
+    return Sighting(
+        tick=Tick(image=image, now=(step + 0.5) * CONTROL_DT),
+        time=step * CONTROL_DT,
+        box=replace(box, **changes),
+        features=(0.0,) * 8,
+        num_skipped=int(step == 4),
+        durations={"segment": took, "total": took + 0.001} if is_new else {"total": 1e-5},
+    )
+
+
+def tally_of(*seen: Sighting) -> Tally:
+    tally = Tally()
+    for each in seen:
+        tally.add(each)
+    return tally
+
+
+def test_summary_by_hand():
+    """Three of four new images since the first box show the object."""
+    steps = [Verdict.NO_PROMPT, Verdict.SEEN, Verdict.SEEN, Verdict.REPEATED, Verdict.JUMP, Verdict.SEEN]
+    tally = tally_of(*(sighting(i, verdict) for i, verdict in enumerate(steps)))
+    summary = tally.summary()
+    assert summary["num_steps"] == tally.num_without_joints == 6
+    assert summary["verdicts"] == {"seen": 3, "no prompt": 1, "repeated image": 1, "jump": 1}
+    assert summary["seen_since_first"] == pytest.approx(3 / 4)
+    assert (summary["num_skipped"], summary["num_identical"]) == (1, 0)
+    assert summary["seconds"] == pytest.approx(5 * CONTROL_DT)
+    assert summary["longest_pause"] == pytest.approx(1.5 * CONTROL_DT)
+    assert summary["stages_ms"]["total"]["count"] == 5
+    assert summary["stages_ms"]["total"]["p99"] == pytest.approx(11.0)
+    assert summary["is_fast_enough"]
+    assert not Tally().is_fast_enough
+    assert Tally().summary()["seen_since_first"] is None
+
+
+@pytest.mark.parametrize(("every", "is_fast_enough"), [(50, False), (200, True)])
+def test_one_slow_image_in_a_hundred_is_allowed_and_repeated_ones_do_not_count(
+    every: int, is_fast_enough: bool
+):
+    new = [sighting(2 * i, Verdict.SEEN, 0.010 if i % every else 0.050) for i in range(600)]
+    repeats = [sighting(2 * i + 1, Verdict.REPEATED) for i in range(600)]
+    assert tally_of(*new, *repeats).is_fast_enough == is_fast_enough
+
+
+def test_a_camera_that_sends_an_image_twice_is_noticed():
+    first = sighting(0, Verdict.SEEN)
+    copy = replace(first.tick.image, pixels=first.tick.image.pixels.copy(), stamp=CONTROL_DT)
+    again = replace(first, tick=Tick(image=copy, now=1.5 * CONTROL_DT))
+    assert tally_of(first, again, sighting(2, Verdict.SEEN)).summary()["num_identical"] == 1
+
+
+def picture(verdict: Verdict = Verdict.SEEN, **changes) -> np.ndarray:
+    """The part of the picture that shows the image."""
+    drawn = Annotator(CAMERA).picture(sighting(0, verdict, **{"pixels": IMAGE, "mask": MASK, **changes}))
+    assert drawn.shape == (HEADER + CAMERA.height + PLOT_ROWS * PLOT_HEIGHT, CAMERA.width, 3)
+    return drawn[HEADER : HEADER + CAMERA.height]
+
+
+def places(image: np.ndarray, color: Color) -> np.ndarray:
+    """Columns and rows of the pixels of a colour."""
+    return np.argwhere((image == color).all(axis=-1))[:, ::-1]
+
+
+def test_box_and_outline_are_drawn_around_the_object_on_a_copy():
+    before = IMAGE.copy()
+    drawn = picture()
+    edge, outline = places(drawn, SEEN), places(drawn, OUTLINE)
+    np.testing.assert_array_equal(edge.min(axis=0), np.array(EDGES[:2]) - 1)
+    np.testing.assert_array_equal(edge.max(axis=0), EDGES[2:])
+    assert not MASK[edge[:, 1], edge[:, 0]].any()
+    assert MASK[outline[:, 1], outline[:, 0]].all()
+    assert 0 < len(outline) < 0.5 * MASK.sum()
+    np.testing.assert_array_equal(IMAGE, before)
+
+
+def test_a_held_or_old_box_has_another_colour_and_no_box_is_not_drawn():
+    held = picture(Verdict.NOT_FOUND, mask=None)
+    stale = picture(Verdict.NOT_FOUND, mask=None, age=1.0)
+    assert len(places(held, HELD_COLOR)) == len(places(stale, STALE)) > 20
+    np.testing.assert_array_equal(picture(Verdict.NO_PROMPT, mask=None), IMAGE)
+    assert not picture(Verdict.BAD_IMAGE, mask=None, pixels=np.zeros((7, 9), dtype=np.uint16)).any()
+
+
+def test_plots_show_the_last_steps():
+    annotator = Annotator(CAMERA)
+    seen = sighting(0, Verdict.SEEN, pixels=IMAGE)
+    plots = [annotator.picture(seen)[-PLOT_ROWS * PLOT_HEIGHT :] for _ in range(40)]
+    assert len(places(plots[0], SEEN)) < len(places(plots[20], SEEN)) < len(places(plots[39], SEEN))

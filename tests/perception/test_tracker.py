@@ -1,0 +1,252 @@
+"""The boxes that a policy gets of a stream of images, and which thing the prompter points out."""
+
+from collections.abc import Sequence
+from itertools import islice
+from math import inf
+
+import numpy as np
+import painted
+import pytest
+from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
+
+from pixel2catch.camera.image import Box, Edges, Image, Pixels, Verdict
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
+from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.segmenter import (
+    BoxPrompt,
+    ColorRange,
+    ColorThreshold,
+    ImageMotion,
+    PointPrompt,
+    Prompt,
+    Segmentation,
+    Segmenter,
+)
+from pixel2catch.perception.tracker import PATIENCE, ObjectTracker, Prompter
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+REDS = ColorRange(hue=(340.0, 20.0))
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
+START: Edges = (300.0, 150.0, 330.0, 180.0)
+
+
+def picture(*boxes: Edges) -> np.ndarray:
+    """Red boxes on black."""
+    image = np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), dtype=np.uint8)
+    for box in boxes:
+        xmin, ymin, xmax, ymax = map(int, box)
+        image[ymin:ymax, xmin:xmax] = RED
+    return image
+
+
+def color_tracker(robot: RobotMask | None = None) -> ObjectTracker:
+    """Follows red, pointed out by its colour."""
+    return ObjectTracker(ColorThreshold(REDS), Prompter(colors=REDS), robot=robot)
+
+
+def play(images: Sequence[np.ndarray | None], subject: ObjectTracker) -> list[Box]:
+    """One image in every control step."""
+    return [
+        subject.step(None if image is None else Image(pixels=image, stamp=i * CONTROL_DT), i * CONTROL_DT)
+        for i, image in enumerate(images)
+    ]
+
+
+def moved(box: Edges, right: float, down: float) -> Edges:
+    return box[0] + right, box[1] + down, box[2] + right, box[3] + down
+
+
+def test_without_a_detection_the_box_is_held():
+    seen = play([None, picture(), picture(START), picture(), picture()], color_tracker())
+    verdicts = ["no image", "no prompt", "seen", "not found", "not found"]
+    assert [each.verdict for each in seen] == verdicts
+    assert [each.is_valid for each in seen] == [False, False, True, True, True]
+    assert [each.edges for each in seen[2:]] == [START] * 3
+    assert [round(each.age / CONTROL_DT) for each in seen[2:]] == [0, 1, 2]
+    assert (seen[0].stamp, seen[1].age, seen[4].stamp) == (-inf, inf, pytest.approx(4 * CONTROL_DT))
+
+
+def test_repeated_and_older_images_hold_the_box():
+    subject, image = color_tracker(), Image(pixels=picture(START), stamp=5.0)
+    boxes = [subject.step(each, 5.0 + i * CONTROL_DT) for i, each in enumerate((None, image, image, None))]
+    assert [each.verdict for each in boxes] == ["no image", "seen", "repeated image", "no image"]
+    older = subject.step(Image(pixels=picture(moved(START, 9, 9)), stamp=4.9), 5.2)
+    assert (older.verdict, older.edges) == (Verdict.REPEATED, START)
+
+
+class EverythingRed(Segmenter):
+    """Returns all that is red, in one piece or several."""
+
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+        return self.track(image, motion)
+
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+        return Segmentation(mask=REDS.mask(image), score=1.0)
+
+    def reset(self) -> None:
+        pass
+
+
+def everything_red() -> ObjectTracker:
+    return ObjectTracker(EverythingRed(), Prompter(PointPrompt(center=(315.0, 165.0))))
+
+
+def test_of_two_regions_the_box_is_that_of_the_largest():
+    (seen,) = play([picture((10, 10, 20, 20), START)], everything_red())
+    assert seen.edges == START
+    assert seen.mask is not None
+    assert seen.mask.sum() == 30 * 30 - 4  # a range of colours leaves single corners out
+
+
+@pytest.mark.parametrize(
+    ("box", "verdict"),
+    [
+        ((0, 0, 640, 480), Verdict.TOO_LARGE),
+        ((300, 150, 400, 212), Verdict.TOO_LARGE),  # 6,200 px of 6,144 allowed
+        ((300, 150, 304, 151), Verdict.TOO_SMALL),
+        (moved(START, 0, 100), Verdict.JUMP),
+        ((0, 0, 20, 20), Verdict.BORDER),  # a corner of the image
+    ],
+)
+def test_an_implausible_mask_holds_the_box(box: Edges, verdict: Verdict):
+    before, now = play([picture(START), picture(box)], everything_red())
+    assert now.verdict is verdict
+    assert (now.edges, now.mask) == (before.edges, None)
+
+
+def test_an_object_may_leave_the_image_at_one_side():
+    (seen,) = play([picture((330, 0, 360, 60))], everything_red())
+    assert seen.verdict is Verdict.SEEN
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((240, 320, 3), dtype=np.uint8), np.zeros((480, 640, 3), dtype=np.float32)]
+)
+def test_a_wrong_image_is_refused_at_the_start_and_skipped_later(image: np.ndarray):
+    with pytest.raises(PerceptionError, match=r"must be \(480, 640, 3\) and uint8"):
+        play([image], color_tracker())
+    _, wrong, after = play([picture(START), image, picture(moved(START, 3, 0))], color_tracker())
+    assert (wrong.verdict, wrong.edges, after.verdict) == (Verdict.BAD_IMAGE, START, Verdict.SEEN)
+    assert "rgb8" in wrong.message
+
+
+def test_joint_positions_that_are_not_finite_do_not_stop_the_loop_and_stages_are_timed():
+    subject = color_tracker(RobotMask(UR5E_ALLEGRO))
+    joints = HOME, HOME * np.nan, HOME
+    images = [Image(pixels=picture(START), stamp=0.1 * i, joint_pos=each) for i, each in enumerate(joints)]
+    seen = [subject.step(image, image.stamp) for image in images]
+    assert [each.verdict for each in seen] == [Verdict.SEEN, Verdict.FAILED, Verdict.SEEN]
+    assert "must be finite" in seen[1].message
+    assert set(subject.durations) == {"robot", "segment", "box", "total"}
+    assert subject.durations["total"] > subject.durations["segment"] > 0.0
+
+
+def test_a_lost_object_is_pointed_out_again():
+    far = moved(START, 250, 200)
+    seen = play([picture(START), *[picture(far)] * (PATIENCE + 3)], color_tracker())
+    verdicts = [each.verdict for each in seen]
+    assert verdicts == [Verdict.SEEN, *[Verdict.NOT_FOUND] * PATIENCE, *[Verdict.SEEN] * 3]
+    assert seen[-1].edges == far
+
+
+def test_an_object_that_vanished_at_the_robot_is_in_the_hand_and_no_other_is_searched():
+    robot = RobotMask(UR5E_ALLEGRO)
+    rows, columns = np.nonzero(robot.at(HOME))
+    u, v = int(np.median(columns)), int(np.median(rows))
+    subject, far = color_tracker(robot), (600, 10, 630, 40)
+    pictures = [picture((u - 9, v - 9, u + 9, v + 9)), *[picture(far)] * (PATIENCE + 3)]
+    images = [Image(pixels=each, stamp=i / 30, joint_pos=HOME) for i, each in enumerate(pictures)]
+    verdicts = [subject.step(image, image.stamp).verdict for image in images]
+    assert verdicts == [Verdict.SEEN, *[Verdict.NOT_FOUND] * (PATIENCE + 3)]
+
+
+def test_a_new_throw_starts_without_the_old_box_and_its_stamps():
+    subject = color_tracker()
+    play([picture(START)] * 3, subject)
+    subject.reset()
+    first, second = play([picture(), picture(moved(START, 200, 200))], subject)
+    assert (first.is_valid, first.verdict) == (False, Verdict.NO_PROMPT)
+    assert (second.verdict, second.is_elsewhere) == (Verdict.SEEN, False)
+
+
+BLANK = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
+BALL = Disc(path=painted.thrown(0, 20), radius=9.0)
+
+
+def red_boxes(*boxes: tuple[int, int, int, int]) -> np.ndarray:
+    image = BLANK.copy()
+    for xmin, ymin, xmax, ymax in boxes:
+        image[ymin:ymax, xmin:xmax] = RED
+    return image
+
+
+def first_prompt(
+    prompter: Prompter, discs: tuple[Disc, ...], ignored: Disc | None = None, first: int = 0
+) -> tuple[int, Prompt] | None:
+    """Step and prompt of the first prompt in a stream from a first step on."""
+    foreground, num_steps = Foreground(), len(discs[0].path)
+    for step, image in islice(enumerate(painted.images(discs, num_steps)), first, None):
+        motion = foreground.step(image, None if ignored is None else ignored.mask(step))
+        prompt = prompter.look(image, motion)
+        if prompt is not None:
+            return step, prompt
+    return None
+
+
+def test_a_persons_prompt_is_used_once_and_comes_before_the_colour():
+    click, later = PointPrompt(center=(3.0, 4.0)), PointPrompt(center=(5.0, 6.0))
+    prompter, red = Prompter(click, colors=REDS), red_boxes((30, 10, 50, 20))
+    box = BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
+    assert [prompter.look(red), prompter.look(red), prompter.look(BLANK)] == [click, box, None]
+    prompter.give(later)
+    assert [prompter.look(BLANK), prompter.look(BLANK)] == [later, None]
+    prompter.give(later)
+    prompter.reset()  # a new throw: only the place that is known for all throws counts
+    assert prompter.look(BLANK) == click
+
+
+def test_the_largest_thing_of_a_colour_in_the_region_of_interest_is_pointed_out():
+    image = red_boxes((30, 10, 50, 20), (200, 100, 205, 105))
+    assert Prompter(colors=REDS).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
+    region = (190.0, 90.0, 220.0, 120.0)
+    assert Prompter(colors=REDS, region=region).look(image) == BoxPrompt(box=(200.0, 100.0, 205.0, 105.0))
+    assert Prompter(colors=REDS, region=(0.0, 150.0, 300.0, 240.0)).look(image) is None
+    assert Prompter(colors=REDS).look(np.full_like(image, RED)) is None  # a wall
+
+
+def test_a_flight_is_found_in_its_third_image():
+    answer = first_prompt(Prompter(), (BALL,))
+    assert answer is not None
+    step, prompt = answer
+    assert step == NUM_EMPTY + 2
+    assert isinstance(prompt, BoxPrompt)
+    assert np.abs(np.array(prompt.box) - painted.box_of(BALL.mask(step))).max() <= 2
+
+
+def test_flights_are_found_once_the_background_was_seen_for_a_second():
+    first = NUM_EMPTY + 10 - LEARNING_IMAGES
+    answer = first_prompt(Prompter(), (BALL,), first=first)
+    assert answer is not None
+    assert answer[0] + 1 - first == LEARNING_IMAGES + 2
+
+
+def swinging(num_steps: int, amplitude: float, radius: float) -> Disc:
+    times = np.arange(num_steps)[:, None]
+    path = (160.0, 120.0) + amplitude * np.sin(times * (0.9, 1.1))
+    path[:NUM_EMPTY] = -100.0
+    return Disc(path=path, radius=radius)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "radius"),
+    [(60.0, 55.0), (5.0, 9.0), (30.0, 10.0)],
+    ids=["an arm", "something slow", "something that turns back"],
+)
+def test_what_does_not_fly_is_not_found(amplitude: float, radius: float):
+    assert first_prompt(Prompter(), (swinging(NUM_EMPTY + 20, amplitude, radius),)) is None
+
+
+def test_the_robots_own_motion_is_not_found():
+    assert first_prompt(Prompter(), (BALL,), ignored=BALL) is None
