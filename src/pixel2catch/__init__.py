@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pixel2catch.errors import Pixel2CatchError
     from pixel2catch.evaluation.loading import task_of
     from pixel2catch.evaluation.stress.suite import Axis, Level
+    from pixel2catch.learning.experiment import Experiment, preset
     from pixel2catch.mdp import observations, terminations
     from pixel2catch.mdp.rewards import RewardTerm
     from pixel2catch.methods import Method, find_method
@@ -56,6 +57,7 @@ _WHERE = {
     "errors": ("Pixel2CatchError",),
     "evaluation.loading": ("task_of",),
     "evaluation.stress.suite": ("Axis", "Level"),
+    "learning.experiment": ("Experiment", "preset"),
     "mdp.rewards": ("RewardTerm",),
     "methods": ("Method", "find_method"),
     "policy.policy": ("INPUT_CLIP", "Policy"),
@@ -89,6 +91,7 @@ __all__ = [
     "CatchParallelEnv",
     "CatchSingleEnv",
     "CatchVectorEnv",
+    "Experiment",
     "Level",
     "Method",
     "Pixel2CatchError",
@@ -110,6 +113,7 @@ __all__ = [
     "mesh_object",
     "nominal_projection",
     "observations",
+    "preset",
     "sharing",
     "surface_points",
     "task_of",

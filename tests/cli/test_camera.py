@@ -19,7 +19,7 @@ from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--hidden", "8")
-TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--physics-hz", "30")
+TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--env.scene.physics-hz", "30")
 CAMERA = dataclasses.replace(RGB_CAMERA, pos=(-0.5, 0.1, 2.1), fx=600.0, fy=601.0)
 MEASURED = CameraFile(
     camera=CAMERA,

@@ -17,7 +17,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.scene import SceneCfg
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--hidden", "8")
-TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--physics-hz", "30")
+TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--env.scene.physics-hz", "30")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_training_simulates_the_robot_of_the_file(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     out = tmp_path / "run"
-    assert run(*TRAIN, "--out", out, "--dynamics", file, "--latency-steps", "1", "3") == 0
+    assert run(*TRAIN, "--out", out, "--dynamics", file, "--env.sensing.latency-steps", "1", "3") == 0
     assert (out / "dynamics.json").read_bytes() == file.read_bytes()
     task = json.loads((out / "config.json").read_text())["env"]
     assert task["dynamics"]["latency"] == [0.02] * 6

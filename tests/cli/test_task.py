@@ -29,7 +29,7 @@ SIZE = (
     "32",
     "--hidden",
     "8",
-    "--physics-hz",
+    "--env.scene.physics-hz",
     "30",
 )
 TRAIN = ("train", "catch+fit", "--preset", "cpu", "--device", "cpu", *SIZE)
@@ -54,7 +54,7 @@ def test_training_is_for_the_task(out: Path):
     assert policy.contract.object_radius == OBJECT_RADIUS
     config = json.loads((out / "config.json").read_text())
     assert config["train"]["task"] == "wide"
-    assert config["env"]["is_value_told"]
+    assert config["env"]["value_sees_parameters"]
     assert config["env"]["sensing"]["latency_steps"] == [1, 2]
     variants = config["env"]["variants"]
     assert [variant["share"] for variant in variants] == [v.share for v in TASKS["wide"].variants]
@@ -84,7 +84,7 @@ def test_it_goes_on_for_its_own_task_alone(out: Path, capsys: pytest.CaptureFixt
 def test_late_images_are_those_of_nominal_episodes(tmp_path: Path):
     """Fractions of a control step, too; the variants keep their own."""
     out = tmp_path / "run"
-    assert run(*TRAIN, "--task", "wide", "--latency-steps", "0.5", "3.5", "--out", out) == 0
+    assert run(*TRAIN, "--task", "wide", "--env.sensing.latency-steps", "0.5", "3.5", "--out", out) == 0
     env = json.loads((out / "config.json").read_text())["env"]
     assert env["sensing"]["latency_steps"] == [0.5, 3.5]
     kept = [variant["sensing"]["latency_steps"] for variant in env["variants"]]
@@ -124,7 +124,7 @@ def test_an_unknown_task_is_refused_before_anything_is_written(
 def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
     """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
     task = ("train", "catch+fit", "--preset", "cpu", "--device", "cpu", "--task", "wide")
-    small = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--physics-hz", "30")
+    small = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--env.scene.physics-hz", "30")
     assert run(*task, *small, "--start", "catch+fit", "--out", tmp_path / "run") == 0
     shipped, trained = (Policy.load(policy_folder(path)) for path in (Path("catch+fit"), tmp_path / "run"))
     for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):

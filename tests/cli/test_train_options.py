@@ -17,7 +17,7 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.methods import METHODS, find_method
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8", "--physics-hz", "30")
+TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8", "--env.scene.physics-hz", "30")
 LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
 
 COVARIANCE = tuple(tuple(0.5 if i == j else 0.0 for j in range(6)) for i in range(6))
@@ -111,7 +111,7 @@ def test_what_is_set_reaches_the_environment():
 
 
 def test_short_options_and_fields_of_the_task_are_one():
-    train = parse([*TRAIN, "--latency-steps", "0", "2", "--env.scene.physics-hz", "60"])
+    train = parse([*TRAIN, "--env.sensing.latency-steps", "0", "2", "--env.scene.physics-hz", "60"])
     cfg = train.with_task(train.resolve())
     assert (cfg.physics_hz, cfg.env.scene.physics_hz) == ((60.0,), 60.0)
     assert cfg.env.sensing.latency_steps == cfg.latency_steps == (0.0, 2.0)

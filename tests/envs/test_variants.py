@@ -167,7 +167,7 @@ def test_files_of_robot_and_camera_are_those_of_all_variants():
 
 def test_tasks_by_name():
     assert find_task("nominal") == CatchEnvCfg()
-    assert find_task("wide").is_value_told
+    assert find_task("wide").value_sees_parameters
     assert find_task("sizes").objects == SIZES
     with pytest.raises(UnknownNameError, match=r"unknown task 'wild'.*Valid: nominal, wide"):
         find_task("wild")
@@ -207,15 +207,15 @@ def test_what_is_told_by_hand():
 def test_only_values_that_are_told_know_the_draws():
     """State: observations, what is told, 21 numbers of the truth; the same size in every step and episode."""
     method, sizes = find_method("catch+age"), []
-    for is_value_told in (False, True):
-        cfg = replace(MIXED, is_value_told=is_value_told, episode=EpisodeCfg(max_steps=3), scene=COARSE)
+    for value_sees_parameters in (False, True):
+        cfg = replace(MIXED, value_sees_parameters=value_sees_parameters, episode=EpisodeCfg(max_steps=3), scene=COARSE)
         env = CatchEnv(cfg, method, num_envs=3, seed=1)
         assert env.observation_sizes == {"arm": 51, "hand": 79}
         for _ in range(4):
             step = env.step({name: torch.zeros(3, size) for name, size in env.action_sizes.items()})
             assert step.observation.state.shape == (3, env.state_size)
             assert step.observation.state.isfinite().all()
-            told = drawn_parameters(env._episode) if is_value_told else torch.zeros(3, 0)
+            told = drawn_parameters(env._episode) if value_sees_parameters else torch.zeros(3, 0)
             assert torch.equal(step.observation.state[:, 130:-21], told)
         sizes.append(env.state_size)
     assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 69 + 4]

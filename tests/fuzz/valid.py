@@ -22,8 +22,9 @@ from pixel2catch.files import as_json, json_text
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.joints import joints_of
 from pixel2catch.identification.recording import Recording, Trajectory
-from pixel2catch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
+from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.experiment import read_run
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import find_method
 from pixel2catch.perception.calibration.intrinsics import read_intrinsics
@@ -72,6 +73,7 @@ class Learner:
     """A learner with one tensor, for checkpoints of it."""
 
     cfg = TrainCfg(device="cpu")
+    contract = contract_of(find_method("catch+fit"))
 
     def state_dict(self) -> dict[str, object]:
         return {"a": torch.zeros(3), "updates": 3}
@@ -216,7 +218,7 @@ def _checkpoint(folder: Path) -> Path:
 
 
 def _read_checkpoint(file: Path) -> None:
-    load_checkpoint(file, Learner(), contract_of(find_method("catch+fit")))  # type: ignore[arg-type]
+    Checkpoint.load(file, "cpu").restore(Learner())  # type: ignore[arg-type]
 
 
 def _dynamics(folder: Path) -> Path:
@@ -241,7 +243,7 @@ def _labels(folder: Path) -> Path:
 
 def _run(folder: Path) -> Path:
     cfg = TrainCfg(device="cpu", num_envs=4, mini_batches=2)
-    content = {"train": cfg.to_dict(), "env": asdict(CatchEnvCfg()), "policy": {"method": cfg.method}}
+    content = {"train": asdict(cfg), "env": asdict(CatchEnvCfg()), "policy": {"method": "proposed"}}
     (folder / "config.json").write_text(json.dumps(as_json(content)))
     return folder / "config.json"
 
@@ -281,7 +283,7 @@ KINDS = {
     "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
     "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
-    "run": Kind(write=_run, read=lambda file: TrainCfg.of_run(file.parent), change=changed_json),
+    "run": Kind(write=_run, read=lambda file: read_run(file.parent), change=changed_json),
     "study": Kind(
         write=_text("study.json", json.dumps(PLAN)),
         read=lambda file: ComparisonFolder(file.parent).plan(),

@@ -5,11 +5,12 @@ agent inputs in pixels, which little can be learnt from unless they are standard
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import AgentContract, PolicyContract
@@ -37,7 +38,7 @@ SMALL = TrainCfg(
     device="cpu",
     num_envs=64,
     rollout_steps=16,
-    physics_hz=(120.0,),
+    physics_stages=(),
     transitions=4096,
     epochs=4,
     mini_batches=4,
@@ -57,18 +58,15 @@ class ReachingCfg:
 
 
 @dataclass(frozen=True)
-class Observation:
-    policy: dict[str, Tensor]
-    state: Tensor
-    teacher: dict[str, Tensor] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Step:
+class ReachingStep:
     observation: Observation
     rewards: dict[str, Tensor]
     terminated: Tensor
     truncated: Tensor
+
+
+def observed(policy: dict[str, Tensor], state: Tensor) -> Observation:
+    return Observation(policy=policy, state=state, teacher={})
 
 
 Reduction = Callable[[Tensor], Tensor]
@@ -99,15 +97,18 @@ class ReachingEnv:
     state_size = 3
     action_sizes = {"arm": 2, "hand": 1}  # noqa: RUF012
 
-    def __init__(self, cfg: TrainCfg, task: ReachingCfg | None = None) -> None:
+    def __init__(
+        self, cfg: TrainCfg, physics_hz: float | None = None, task: ReachingCfg | None = None
+    ) -> None:
         self.cfg, self.num_envs, self.device = task or ReachingCfg(), cfg.num_envs, cfg.device
+        self.physics_hz = physics_hz
         self.generator = torch.Generator(cfg.device).manual_seed(cfg.seed)
         self.statistics = Statistics()
         self.num_steps, self.num_checks, self.is_closed = 0, 0, False
         self.staggered_resets: list[bool] = []
         self.position, self.goal = self._zeros(), self._zeros()
         self.time = self._zeros()
-        self.buffers = Observation(
+        self.buffers = observed(
             {name: self._zeros(size) for name, size in self.observation_sizes.items()}, self._zeros(3)
         )
 
@@ -116,7 +117,7 @@ class ReachingEnv:
         self._restart(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return self._observe(self._zeros(2))
 
-    def step(self, actions: dict[str, Tensor]) -> Step:
+    def step(self, actions: dict[str, Tensor]) -> ReachingStep:
         assert all(action.dtype == torch.float32 for action in actions.values())
         arm, hand = (actions[name].clamp(-1.0, 1.0) for name in ("arm", "hand"))
         before = (self.position - self.goal).abs()
@@ -132,7 +133,7 @@ class ReachingEnv:
         self.statistics.successes += float(succeeded.sum())
         self._restart(done)
         self.num_steps += 1
-        step = Step(self._observe(arm), rewards, succeeded, timed_out & ~succeeded)
+        step = ReachingStep(self._observe(arm), rewards, succeeded, timed_out & ~succeeded)
         if self.num_steps == self.cfg.bad_step:
             self._spoil(step)
         return step
@@ -143,7 +144,7 @@ class ReachingEnv:
     def close(self) -> None:
         self.is_closed = True
 
-    def _spoil(self, step: Step) -> None:
+    def _spoil(self, step: ReachingStep) -> None:
         agent, quantity = self.cfg.bad_quantity.split("/")
         values = {
             "reward": step.rewards.get(agent),

@@ -8,12 +8,13 @@ from typing import Literal
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Step, TaughtEnv, roll_out
+from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, TaughtEnv, observed, roll_out
 from torch import nn
 from torch.distributions import Normal
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.learning.config import PRESETS, TrainCfg, preset
+from pixel2catch.learning.config import PRESETS, TrainCfg
+from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
@@ -41,13 +42,13 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
     for networks in mappo.networks.values():
         for parameter in list(networks.value.parameters())[-2:]:
             nn.init.zeros_(parameter)
-    observation = Observation({"arm": torch.randn(3, 4), "hand": torch.randn(3, 2)}, torch.randn(3, 3))
+    observation = observed({"arm": torch.randn(3, 4), "hand": torch.randn(3, 2)}, torch.randn(3, 3))
     for index, reward in enumerate((1.0, 1.0, 4.0)):
         rewards = {"arm": torch.full((3,), reward), "hand": torch.full((3,), reward)}
         terminated = torch.tensor([False, index == 1, False])
         truncated = torch.tensor([index == 1, False, False])
         mappo.act(observation)
-        mappo.record(Step(observation, rewards, terminated, truncated))
+        mappo.record(ReachingStep(observation, rewards, terminated, truncated))
     mappo.update(0.0)
     for agent, networks in mappo.networks.items():
         returns = networks.value_scale.inverse(mappo.rollout[agent].returns)
@@ -309,13 +310,13 @@ def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:
 
 
 def test_presets() -> None:
-    assert preset("paper").rollout_transitions == 512 * 32
+    assert preset("paper").train.rollout_transitions == 512 * 32
     for name in PRESETS:
-        cfg = preset(name, device="cpu", seed=3)
+        cfg = preset(name, device="cpu", seed=3).train
         assert (cfg.device, cfg.seed) == ("cpu", 3)
     with pytest.raises(UnknownNameError, match=r"'papper'.*paper"):
         preset("papper")
-    assert preset("cpu").hidden != preset("cpu", start=Path("catch+fit")).hidden == HIDDEN
+    assert preset("cpu").train.hidden != preset("cpu", start=Path("catch+fit")).train.hidden == HIDDEN
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Statistics, Step, TaughtEnv, roll_out
+from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, Statistics, TaughtEnv, observed, roll_out
 from torch import Tensor, nn
 
 from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import recall_all
@@ -89,9 +90,9 @@ class CueEnv(ReachingEnv):
     action_sizes = {"arm": 1}  # noqa: RUF012
     LAST = 4
 
-    def __init__(self, cfg: TrainCfg) -> None:
-        super().__init__(cfg)
-        self.buffers = Observation({"arm": self._zeros(2)}, self._zeros(2))
+    def __init__(self, cfg: TrainCfg, physics_hz: float | None = None) -> None:
+        super().__init__(cfg, physics_hz)
+        self.buffers = observed({"arm": self._zeros(2)}, self._zeros(2))
         self.statistics = Statistics()
 
     def reset(self, *, is_staggered: bool = False) -> Observation:
@@ -99,7 +100,7 @@ class CueEnv(ReachingEnv):
         self.goal = self._zeros()
         return self.see()
 
-    def step(self, actions: dict[str, Tensor]) -> Step:
+    def step(self, actions: dict[str, Tensor]) -> ReachingStep:
         is_done = self.time == self.LAST
         reward = torch.where(is_done, self.goal * actions["arm"][:, 0].clamp(-1.0, 1.0), 0.0)
         self.statistics.episodes += float((is_done & (self.goal != 0.0)).sum())
@@ -107,7 +108,7 @@ class CueEnv(ReachingEnv):
         cue = 2.0 * torch.randint(0, 2, (self.num_envs,), generator=self.generator).float() - 1.0
         self.goal = torch.where(is_done, cue, self.goal)
         self.time = torch.where(is_done, 0.0, self.time + 1.0)
-        return Step(self.see(), {"arm": reward}, is_done, torch.zeros_like(is_done))
+        return ReachingStep(self.see(), {"arm": reward}, is_done, torch.zeros_like(is_done))
 
     def see(self) -> Observation:
         columns = (torch.where(self.time == 0.0, self.goal, 0.0), (self.time == self.LAST).float())
@@ -146,7 +147,7 @@ def test_only_a_memory_learns_what_was_shown_before(tmp_path: Path) -> None:
 class RestartingEnv(ReachingEnv):
     """Begins anew after every second rollout, as a resumed training does."""
 
-    def step(self, actions: dict[str, Tensor]) -> Step:
+    def step(self, actions: dict[str, Tensor]) -> ReachingStep:
         step = super().step(actions)
         if self.num_steps % (2 * SMALL.rollout_steps) == 0:
             self.generator.manual_seed(SMALL.seed)
@@ -188,7 +189,7 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
 
 
 def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
-    """Its advice is that of its policy, acted by itself."""
+    """The teacher actions are those of its policy, acted by itself."""
     Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
     cfg = dataclasses.replace(SMALL, teacher=tmp_path)
     mappo = Mappo(cfg, TaughtEnv(cfg), CONTRACT)
@@ -197,7 +198,7 @@ def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
     for t in range(cfg.rollout_steps):
         actions = teacher.act({agent: batch.observations[t] for agent, batch in mappo.rollout.items()})
         for agent, action in actions.items():
-            torch.testing.assert_close(mappo.rollout[agent].advice[t], action)
+            torch.testing.assert_close(mappo.rollout[agent].teacher_actions[t], action)
         teacher.reset(mappo.is_done[t])
 
 

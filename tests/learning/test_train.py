@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingCfg, ReachingEnv, Step
+from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, ReachingStep, observed
 
 from domains import PATIENCE
 from pixel2catch.errors import (
@@ -25,6 +25,7 @@ from pixel2catch.errors import (
     NonFiniteError,
     PolicyMismatchError,
 )
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.log import CsvLog, TrainingLog
 from pixel2catch.learning.train import train
@@ -54,17 +55,17 @@ class SoloEnv(ReachingEnv):
     observation_sizes = {"robot": 6}  # noqa: RUF012
     action_sizes = {"robot": 3}  # noqa: RUF012
 
-    def __init__(self, cfg: TrainCfg) -> None:
-        super().__init__(cfg)
-        self.buffers = Observation({"arm": self._zeros(4), "hand": self._zeros(2)}, self._zeros(3))
+    def __init__(self, cfg: TrainCfg, physics_hz: float | None = None) -> None:
+        super().__init__(cfg, physics_hz)
+        self.buffers = observed({"arm": self._zeros(4), "hand": self._zeros(2)}, self._zeros(3))
 
-    def step(self, actions: dict[str, torch.Tensor]) -> Step:
+    def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
         step = super().step({"arm": actions["robot"][:, :2], "hand": actions["robot"][:, 2:]})
         return dataclasses.replace(step, rewards={"robot": sum(step.rewards.values())})
 
     def _observe(self, arm: torch.Tensor) -> Observation:
         both = super()._observe(arm)
-        return Observation({"robot": torch.cat((both.policy["arm"], both.policy["hand"]), -1)}, both.state)
+        return observed({"robot": torch.cat((both.policy["arm"], both.policy["hand"]), -1)}, both.state)
 
 
 SOLO_CONTRACT = dataclasses.replace(
@@ -128,7 +129,7 @@ def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     """With environments that begin anew at the same points, as a resumed training begins new episodes."""
 
     class RestartingEnv(ReachingEnv):
-        def step(self, actions: dict[str, torch.Tensor]) -> Step:
+        def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
             step = super().step(actions)
             if self.num_steps % (2 * SMALL.rollout_steps) == 0:
                 self.generator.manual_seed(SMALL.seed)
@@ -165,7 +166,7 @@ def test_a_run_folder_is_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_no_empty_folder_stays_behind(tmp_path: Path) -> None:
-    def fail(_: TrainCfg) -> ReachingEnv:
+    def fail(*_: object) -> ReachingEnv:
         raise InvalidValueError("no such task")
 
     (tmp_path / "mine").mkdir()
@@ -190,7 +191,7 @@ def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
 def test_environment_that_does_not_fit(tmp_path: Path) -> None:
     few = dataclasses.replace(SMALL, num_envs=32)
     with pytest.raises(PolicyMismatchError, match=r"num_envs: .* say 32, the environment 64"):
-        train(few, lambda _: ReachingEnv(SMALL), CONTRACT, tmp_path / "a")
+        train(few, lambda *_: ReachingEnv(SMALL), CONTRACT, tmp_path / "a")
     with pytest.raises(PolicyMismatchError, match="observation_sizes"):
         train(SMALL, ReachingEnv, SOLO_CONTRACT, tmp_path / "b")
 
@@ -228,7 +229,7 @@ def test_the_last_good_update_is_logged_when_the_next_fails(tmp_path: Path) -> N
     """A row is written while the next rollout is collected, which fails here."""
 
     class BreakingEnv(ReachingEnv):
-        def step(self, actions: dict[str, torch.Tensor]) -> Step:
+        def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
             if self.num_steps == 20:
                 raise NonFiniteError("the physics broke")
             return super().step(actions)
@@ -248,7 +249,7 @@ def test_nan_in_the_networks_is_named(tmp_path: Path) -> None:
 class FillingEnv(ReachingEnv):
     """The disk is full from the first step on."""
 
-    def step(self, actions: dict[str, torch.Tensor]) -> Step:
+    def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
         resource = pytest.importorskip("resource")
         resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
         return super().step(actions)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import torch
-from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, Step, roll_out
+from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, ReachingStep, roll_out
 
 from pixel2catch.learning import mappo as algorithm
 from pixel2catch.learning.config import TrainCfg
@@ -100,13 +100,14 @@ def check_networks_stay_the_same(workers: Workers) -> None:
 class CountingEnv(ReachingEnv):
     """Goes wrong in the second process, in the second rollout; writes down the episodes of the first."""
 
-    def __init__(self, cfg: TrainCfg, folder: Path) -> None:
+    def __init__(self, cfg: TrainCfg, physics_hz: float | None, folder: Path) -> None:
         is_second = cfg.seed != SMALL.seed
-        super().__init__(cfg, ReachingCfg(bad_step=20 if is_second else -1, bad_quantity="hand/reward"))
+        task = ReachingCfg(bad_step=20 if is_second else -1, bad_quantity="hand/reward")
+        super().__init__(cfg, physics_hz, task)
         self.file, self.num_ended = folder / f"seed{cfg.seed}.json", 0
         self.counted: dict[str, float] = {"num_envs": cfg.num_envs}
 
-    def step(self, actions: dict[str, torch.Tensor]) -> Step:
+    def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
         step = super().step(actions)
         self.num_ended += int((step.terminated | step.truncated).sum())
         if self.num_steps == SMALL.rollout_steps:

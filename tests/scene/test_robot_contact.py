@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.cli.fields import with_fields
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.scene.cfg import PUSH_OUT, contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
@@ -50,8 +50,7 @@ def test_drops_bounce_with_the_given_restitution(restitution, on, rate, cone):
 
 def test_contacts_can_be_drawn_softer():
     """Each episode its own; the restitution that is asked for stays in the law of the damping."""
-    options = (("randomization.push-out", "0.1", "0.3"), ("randomization.restitution", "0.25", "0.25"))
-    task = with_fields(CatchEnvCfg(), options)
+    task = CatchEnvCfg(randomization=RandomizationCfg(push_out=(0.1, 0.3), restitution=(0.25, 0.25)))
     env = CatchEnv(task, METHODS["proposed"], num_envs=8, device="cpu", seed=0)
     env.reset()
     solref = env.world.simulation.expand("geom_solref")[:, env.world.objects.indices.geoms]

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.api.training import run, with_task
+from pixel2catch.api.training import run
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -13,7 +13,9 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation import loading
 from pixel2catch.evaluation.metrics import Metrics, assess
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.learning.config import preset as preset_of
+from pixel2catch.learning.config import require_known
+from pixel2catch.learning.experiment import Experiment, require_run
+from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.methods import Method, find_method
 from pixel2catch.own_files import add, import_files, named
@@ -117,9 +119,11 @@ def train(
     method: str | Method,
     out: str | Path,
     *,
-    preset: str = "cpu",
-    task: str | CatchEnvCfg = "nominal",
+    preset: str | Experiment | None = None,
+    task: str | CatchEnvCfg | None = None,
     workcell: str | WorkcellSpec | None = None,
+    dynamics: str | Path | None = None,
+    camera: str | Path | None = None,
     resume: bool = False,
     **options: Any,
 ) -> TrainResult:
@@ -128,19 +132,40 @@ def train(
     Args:
         method: A method or its name.
         out: Folder of the run.
-        preset: Where the options come from that are not given: fast, large, cpu or paper.
-        task: A task or its name.
+        preset: Where the options come from that are not given: an experiment, or fast, large, cpu or paper.
+            Default: cpu.
+        task: A task, which is used as it is, or its name. Default: nominal.
         workcell: The robots, or their name. Default: the task's.
-        resume: Whether to go on from the last checkpoint in the folder.
+        dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot.
+        camera: Camera file of the camera that is simulated. Default: the release's.
+        resume: Go on from the last checkpoint in the folder, with its configuration and the given options.
         **options: Fields of `TrainCfg`, such as `transitions=1_000_000` or `hidden=(64, 64)`.
 
     Raises:
+        InvalidValueError: A value is out of range, or two options contradict each other.
+        UnknownNameError: A name is in no catalogue, or there is no such option.
         Pixel2CatchError: As `learning.train.train`.
     """
-    env = {"task": task} if isinstance(task, str) else {"env": task}
-    name = method.name if isinstance(method, Method) else named(method)
-    cfg = with_task(preset_of(preset, method=name, **env, **options), _known(workcell) if workcell else None)
-    return run(cfg, _method(method, cfg.env), Path(out), resume=resume)
+    require_known(options)
+    inputs = {"dynamics": dynamics and Path(dynamics), "camera": camera and Path(camera)}
+    cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
+    if resume:
+        if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):
+            raise InvalidValueError("resume is given with an experiment or a task; leave that out.")
+        method_name = method.name if isinstance(method, Method) else named(method)
+        run_there = require_run(Path(out), method=method_name, preset=name, task=task, workcell=cell)
+        experiment, name = run_there.experiment, run_there.preset
+    elif isinstance(preset, Experiment):
+        if (task, workcell, dynamics, camera) != (None, None, None, None):
+            raise InvalidValueError("an experiment is given; leave out task, workcell, dynamics and camera.")
+        experiment = preset
+    else:
+        files = {key: file for key, file in inputs.items() if file}
+        name = name or "cpu"
+        experiment = preset_of(name, "nominal" if task is None else task, workcell=cell, **files, **options)
+    experiment = replace(experiment, train=replace(experiment.train, **options))
+    found = _method(method, experiment.env)
+    return run(experiment, found, Path(out), resume=resume, preset=name, inputs=inputs)
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:

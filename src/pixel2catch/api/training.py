@@ -1,80 +1,71 @@
 """A training, from its options to its run folder; what `pixel2catch train` and `pixel2catch.train` share."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 
+from pixel2catch.checks import require_valid
 from pixel2catch.envs.catch_env import CatchEnv
-from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.tasks import find_task
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.experiment import Experiment
 from pixel2catch.learning.train import TrainResult, train
 from pixel2catch.methods import Method
 from pixel2catch.policy import contract_of
 from pixel2catch.scene.objects import largest_radius, select_objects
+from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell
 
 
-def with_task(
-    cfg: TrainCfg,
-    workcell: str | None = None,
-    change: Callable[[CatchEnvCfg], CatchEnvCfg] = lambda env: env,
-) -> TrainCfg:
-    """Return a configuration with its environments: the task's, or the run's, with what was given.
+def run(
+    experiment: Experiment,
+    method: Method,
+    out: Path,
+    *,
+    resume: bool = False,
+    preset: str | None = None,
+    inputs: Mapping[str, Path | None] | None = None,
+) -> TrainResult:
+    """Train a method to the end.
 
     Args:
-        cfg: The configuration.
-        workcell: Name of the robots, where they are not the task's.
-        change: What else is different of the environments.
-
-    Raises:
-        InvalidValueError: If a value is out of range, or a file cannot be read.
-        UnknownNameError: If there is no such task, work cell or object.
-    """
-    env = cfg.env or find_task(cfg.task)
-    if workcell:
-        env = env.with_workcell(find_workcell(workcell))
-    if cfg.env is None:
-        env = env.with_files(cfg.dynamics, cfg.camera)
-    contacts = replace(env.scene, cone=cfg.cone, multiccd=cfg.multiccd)
-    scenes = [replace(contacts, physics_hz=rate) for rate in cfg.physics_hz]
-    sensing = replace(env.sensing, latency_steps=cfg.latency_steps)
-    env = change(replace(env, scene=scenes[0], sensing=sensing))
-    if env.scene.physics_hz != scenes[0].physics_hz:  # a field was given: one rate from begin to end
-        scenes = [env.scene]
-    return replace(
-        cfg,
-        env=replace(env, objects=select_objects(env.objects)),
-        physics_hz=tuple(scene.physics_hz for scene in scenes),
-        latency_steps=env.sensing.latency_steps,
-        cone=env.scene.cone,
-        multiccd=env.scene.multiccd,
-    )
-
-
-def run(cfg: TrainCfg, method: Method, out: Path, *, resume: bool = False) -> TrainResult:
-    """Train a method in the environments of a configuration, to the end.
+        experiment: The environments, and how the policy learns.
+        method: What is trained.
+        out: Folder of the run.
+        resume: Go on from the last checkpoint in the folder.
+        preset: Name of the preset, for the record.
+        inputs: Files that the environments were made with, by option, for copies.
 
     Raises:
         Pixel2CatchError: As `learning.train.train`.
     """
+    require_valid(experiment)
+    cfg, env = experiment.train, experiment.env
+    env = replace(env, objects=select_objects(env.objects))
+    workcell = find_workcell(env.scene.workcell)
+    env = env.for_workcell(workcell)
     method = method.with_weights(cfg.rewards)
-    contract = contract_of(method, find_workcell(cfg.env.scene.workcell), cfg.env.sensing.camera.camera)
+    if cfg.start and not resume:
+        policy_folder(cfg.start)  # before anything is built
     teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
 
-    def make_env(cfg: TrainCfg) -> CatchEnv:
-        scene = replace(cfg.env.scene, physics_hz=cfg.physics_hz[0])
+    def make_env(share: TrainCfg, physics_hz: float | None) -> CatchEnv:
+        rate = physics_hz or env.scene.physics_hz
         return CatchEnv(
-            replace(cfg.env, scene=scene),
+            replace(env, scene=replace(env.scene, physics_hz=rate)),
             method,
-            num_envs=cfg.num_envs,
-            device=cfg.device,
-            seed=cfg.seed,
+            num_envs=share.num_envs,
+            device=share.device,
+            seed=share.seed,
             teacher=teacher,
-            is_fused=cfg.fuse,
+            is_fused=share.fuse,
         )
 
-    radius = largest_radius(cfg.env.objects, cfg.env.scene.object_scale)
-    contract = replace(contract, task=cfg.task, object_radius=radius)
-    return train(cfg, make_env, contract, out, resume=resume, agents=method.agents)
+    contract = replace(
+        contract_of(method, workcell, env.sensing.camera.camera),
+        task=env.name,
+        object_radius=largest_radius(env.objects, env.scene.object_scale),
+    )
+    agents = {agent.name: agent.to_dict() for agent in method.agents}
+    record = {"env": asdict(env), "agents": agents, "preset": preset}
+    return train(cfg, make_env, contract, out, resume=resume, inputs=inputs, record=record)

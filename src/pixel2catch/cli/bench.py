@@ -11,7 +11,7 @@ from pixel2catch.checks import Count, Device, OutputFile, Positive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import FieldOptions
+from pixel2catch.cli.fields import Given, TaskFields, with_given
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath, policy_folder
 
@@ -47,8 +47,9 @@ class Bench:
     #: Folder of the policy that acts and goes on to learn, or name of a shipped one.
     policy: PolicyPath = Path("proposed")
     fuse: bool = False  #: Whether torch.compile makes fewer kernels, as in a training.
-    #: Any field of the task, also as --env.scene.cone pyramidal. All fields: bench --env.help.
-    env: FieldOptions = ()
+    #: Any field of the task, such as --env.scene.cone pyramidal. All fields: bench --env.help.
+    env: TaskFields = None
+    given: Given = ()  #: Which of them are given.
     json: bool = False  #: Print everything as one JSON object.
     out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets the same JSON object.
     #: File that gets a picture: costs and memory against the number of environments.
@@ -69,7 +70,7 @@ class Bench:
                 policy = Policy.load(folder, prepare(device))
                 costs = measure(
                     policy,
-                    self.env,
+                    lambda task: with_given(task, self.env, self.given),
                     device=device,
                     num_envs=num_envs,
                     seconds=self.seconds,

@@ -13,16 +13,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pixel2catch.api.training import with_task
-from pixel2catch.cli.fields import FieldOptions, with_fields
 from pixel2catch.device_time import DeviceTime
 from pixel2catch.envs.catch_env import CatchEnv, Observation
-from pixel2catch.learning.config import TrainCfg, preset
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.experiment import Experiment, preset
 from pixel2catch.learning.log import METRICS_FILE, read_rows
 from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy, method_of
 
-PHYSICS_HZ = 120.0  #: Physics steps in a second, unless a field says otherwise. Source: paper, training.
 LOG_STD = -1.5  #: Of the actions in the training: the throws stay those of the policy. Source: ours.
 STATE = ("qpos", "qvel", "ctrl", "qacc_warmstart")  #: What physics steps change and is put back.
 STEPS_AT_ONCE = 10  #: Control steps between two looks at the clock, which wait for the device.
@@ -60,7 +59,7 @@ class Stopwatch:
 
 def measure(
     policy: Policy,
-    options: FieldOptions,
+    change: Callable[[CatchEnvCfg], CatchEnvCfg],
     *,
     device: str,
     num_envs: int,
@@ -72,7 +71,7 @@ def measure(
 
     Args:
         policy: What acts and learns.
-        options: Fields of its task that shall differ.
+        change: What is different of its task.
         device: Device of simulation and training.
         num_envs: Number of environments.
         seconds: How long each part is measured, at least [s].
@@ -88,8 +87,9 @@ def measure(
     """
     torch.set_num_threads(TRAIN_THREADS)
     _forget_peak()
-    cfg = _training_cfg(policy, options, device=device, num_envs=num_envs, fuse=fuse)
-    env = CatchEnv(cfg.env, method_of(policy.contract), num_envs=num_envs, device=device, is_fused=fuse)
+    experiment = _experiment(policy, device=device, num_envs=num_envs, fuse=fuse)
+    task = change(experiment.env)
+    env = CatchEnv(task, method_of(policy.contract), num_envs=num_envs, device=device, is_fused=fuse)
     where = f"{device}, {num_envs:,} environments"
     with contextlib.closing(env):
         report(f"{where}: random actions")
@@ -97,14 +97,14 @@ def measure(
         report(f"{where}: the policy's actions")
         trained, physics = _environment(env, lambda observation: policy.act(observation.policy), seconds)
         report(f"{where}: training")
-        acting, stepping, update = _training(cfg, env, policy, max(3, int(seconds / trained)))
+        acting, stepping, update = _training(experiment.train, env, policy, max(3, int(seconds / trained)))
     free, total = torch.cuda.mem_get_info(env.device) if env.device.type == "cuda" else (0, 0)
     per_env = 1e6 / num_envs
     return {
         "device": device,
         "num_envs": num_envs,
-        "physics_hz": cfg.env.scene.physics_hz,
-        "physics_steps_per_second": num_envs * cfg.env.scene.decimation / physics,
+        "physics_hz": task.scene.physics_hz,
+        "physics_steps_per_second": num_envs * task.scene.decimation / physics,
         "random_steps_per_second": num_envs / random,
         "trained_steps_per_second": num_envs / trained,
         "training_steps_per_second": num_envs / (acting + stepping + update),
@@ -117,22 +117,20 @@ def measure(
     }
 
 
-def _training_cfg(
-    policy: Policy, options: FieldOptions, *, device: str, num_envs: int, fuse: bool
-) -> TrainCfg:
-    """The training that goes on from a policy, by the preset for the device."""
-    cfg = preset(
+def _experiment(policy: Policy, *, device: str, num_envs: int, fuse: bool) -> Experiment:
+    """Return the training that goes on from a policy, by the preset for the device."""
+    return preset(
         "fast" if device.startswith("cuda") else "cpu",
+        policy.contract.task,
+        workcell=policy.contract.workcell,
         device=device,
         num_envs=num_envs,
         fuse=fuse,
-        task=policy.contract.task,
-        physics_hz=(PHYSICS_HZ,),
+        physics_stages=(),
         hidden=policy.hidden,
         recurrent=policy.recurrent,
         initial_log_std=LOG_STD,
     )
-    return with_task(cfg, policy.contract.workcell, lambda env: with_fields(env, options, "bench"))
 
 
 def _random_actions(env: CatchEnv) -> Callable[[Observation], dict[str, Tensor]]:
@@ -191,7 +189,7 @@ def _training(cfg: TrainCfg, env: CatchEnv, policy: Policy, num_steps: int) -> t
         policy.save(start := Path(folder, "start"))
         transitions = (WARM_UPDATES + updates) * cfg.rollout_transitions
         cfg = replace(cfg, start=start, transitions=transitions)
-        result = train(cfg, lambda _: env, policy.contract, Path(folder, "run"))
+        result = train(cfg, lambda *_: env, policy.contract, Path(folder, "run"))
         rows = read_rows(Path(folder, "run", METRICS_FILE))[-updates:]
     if result.status == "interrupted":
         raise KeyboardInterrupt

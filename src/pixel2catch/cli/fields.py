@@ -1,12 +1,13 @@
-"""Any field of the task on the command line: `--env.sensing.latency-steps 1 3`."""
+"""Fields of the task as options, `--env.sensing.latency-steps 1 3`, and what they are where they are not given."""
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath, require_valid
+from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
@@ -15,66 +16,104 @@ if TYPE_CHECKING:
     from pixel2catch.evaluation.stress.suite import Change, Setting
     from pixel2catch.policy import LoadedPolicy
 
-FieldOptions = Annotated[
-    tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]], tyro.conf.arg(metavar="FIELD VALUE ...")
-]
-"""Names of fields of the task, each with its values, such as `("throws.peak-z", "1.5", "1.9")`."""
+PREFIX = "--env."  #: What options that are fields of the task begin with.
+HELP = "--env.help"
 
 OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
 
+TaskFields = tyro.conf.FlagConversionOff[tyro.conf.AvoidSubcommands[Any]]
+"""Type of a field for a `CatchEnvCfg`: tyro takes the fields of the default instance. None has no options."""
 
-def with_fields(env: "CatchEnvCfg", options: FieldOptions, command: str = "train") -> "CatchEnvCfg":
-    """Return a task with other values of some fields; tyro prints help and mistakes, and exits.
+Given = tyro.conf.Suppress[tyro.conf.Fixed[tuple[str, ...]]]
+"""Names of the fields of the task that are given."""
 
-    Raises:
-        InvalidValueError: A value is out of range.
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskHelp:
+    """All fields of the task, as options of commands that train or evaluate."""
+
+    env: TaskFields = None
+
+    @classmethod
+    def default_for(cls, _: Sequence[str]) -> "TaskHelp":
+        """Return it with the fields of the paper's task."""
+        from pixel2catch.envs.cfg import CatchEnvCfg
+
+        return cls(env=CatchEnvCfg())
+
+
+def given_fields(args: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the task's fields among arguments, such as sensing.latency_steps."""
+    options = (arg.removeprefix(PREFIX).partition("=")[0] for arg in args if arg.startswith(PREFIX))
+    return tuple(option.replace("-", "_") for option in options)
+
+
+def default_of(command: Any, args: Sequence[str]) -> Any:
+    """Return the instance of a command whose values hold where options are not given; None for its own.
+
+    A command with an attribute `default_for` makes it from the arguments. Where fields of the task are given,
+    the field `env` of another command, or of its field `task`, is the paper's task.
     """
-    if not options:
-        return env
-    task = dataclasses.make_dataclass("Task", [("env", type(env))])
-    names = {"help": "--help"}
-    found = tyro.cli(
-        task,
-        args=[arg for name, *values in options for arg in (names.get(name, f"--env.{name}"), *values)],
-        default=task(dataclasses.replace(env, dynamics=None)),
-        prog=f"pixel2catch {command}",
-        description="Fields of the task and their values, without what is given by other options.",
-        config=(tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff),
-    )
-    require_valid(found.env, "env")
-    return dataclasses.replace(found.env, dynamics=env.dynamics)
+    if hasattr(command, "default_for"):
+        return command.default_for(args)
+    if not (given := given_fields(args)):
+        return None
+    from pixel2catch.envs.cfg import CatchEnvCfg
+
+    values = {"env": CatchEnvCfg(), "given": given}
+    for field in dataclasses.fields(command):
+        if field.name == "env":
+            return command(**values)
+        if field.name == "task":
+            return command(task=field.default_factory(**values))  # pyright: ignore[reportCallIssue]
+    return None
+
+
+def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
+    """Return a configuration with the given fields (dotted names) of another one."""
+    parts: dict[str, list[str]] = {}
+    for name in given:
+        first, _, rest = name.partition(".")
+        parts.setdefault(first, []).append(rest)
+    values = {}
+    for name, inner in parts.items():
+        old, new = getattr(task, name), getattr(source, name)
+        is_whole = "" in inner or not dataclasses.is_dataclass(old)
+        values[name] = new if is_whole else with_given(old, new, inner)
+    return dataclasses.replace(task, **values)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskOptions:
-    """What is changed of the task of an evaluation."""
+    """Changes of the task of an evaluation."""
 
     #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
     #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
     robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
-    env: FieldOptions = ()
+    #: Any field of the task, such as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
+    env: TaskFields = None
+    given: Given = ()  #: Which of them are given.
 
     def change(self, task: "CatchEnvCfg", command: str) -> "CatchEnvCfg":
-        """Return the changed task; the command is named in help and mistakes.
+        """Return the changed task; the command is named in errors.
 
         Raises:
-            InvalidValueError: If a field is the protocol's.
+            InvalidValueError: The protocol of evaluations sets a given field itself.
         """
-        changed = with_fields(task, self.env, command)
-        for name in OF_THE_PROTOCOL:
-            if getattr(changed, name) != getattr(task, name):
+        for name in self.given:
+            if name.partition(".")[0] in OF_THE_PROTOCOL:
                 raise InvalidValueError(
-                    f"--env.{name} is the protocol's to set in '{command}'; name objects by --objects."
+                    f"'{command}' sets --env.{name} itself; leave it out, and name objects by --objects."
                 )
+        changed = with_given(task, self.env, self.given)
         if self.robot_model:
             scene = dataclasses.replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
             changed = dataclasses.replace(changed, scene=scene)
         return changed
 
     def beneath(self, setting: "Setting", command: str) -> "Setting":
-        """A setting that disturbs the changed task, if it is changed."""
-        if not self.env and not self.robot_model:
+        """Return a setting that disturbs the changed task."""
+        if not self.given and not self.robot_model:
             return setting
         change = partial(_disturbed, self, command, setting.level.change)
         return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))
@@ -92,7 +131,7 @@ class SimulatedTask(TaskOptions):
     camera: CameraPath | None = None
 
     def make(self, policy: "LoadedPolicy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
-        """The task in which a policy of a command is to catch; what its camera means is said."""
+        """Return the task in which a policy acts; print what its camera means."""
         from pixel2catch.evaluation.loading import camera_remark, task_of
 
         task = self.change(task_of(policy, physics_hz, self.dynamics, self.camera), command)

@@ -1,16 +1,20 @@
-"""How options are shown in help."""
+"""How the fields of commands become options, and how help shows them."""
 
 from dataclasses import is_dataclass, replace
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
+TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
+"""Where the classes of the task's fields are."""
 
-def plain_help() -> ConstructorRegistry:
-    """Rules that show no default where an option is just not given, and two flags where one is needed.
 
-    A flag that is off has no counterpart; one that is on has its negation beside it.
+def option_rules() -> ConstructorRegistry:
+    """Return tyro's rules with ours: short names, no default where there is none, plain flags.
+
+    Fields of nested option classes have no prefix, except those of the task. A flag that is off has no
+    counterpart; one that is on has its negation beside it.
     """
     registry, entered = ConstructorRegistry(), list[Any]()
 
@@ -25,17 +29,21 @@ def plain_help() -> ConstructorRegistry:
             entered.pop()
         if not isinstance(spec, StructConstructorSpec):
             return None
-        return replace(spec, fields=tuple(map(_shown, spec.fields)))
+        is_task = any(part in info.type.__module__ for part in TASK_MODULES)
+        return replace(spec, fields=tuple(_option(field, is_task) for field in spec.fields))
 
     return registry
 
 
-def _shown(field: StructFieldSpec) -> StructFieldSpec:
-    """A field with what its help needs."""
+def _option(field: StructFieldSpec, is_task: bool) -> StructFieldSpec:
+    """Return a field with its name and help as an option."""
     kind: Any = field.type
+    if field.name == "dynamics" and is_task or field.name == "env" and field.default is None:
+        return replace(field, type=tyro.conf.Suppress[tyro.conf.Fixed[kind]])
+    if is_dataclass(field.default) and field.name != "env" and not is_task:
+        return replace(field, type=Annotated[kind, tyro.conf.arg(name="")])
     if field.default is False:
         kind = tyro.conf.FlagCreatePairsOff[kind]
-    has_hint = any(getattr(each, "help_behavior_hint", None) for each in get_args(kind))
-    if not has_hint and (field.default in (None, ()) or field.default is False):
+    if field.default in (None, ()) or field.default is False:
         kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
     return replace(field, type=kind)

@@ -11,7 +11,8 @@ import tyro
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say_on_terminal
-from pixel2catch.cli.help import plain_help
+from pixel2catch.cli.fields import HELP, TaskHelp, default_of
+from pixel2catch.cli.help import option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
@@ -88,30 +89,29 @@ def _sentence(error: Exception) -> str:
 def parse(args: Sequence[str]):
     """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits.
 
-    `--env.FIELD VALUE` is `--env FIELD VALUE`: only a command that has begun looks up the fields, for what
-    declares them takes seconds to import.
-
     Raises:
-        UnknownNameError: If there is no such command.
-        InvalidValueError: If there is no such command any longer; the message names the new way.
+        UnknownNameError: There is no such command.
+        InvalidValueError: The command was removed; the message names the new way.
+        Pixel2CatchError: What the options' defaults come from cannot be read, such as a run to resume.
     """
-    args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
     if args and args[0] in REMOVED:
         raise InvalidValueError(f"there is no command '{args[0]}'; {REMOVED[args[0]]}.")
     if args and not args[0].startswith("-") and args[0] not in COMMANDS:
         raise UnknownNameError("command", args[0], COMMANDS)
-    config, registry = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone), plain_help()
+    options: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": option_rules()}
     if args and args[0] in COMMANDS:
-        prog = f"pixel2catch {args[0]}"
-        return tyro.cli(load_command(args[0]), prog=prog, args=args[1:], config=config, registry=registry)
+        name, *rest = args
+        kind, prog = load_command(name), f"pixel2catch {name}"
+        if HELP in rest:
+            kind, rest = TaskHelp, ["--help"]
+        return tyro.cli(kind, prog=prog, args=rest, default=default_of(kind, rest), **options)
     kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
     return tyro.cli(
         Union[*kinds],  # type: ignore[valid-type]
         prog="pixel2catch",
         description=DESCRIPTION,
         args=args,
-        config=config,
-        registry=registry,
+        **options,
     )
 
 

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,7 +24,7 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 
 PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 
-OWN = ("method", "env", "device", "seed", "dynamics", "camera")
+OWN = ("device", "seed")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
@@ -161,32 +161,39 @@ class Reproduce:
         return slots
 
     def _training_options(self, device: str) -> dict[str, Any]:
-        """Resolved options of all trainings: those of `pixel2catch train` that the study does not set itself.
+        """Return the resolved options of all trainings, except those that the study sets for each.
 
         The default preset is that for the device.
         """
         from pixel2catch.cli.main import parse
-        from pixel2catch.learning.config import TrainCfg
+        from pixel2catch.learning.config import GONE, TrainCfg, require_known
         from pixel2catch.scene.scene import SceneCfg
 
         free = {field.name for field in fields(TrainCfg)} - {"transitions", *OWN}
         # The device decides on the preset alone: it may be a cluster's.
         kind = "fast" if device.startswith("cuda") else "cpu"
-        given: dict[str, Any] = {"device": "cpu", "preset": self.preset or kind} | {
-            name: getattr(self, name) for name in ("transitions", "physics_hz")
-        }
+        given: dict[str, Any] = {"device": "cpu", "preset": self.preset or kind}
+        given |= {"transitions": self.transitions, "physics_stages": self.physics_hz}
         for option in self.training:
             name, _, value = option.partition("=")
-            if name not in free and not name.startswith("env."):
-                raise UnknownNameError("option in --training", name, [*sorted(free), "env.FIELD"])
+            if name not in free and name != "task" and not name.startswith("env."):
+                require_known({name} & GONE.keys())
+                raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
             given[name] = value.split(",")
         given = {name: value for name, value in given.items() if value is not None}
         train = parse(["train", *_options(given)])
-        cfg = train.resolve()
-        train.with_task(cfg)
         SceneCfg(physics_hz=self.evaluation_physics_hz)
+        options = {name: value for name, value in asdict(train.train).items() if name not in OWN}
+        env = train.env
+        options |= {
+            "physics_stages": train.train.physics_stages or (env.scene.physics_hz,),
+            "task": env.name,
+            "env.scene.cone": env.scene.cone,
+            "env.scene.multiccd": env.scene.multiccd,
+            "env.sensing.latency_steps": env.sensing.latency_steps,
+        }
         fields_of_task = {name: value for name, value in given.items() if name.startswith("env.")}
-        return {name: value for name, value in cfg.to_dict().items() if name not in OWN} | fields_of_task
+        return fields_of_task | options | {"env.scene.physics_hz": None}
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results."""
@@ -202,7 +209,9 @@ class Reproduce:
         return Plan(
             methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
             seeds=self.seeds,
-            configuration={f"training {n}": value for n, value in training.items() if n not in NEUTRAL}
+            configuration={
+                f"training {n}": value for n, value in training.items() if n not in NEUTRAL and value is not None
+            }
             | {f"evaluation {n}": value for n, value in evaluation.items()},
         )
 
@@ -251,7 +260,7 @@ def _options(options: Mapping[str, Any]) -> list[str]:
         if isinstance(value, Mapping):
             value = [part for pair in value.items() for part in pair]
         flag = name.replace("_", "-")
-        if isinstance(value, bool):
+        if isinstance(value, bool) and not name.startswith("env."):
             args.append(f"--{flag}" if value else f"--no-{flag}")
             continue
         values = value if isinstance(value, tuple | list) else [value]

@@ -1,147 +1,168 @@
 """`pixel2catch train`: learn a policy."""
 
-import dataclasses
+import argparse
 import os
-import typing
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING
 
-import tyro
-from tyro.conf import Positional
+from tyro.conf import Fixed, Positional, Suppress
 
-from pixel2catch.checks import ResultsFolder
-from pixel2catch.cli.fields import FieldOptions, with_fields
+from pixel2catch.checks import CameraPath, DynamicsPath, ResultsFolder, require_valid
+from pixel2catch.cli.fields import TaskFields, given_fields
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
-from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
-from pixel2catch.shipped import policy_folder
+from pixel2catch.learning.config import GONE, PRESETS, PresetName, TrainCfg, require_known
+from pixel2catch.own_files import import_files
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
-    TrainOptions = TrainCfg
-else:
-    # The fields of the configuration, each None unless it is given: then the preset or the run decides.
-    OF_TRAIN = {name: Annotated[Any, tyro.conf.Suppress] for name in ("method", "env")}
+    from pixel2catch.learning.experiment import Experiment
 
-    def _default(name: str) -> str:
-        """What a field is without the option, in help: the preset's, where presets differ.
-
-        The machine decides on the device, and what a factory makes is told otherwise, for it loads much.
-        """
-        default = TrainCfg.__dataclass_fields__[name].default
-        if name == "device" or default in (None, dataclasses.MISSING):
-            return ""
-        others = {preset: values[name] for preset, values in PRESETS.items() if name in values}
-        texts = [_text(default), *(f"{preset}: {_text(value)}" for preset, value in others.items())]
-        return f"(default: {'; '.join(texts)})"
-
-    def _text(value: Any) -> str:
-        return " ".join(f"{entry:g}" for entry in value) if isinstance(value, tuple) else str(value)
-
-    TrainOptions = dataclasses.make_dataclass(
-        "TrainOptions",
-        [
-            (
-                name,
-                OF_TRAIN.get(name, Annotated[kind | None, tyro.conf.arg(help_behavior_hint=_default(name))]),
-                None,
-            )
-            for name, kind in typing.get_type_hints(TrainCfg, include_extras=True).items()
-        ],
-        bases=(TrainCfg,),
-        namespace={"__post_init__": lambda _: None},
-        frozen=True,
-        kw_only=True,
-    )
+METHOD = "proposed"  #: What is trained where no method is named.
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Train:
-    """Train a policy. What is not given comes from the preset, or from the run that goes on."""
+    """Train a policy. Options that are not given are those of the preset, or of the run that goes on.
 
-    #: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
+    The defaults below are those of the preset fast; add --preset NAME to see those of another one.
+    """
+
+    #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent, object_position,
     #: object_extent, shared_reward, agent_per_robot, journal, catch, catch_alone, catch_teacher, or
     #: FILE.py:NAME, a method of your own; with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit.
-    #: Default: proposed.
-    method: Positional[str | None] = None
-    #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
-    #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.
-    workcell: str | None = None
+    method: Positional[str] = METHOD
     #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
     #: CUDA, else cpu.
-    preset: Literal["fast", "large", "cpu", "paper"] | None = None
+    preset: PresetName | None = None
+    #: What is thrown, and what disturbs the robot: nominal, the paper's task; wide, with the disturbances of
+    #: laboratories; wide_sharp, the same with boxes to 2 px; or sizes, balls and boxes of 6 to 28 cm.
+    #: Default: nominal.
+    task: str | None = None
+    #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
+    #: WORKCELLS; other commands load such a file by `--import FILE.py`. Default: ur5e_allegro.
+    workcell: str | None = None
+    #: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
+    #: Evaluations take it by their own --dynamics only. Default: the nominal robot.
+    dynamics: DynamicsPath | None = None
+    #: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy. Every
+    #: episode draws pose and focal length within what the file leaves open. Its images must be rectified.
+    #: Default: the release's camera, known exactly.
+    camera: CameraPath | None = None
     out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
-    #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
-    resume: bool = False
-    web: bool = False  #: Whether to serve a page with curves and with throws of the newest policy.
-    page: PageCfg = dataclasses.field(default_factory=PageCfg)  #: Where that page is served.
-    #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.
-    env: FieldOptions = ()
-    options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
+    resume: bool = False  #: Go on from the last checkpoint in that folder, with its configuration.
+    web: bool = False  #: Serve a page with curves and with throws of the newest policy.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    train: TrainCfg = field(default_factory=TrainCfg)  #: How the policy learns.
+    #: Any field of the task, such as --env.sensing.latency-steps 1 3. All fields: train --env.help.
+    env: TaskFields = None
+    resumed: Suppress[Fixed[Path | None]] = None  #: Folder of the run whose values are the defaults.
+
+    @classmethod
+    def default_for(cls, args: Sequence[str]) -> "Train":
+        """Return the command with the values that hold where options are not given.
+
+        Raises:
+            CheckpointError: The run to resume cannot be read, or was started with something else.
+            InvalidValueError: An option is gone, two contradict each other, or a file cannot be read.
+            UnknownNameError: There is no such preset, task, work cell or policy to start from.
+        """
+        flags = (arg.partition("=")[0] for arg in args if arg.startswith("--"))
+        options = {flag[2:].removeprefix("no-").replace("-", "_") for flag in flags}
+        require_known(options & GONE.keys())
+        given = _scanned(args)
+        if "--help" in args or "-h" in args:  # at once, without the task
+            return cls(train=PRESETS.get(given.preset, TrainCfg()))
+        import_files()
+        files = {name: Path(file) for name in ("dynamics", "camera") if (file := getattr(given, name))}
+        require_valid(cls(**files))
+        method = args[0] if args and not args[0].startswith("-") else None
+        folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
+        experiment, method = _run(folder, given, method) if given.resume else (_preset(given, files), method)
+        if "scene.physics_hz" in given_fields(args):  # one rate throughout
+            if "physics_stages" in options:
+                raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
+            experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
+        return cls(
+            method=method or METHOD,
+            train=experiment.train,
+            env=experiment.env,
+            resumed=folder if given.resume else None,
+        )
 
     def run(self) -> None:
-        """Train to the end."""
+        """Train to the end.
+
+        Raises:
+            DeviceUnavailableError: CUDA is not available.
+            InvalidValueError: The run to resume is not where the other options say.
+        """
         from pixel2catch.api.training import run
+        from pixel2catch.learning.experiment import Experiment
         from pixel2catch.methods import find_method
+        from pixel2catch.sim.factory import require_cuda
         from pixel2catch.workcells import find_workcell
 
-        cfg = self.with_task(self.resolve())
-        method = find_method(cfg.method, find_workcell(cfg.env.scene.workcell))
-        with self._page(cfg):
-            result = run(cfg, method, self._folder, resume=self.resume)
+        folder = self.out or _folder(self.method, self.train.seed)
+        if self.resume and folder != self.resumed:
+            raise InvalidValueError("the run to resume is not clear; name its folder by --out.")
+        if self.train.device.startswith("cuda"):
+            require_cuda(self.train.device)
+        method = find_method(self.method, find_workcell(self.env.scene.workcell))
+        with self._page(folder):
+            result = run(
+                Experiment(env=self.env, train=self.train),
+                method,
+                folder,
+                resume=self.resume,
+                preset=self.preset,
+                inputs={"dynamics": self.dynamics, "camera": self.camera},
+            )
         if result.status == "interrupted":
             raise KeyboardInterrupt
 
-    def _page(self, cfg: TrainCfg) -> AbstractContextManager[None]:
-        """The page of this training, if there is to be one; of several processes the first has it."""
+    def _page(self, folder: Path) -> AbstractContextManager[None]:
+        """Return the page of this training; of several processes only the first has one."""
         if not self.web or os.environ.get("RANK", "0") != "0":
             return nullcontext()
 
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import page_process
             from pixel2catch.viewer.train import serve_training
-        return page_process(serve_training, self.page, self._folder.resolve(), cfg.transitions)
+        return page_process(serve_training, self.page, folder.resolve(), self.train.transitions)
 
-    @property
-    def _folder(self) -> Path:
-        return self.out or Path("runs") / f"{self.method or TrainCfg.method}-seed{self.options.seed or 0}"
 
-    def resolve(self) -> TrainCfg:
-        """Return the preset, or the run's configuration, with what was given on the command line.
+def _folder(method: str, seed: int | str) -> Path:
+    return Path("runs") / f"{method}-seed{seed}"
 
-        Raises:
-            CheckpointError: If the configuration of the run does not fit this code.
-            DeviceUnavailableError: If CUDA was asked for and is absent.
-            InvalidValueError: If no training is possible with the values.
-            PolicyMismatchError: If there is no policy to start from, or to imitate.
-        """
-        given = {name: value for name, value in vars(self.options).items() if value is not None}
-        if self.method:
-            given["method"] = self.method
-        for name in ("start", "teacher"):
-            if name in given:
-                given[name] = policy_folder(given[name])
-        import torch
 
-        from pixel2catch.sim.factory import require_cuda
+def _preset(given: argparse.Namespace, files: Mapping[str, Path]) -> "Experiment":
+    import torch
 
-        if self.resume and (self._folder / CONFIG_FILE).exists():
-            named = PRESETS[self.preset] if self.preset else {}
-            cfg = dataclasses.replace(TrainCfg.of_run(self._folder), **named | given)
-        else:
-            device = given.setdefault("device", "cuda" if torch.cuda.is_available() else "cpu")
-            cfg = preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"), **given)
-        if cfg.device.startswith("cuda"):
-            require_cuda(cfg.device)
-        return cfg
+    from pixel2catch.learning.experiment import preset
 
-    def with_task(self, cfg: TrainCfg) -> TrainCfg:
-        """Return a configuration with its environments: the task's, or the run's, with what was given.
+    device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
+    name = given.preset or ("fast" if device.startswith("cuda") else "cpu")
+    options = {"device": device} | ({"start": Path(given.start)} if given.start else {})
+    return preset(name, given.task or "nominal", workcell=given.workcell, **files, **options)
 
-        Raises:
-            InvalidValueError: If a value is out of range, or a file cannot be read.
-            UnknownNameError: If there is no such task, work cell or object.
-        """
-        from pixel2catch.api.training import with_task
 
-        return with_task(cfg, self.workcell, lambda env: with_fields(env, self.env))
+def _run(folder: Path, given: argparse.Namespace, method: str | None) -> "tuple[Experiment, str]":
+    from pixel2catch.learning.experiment import require_run
+    from pixel2catch.workcells import find_workcell
+
+    workcell = find_workcell(given.workcell).name if given.workcell else None
+    run = require_run(folder, method=method, preset=given.preset, task=given.task, workcell=workcell)
+    return run.experiment, run.method
+
+
+def _scanned(args: Sequence[str]) -> argparse.Namespace:
+    """Return the options that decide what the defaults of the others are."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name in ("preset", "task", "workcell", "dynamics", "camera", "out", "device", "seed", "start"):
+        parser.add_argument(f"--{name}", nargs="?")
+    parser.add_argument("--resume", action="store_true")
+    return parser.parse_known_args(args)[0]

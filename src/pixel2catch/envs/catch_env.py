@@ -369,7 +369,7 @@ class CatchEnv:
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
-        told = (drawn_parameters(self._episode),) if self.cfg.is_value_told else ()
+        told = (drawn_parameters(self._episode),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *told, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

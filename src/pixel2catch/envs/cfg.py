@@ -46,6 +46,7 @@ class TaskVariant:
 class CatchEnvCfg:
     """Everything that defines the task."""
 
+    name: str = "nominal"  #: Name of the task, which its policies keep.
     scene: SceneCfg = field(default_factory=SceneCfg)  #: What the model is made from.
     #: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
     dynamics: JointDynamics | None = None
@@ -59,7 +60,7 @@ class CatchEnvCfg:
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
     #: Ranges that differ in a share of the episodes each; in the rest the others hold.
     variants: tuple[TaskVariant, ...] = ()
-    is_value_told: bool = False  #: Whether the value networks know what was drawn for an episode.
+    value_sees_parameters: bool = False  #: Whether value networks also observe what was drawn for the episode.
 
     def __post_init__(self) -> None:
         """Refuse shares whose sum exceeds 1, and variants of what is not drawn for an episode."""
@@ -134,11 +135,19 @@ class CatchEnvCfg:
         return replace(self, throws=longer(self.throws), variants=variants)
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
-        """The task with the robot of a dynamics file and the camera of a camera file, where they are given.
+        """Return the task with the robot of a dynamics file and the camera of a camera file.
 
         Raises:
-            InvalidValueError: If a file cannot be read, or the camera's images have another size.
+            InvalidValueError: A file cannot be read, or the camera's images have another size.
         """
         workcell = find_workcell(self.scene.workcell)
         task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics, workcell))
         return task if camera is None else task.with_camera(CameraFile.load(camera))
+
+
+def current_fields(task: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a task that an earlier revision wrote as JSON, as this one names them."""
+    if "name" in task:
+        return task
+    renamed = {name: value for name, value in task.items() if name != "is_value_told"}
+    return renamed | {"name": "nominal", "value_sees_parameters": task.get("is_value_told", False)}

@@ -74,7 +74,8 @@ AIR = RandomizationCfg(air_density=(0.0, 1.5))  #: The robot of the paper's task
 
 WIDE = replace(
     CatchEnvCfg(),
-    is_value_told=True,
+    name="wide",
+    value_sees_parameters=True,
     episode=EpisodeCfg(max_steps=EpisodeCfg().max_steps + HELD_STEPS[1] - ThrowCfg().hover_steps[1]),
     variants=(
         TaskVariant(share=0.25, throws=PRACTISED_THROWS, randomization=LATE_ROBOT, sensing=OUTSIDE_CAMERA),
@@ -86,18 +87,19 @@ WIDE = replace(
 """The world outside in three of four episodes, in part with good sight; the paper's task in the fourth, so
 that nothing is lost there."""
 
-WIDE_SHARP = WIDE.with_sensing(corner_noise=2.0)
+WIDE_SHARP = replace(WIDE.with_sensing(corner_noise=2.0), name="wide_sharp")
 """The same with boxes as exact as the detectors find them. Source: perception on rendered video, 2 px."""
 
 SIDEWAYS = replace(ThrowCfg(), aim_y=(-0.55, 0.55))
 """Throws to the middle and to either side. Source: ours: 10 cm past the base of each of two robots."""
 
 SIZES_TASK = CatchEnvCfg(
-    objects=SIZES, throws=SIDEWAYS, randomization=RandomizationCfg(mass_scale=(0.7, 1.4)), is_value_told=True
+    name="sizes",
+    objects=SIZES, throws=SIDEWAYS, randomization=RandomizationCfg(mass_scale=(0.7, 1.4)), value_sees_parameters=True
 )
 """Balls and boxes of 6 to 28 cm and 21 to 392 g, thrown to the middle and to either side."""
 
-TASKS = {"nominal": CatchEnvCfg(), "wide": WIDE, "wide_sharp": WIDE_SHARP, "sizes": SIZES_TASK}
+TASKS = {task.name: task for task in (CatchEnvCfg(), WIDE, WIDE_SHARP, SIZES_TASK)}
 
 
 def find_task(name: str) -> CatchEnvCfg:

@@ -19,10 +19,12 @@ from pixel2catch import files
 from pixel2catch.archives import open_archive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.learning.config import CONFIG_FILE
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import PolicyContract
 
 FORMAT_VERSION = 2
+FIX = "Start without --resume, or with the configuration that it was begun with."
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,33 +56,53 @@ def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress
     files.write_atomically({path: buffer.getvalue()})
 
 
-def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progress:
-    """Put a learner and the random generators into the saved state.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """The state of a training that was read from a file."""
 
-    Raises:
-        CheckpointError: The file is missing or damaged, or does not fit this learner.
-        PolicyMismatchError: It was trained under another contract; the message names the fields.
-    """
-    fix = "Start without --resume, or with the configuration that it was begun with."
-    with files.reading("checkpoint", path, fix, CheckpointError):
-        state = _read(path, mappo.cfg.device)
-        saved = PolicyContract.from_dict(files.json_object(state["contract"]))
-        progress = files.decoded(Progress, state["progress"])
-    saved.require(contract)
-    if saved.task != contract.task:
-        raise CheckpointError(
-            f"checkpoint '{path}' is of a training for the task '{saved.task}'; train with --task "
-            f"{saved.task}, or name another folder."
-        )
-    with files.reading("checkpoint", path, fix, CheckpointError):
-        try:
-            mappo.load_state_dict(state["mappo"])
-            torch.set_rng_state(state["random"]["cpu"].cpu())
-            if "cuda" in state["random"] and mappo.cfg.device.startswith("cuda"):
-                torch.cuda.set_rng_state(state["random"]["cuda"].cpu(), mappo.cfg.device)
-        except RuntimeError as error:
-            raise InvalidValueError(f"it does not fit this configuration: {error}") from error
-    return progress
+    path: Path  #: The file.
+    contract: PolicyContract  #: What the policy needs to act.
+    progress: Progress  #: How far the training is.
+    state: dict[str, Any]  #: State of the learner and of the random generators.
+
+    @classmethod
+    def load(cls, path: Path, device: str) -> "Checkpoint":
+        """Read what `save_checkpoint` wrote.
+
+        Raises:
+            CheckpointError: The file is missing or damaged.
+        """
+        with files.reading("checkpoint", path, FIX, CheckpointError):
+            state = _read(path, device)
+            return cls(
+                path=path,
+                contract=PolicyContract.from_dict(files.json_object(state["contract"])),
+                progress=files.decoded(Progress, state["progress"]),
+                state=state,
+            )
+
+    def restore(self, mappo: Mappo) -> None:
+        """Put a learner and the random generators into this state.
+
+        Raises:
+            CheckpointError: It does not fit this learner, or is of another task.
+            PolicyMismatchError: It was trained under another contract; the message names the fields.
+        """
+        self.contract.require(mappo.contract)
+        if self.contract.task != mappo.contract.task:
+            raise CheckpointError(
+                f"checkpoint '{self.path}' is of a training for the task '{self.contract.task}', not "
+                f"'{mappo.contract.task}'; leave out --task, or name another folder."
+            )
+        random, device = self.state["random"], mappo.cfg.device
+        with files.reading("checkpoint", self.path, FIX, CheckpointError):
+            try:
+                mappo.load_state_dict(self.state["mappo"])
+                torch.set_rng_state(random["cpu"].cpu())
+                if "cuda" in random and device.startswith("cuda"):
+                    torch.cuda.set_rng_state(random["cuda"].cpu(), device)
+            except RuntimeError as error:
+                raise InvalidValueError(f"it does not fit this configuration: {error}") from error
 
 
 def _read(path: Path, device: str) -> dict[str, Any]:
@@ -100,13 +122,13 @@ def _read(path: Path, device: str) -> dict[str, Any]:
 class RunFolder:
     """Files of a run.
 
-    `config.json` resolved configuration · `dynamics.json`, `camera.json` copies of what it was given ·
+    `config.json` resolved configuration · `dynamics.json`, `camera.json` copies of files that were given ·
     `sessions.json` versions, revision, hardware of every start · `metrics.csv` and TensorBoard events ·
     `checkpoint.pt` to resume · `policy/` to use · `summary.json` how it ended.
     """
 
     path: Path  #: The folder.
-    #: Files that the run depends on, by the option that names them; some may be absent.
+    #: Files that were given, by the option that names them; None where the option is not given.
     inputs: Mapping[str, Path | None] = dataclasses.field(default_factory=dict)
 
     @property
@@ -119,13 +141,9 @@ class RunFolder:
         """The policy, for every other command."""
         return self.path / "policy"
 
-    def copy_of(self, name: str) -> Path:
-        """Where the copy of an input is, if it was given."""
-        return self.path / f"{name}.json"
-
     @contextlib.contextmanager
     def open(self, *, resume: bool) -> Iterator[None]:
-        """Make the folder, or see that there is something to resume. Folders left empty go again at the end.
+        """Make the folder, or check that it can be resumed; at the end remove folders that stayed empty.
 
         Raises:
             CheckpointError: The folder holds a run already, holds none to resume or one with other inputs, or
@@ -133,11 +151,15 @@ class RunFolder:
         """
         if resume and not self.checkpoint.exists():
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
-        if not resume and (self.path / "config.json").exists():
+        if not resume and (self.path / CONFIG_FILE).exists():
             raise CheckpointError(f"'{self.path}' holds a run already; name another folder, or add --resume.")
         for name, given in self.inputs.items():
-            if resume or self.copy_of(name).exists():
-                self._require_same(name, given)
+            copy = self._copy_of(name)
+            is_same = bool(given) and copy.exists() and copy.read_bytes() == given.read_bytes()
+            if given and not is_same and (resume or copy.exists()):
+                raise CheckpointError(
+                    f"'{self.path}' has another {name} file, or none; leave out --{name}, or name another folder."
+                )
         made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -150,23 +172,11 @@ class RunFolder:
                 for folder in made:
                     folder.rmdir()
 
-    def _require_same(self, name: str, given: Path | None) -> None:
-        """See that an input is that of the folder: the same file, or none."""
-        copy = self.copy_of(name)
-        there = copy.read_bytes() if copy.exists() else None
-        if there != (given.read_bytes() if given else None):
-            which, fix = (
-                ("no", f"without --{name}") if there is None else ("another", f"with --{name} {copy}")
-            )
-            raise CheckpointError(
-                f"'{self.path}' has {which} {name} file; train {fix}, or name another folder."
-            )
-
     def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
         """Write the resolved configuration, copy the inputs, append this session's circumstances."""
-        self.write_json("config.json", config)
+        self.write_json(CONFIG_FILE, config)
         files.write_atomically(
-            {self.copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
+            {self._copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
         )
         sessions_file = self.path / "sessions.json"
         sessions = files.parse_json(files.read_text(sessions_file)) if sessions_file.exists() else []
@@ -176,3 +186,6 @@ class RunFolder:
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
         files.write_atomically({self.path / name: files.json_text(content).encode()})
+
+    def _copy_of(self, name: str) -> Path:
+        return self.path / f"{name}.json"

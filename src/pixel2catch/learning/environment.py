@@ -1,37 +1,18 @@
-"""What training needs of environments (`CatchEnv` has it), which are made anew where the physics changes."""
+"""What training needs of environments (`CatchEnv` has it), and how they change with the physics rate."""
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 from torch import Tensor
 
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.policy import PolicyContract
 
 
-class Observation(Protocol):
-    """Inputs of the networks, float32 on the environment's device."""
-
-    @property
-    def policy(self) -> dict[str, Tensor]:
-        """Input of every agent's policy, (num_envs, size of that agent)."""
-        ...
-
-    @property
-    def state(self) -> Tensor:
-        """Input of all value networks, (num_envs, state_size)."""
-        ...
-
-    @property
-    def teacher(self) -> dict[str, Tensor]:
-        """Input of a teacher's policies, likewise; empty without a teacher."""
-        ...
-
-
-class Step(Protocol):
-    """Result of a control step. Where an episode ended, `observation` is that of the next one."""
+class Outcome(Protocol):
+    """What learning needs of a control step; where an episode ended, `observation` is of the next one."""
 
     @property
     def observation(self) -> Observation:
@@ -75,11 +56,6 @@ class Environment(Protocol):
     action_sizes: dict[str, int]
 
     @property
-    def cfg(self) -> Any:
-        """Configuration, a dataclass; written into the run folder."""
-        ...
-
-    @property
     def statistics(self) -> Statistics:
         """Episode statistics since the last look."""
         ...
@@ -88,7 +64,7 @@ class Environment(Protocol):
         """Begin new episodes everywhere; where they are staggered, such that they will not end together."""
         ...
 
-    def step(self, actions: dict[str, Tensor]) -> Step:
+    def step(self, actions: dict[str, Tensor]) -> Outcome:
         """Act for one control step. Actions outside [-1, 1] are clipped by the environment."""
         ...
 
@@ -102,24 +78,32 @@ class Environment(Protocol):
 
 
 class EnvSchedule:
-    """Environments whose physics becomes finer in the course of a training."""
+    """Environments that are made again where the physics rate changes in the course of a training."""
 
     def __init__(
-        self, cfg: TrainCfg, make_env: Callable[[TrainCfg], Environment], contract: PolicyContract
+        self,
+        cfg: TrainCfg,
+        make_env: Callable[[TrainCfg, float | None], Environment],
+        contract: PolicyContract,
+        transitions: int = 0,
     ) -> None:
-        """Make the environments of the first rate, for this process's share of the configuration.
+        """Make the environments that follow some transitions, for this process's share of the configuration.
 
-        The `physics_hz` that `make_env` is given has one rate.
+        Args:
+            cfg: The share of this process.
+            make_env: Makes environments at a physics rate [1/s], or at their own with None.
+            contract: What they must fit.
+            transitions: How far the training is.
 
         Raises:
             PolicyMismatchError: They do not fit the contract; the message names the field.
         """
         self._cfg, self._make_env, self._contract = cfg, make_env, contract
-        self._rate = cfg.rate_at(0)
-        self.env = self._make()  #: The environments of the present rate.
+        self._rate = cfg.rate_at(transitions)
+        self.env = self._make()  #: The environments at the present rate.
 
     def enter(self, transitions: int) -> bool:
-        """Change to the rate that follows this many transitions; whether the environments are new."""
+        """Change to the rate that follows this many transitions; return whether the environments are new."""
         rate = self._cfg.rate_at(transitions)
         if rate == self._rate:
             return False
@@ -133,7 +117,7 @@ class EnvSchedule:
         self.env.close()
 
     def _make(self) -> Environment:
-        env = self._make_env(dataclasses.replace(self._cfg, physics_hz=(self._rate,)))
+        env = self._make_env(self._cfg, self._rate)
         try:
             _require_fit(self._cfg, env, self._contract)
         except PolicyMismatchError:
@@ -157,5 +141,5 @@ def _require_fit(cfg: TrainCfg, env: Environment, contract: PolicyContract) -> N
     for name, (expected, found) in sizes.items():
         if expected != found:
             raise PolicyMismatchError(
-                f"{name}: configuration and contract say {expected}, the environment {found}."
+                f"{name}: expected {expected} (configuration and contract), but the environments have {found}."
             )

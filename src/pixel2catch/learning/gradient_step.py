@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from pixel2catch.learning.config import TrainCfg
-from pixel2catch.learning.networks import ActorCritic, recall_all
+from pixel2catch.learning.networks import ActorCritic, gru_rollout
 
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
@@ -23,7 +23,7 @@ class Batch(NamedTuple):
     values: Tensor
     returns: Tensor
     advantages: Tensor
-    advice: Tensor  #: Actions of a teacher, (..., 0) without one.
+    teacher_actions: Tensor  #: Actions of a teacher, (..., 0) without one.
     is_first: Tensor  #: Whether an episode begins with the observation.
     #: That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one.
     policy_hidden_state: Tensor
@@ -94,11 +94,11 @@ class GradientStep:
         self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
         self.totals += self._losses_now
 
-    def rest_policy(self) -> None:
-        """Let the value network alone learn, until `wake_policy`."""
+    def freeze_policy(self) -> None:
+        """Let the value network alone learn, until `unfreeze_policy`."""
         self._policy_weight.fill_(0.0)
 
-    def wake_policy(self) -> None:
+    def unfreeze_policy(self) -> None:
         """Let the policy learn, too, with an optimiser that has seen none of its gradients.
 
         Adam's averages of gradients that were 0 would make its first step three times as long as any other.
@@ -117,13 +117,13 @@ class GradientStep:
     def _losses_of(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """What the step makes smaller; and policy loss, value loss and KL divergence.
 
-        Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's advice
-        is followed by its weight, and the surrogate objective by the rest.
+        Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's actions
+        are imitated by its weight, and the surrogate objective by the rest.
         """
         cfg, networks = self._cfg, self._networks
         seen, states = networks.observation_scale(batch.observations), networks.state_scale(batch.states)
-        seen = recall_all(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
-        states = recall_all(networks.value_gru, states, batch.value_hidden_state, batch.is_first)
+        seen = gru_rollout(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
+        states = gru_rollout(networks.value_gru, states, batch.value_hidden_state, batch.is_first)
         mean, values = networks.policy(seen), networks.value(states)[..., 0]
         log_ratio = networks.log_prob(mean, batch.actions) - batch.log_prob
         ratio = log_ratio.exp()
@@ -133,8 +133,8 @@ class GradientStep:
         objective = policy_loss
         if cfg.entropy_scale:
             objective = objective - cfg.entropy_scale * networks.entropy()
-        if batch.advice.shape[-1]:
-            imitation = 0.5 * (mean - batch.advice).square().sum(dim=-1).mean()
+        if batch.teacher_actions.shape[-1]:
+            imitation = 0.5 * (mean - batch.teacher_actions).square().sum(dim=-1).mean()
             objective = torch.lerp(objective, imitation, self.teacher_weight)
         losses = torch.stack((policy_loss, value_loss, (ratio - 1.0 - log_ratio).mean())).detach()
         return self._policy_weight * objective + value_loss, losses

@@ -12,13 +12,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
-from pixel2catch.learning.environment import Environment, Observation, Step
+from pixel2catch.learning.environment import Environment, Outcome
 from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, shuffled
 from pixel2catch.learning.networks import EPSILON, ActorCritic, Standardizer, learn_together
 from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.shipped import policy_folder
 from pixel2catch.sim.graphs import GraphedFunction
 
 ADOPTED_SAMPLES = 1e7
@@ -80,7 +82,7 @@ class Mappo:
                 values=buffer(),
                 returns=buffer(),
                 advantages=buffer(),
-                advice=buffer(num_actions if self._teacher else 0),
+                teacher_actions=buffer(num_actions if self._teacher else 0),
                 is_first=is_first,
                 policy_hidden_state=hidden_state(),
                 value_hidden_state=hidden_state(),
@@ -147,16 +149,16 @@ class Mappo:
 
     def _ask(self, teacher: Policy, observation: Observation) -> None:
         """Remember a teacher's actions, whose joints may be split over other agents."""
-        advice = {
+        teacher_actions = {
             joint: action
             for agent, actions in teacher.act(observation.teacher).items()
             for joint, action in zip(teacher.contract.agents[agent].joints, actions.unbind(-1), strict=True)
         }
         for agent, batch in self.rollout.items():
             joints = self.contract.agents[agent].joints
-            batch.advice[self._num_steps] = torch.stack([advice[joint] for joint in joints], dim=-1)
+            batch.teacher_actions[self._num_steps] = torch.stack([teacher_actions[joint] for joint in joints], dim=-1)
 
-    def record(self, step: Step) -> None:
+    def record(self, step: Outcome) -> None:
         """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""
         for agent in self.agents:
             self.rewards[agent][self._num_steps] = step.rewards[agent]
@@ -280,9 +282,9 @@ class Mappo:
         """Let the value networks alone learn, so that a policy is not led by values that mean nothing yet."""
         for step in self.steps.values():
             if is_resting:
-                step.rest_policy()
+                step.freeze_policy()
             elif self._is_resting:
-                step.wake_policy()
+                step.unfreeze_policy()
         self._is_resting = is_resting
 
     @torch.no_grad()
@@ -349,7 +351,7 @@ class Mappo:
 def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:
     """The policy to imitate, on the device of the training."""
     assert cfg.teacher is not None
-    teacher = Policy.load(cfg.teacher, cfg.device)
+    teacher = Policy.load(policy_folder(cfg.teacher), cfg.device)
     taught, own = (
         {joint for agent in each.agents.values() for joint in agent.joints}
         for each in (teacher.contract, contract)

@@ -119,7 +119,7 @@ class ActorCritic(nn.Module):
         return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
 
 
-def recall_all(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
+def gru_rollout(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
     """Return what the hidden layers see of whole rollouts: `gru_step`, step by step.
 
     Args:

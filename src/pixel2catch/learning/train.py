@@ -4,22 +4,21 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from pixel2catch.agents import AgentSpec
 from pixel2catch.device_time import DeviceTime
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.errors import CheckpointError, NonFiniteError
-from pixel2catch.files import read_json_object, reading
 from pixel2catch.interruption import StopRequest
-from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
-from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
+from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, save_checkpoint
+from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
-from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
+from pixel2catch.learning.environment import Environment, EnvSchedule
 from pixel2catch.learning.log import Row, TrainingLog, wandb_package
 from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
@@ -42,23 +41,25 @@ class TrainResult:
 
 def train(
     cfg: TrainCfg,
-    make_env: Callable[[TrainCfg], Environment],
+    make_env: Callable[[TrainCfg, float | None], Environment],
     contract: PolicyContract,
     out_dir: Path,
     *,
     resume: bool = False,
-    agents: Sequence[AgentSpec] = (),
+    inputs: Mapping[str, Path | None] | None = None,
+    record: Mapping[str, Any] | None = None,
 ) -> TrainResult:
     """Train a method and write its run folder; in a process that torchrun started, together with the others.
 
     Args:
-        cfg: The configuration of the whole training.
-        make_env: Makes this process's environments, from num_envs, device, seed and the one physics rate of
-            its share of the configuration; called again where the rate changes; closed here.
+        cfg: How the policy learns, for the whole training.
+        make_env: Makes this process's environments, from num_envs, device and seed of its share of the
+            configuration, at a physics rate [1/s] (None: their own); closed here.
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
-        agents: The agents, of which the run folder tells terms and weights.
+        inputs: Files that were given, by option; the folder keeps copies.
+        record: Other entries of `config.json`: the environments, the agents, the preset.
 
     Raises:
         NonFiniteError: NaN or infinity appeared; the message names the quantity, the last checkpoint is good.
@@ -66,45 +67,34 @@ def train(
         DeviceUnavailableError: The machine does not have `cfg.device`.
         WorkerError: Another process failed; only in the first, which alone reports it.
         InvalidValueError: The environments cannot be split over the processes.
-        PolicyMismatchError: There is no policy to start from, or it does not fit, by the field that is named.
+        PolicyMismatchError: There is no policy to start from, or it does not fit; the message names the field.
     """
     if cfg.wandb:
         wandb_package()
-    folder = RunFolder(out_dir, cfg.inputs)
+    folder = RunFolder(out_dir, inputs or {})
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
         with workers.sync_errors():
             share = workers.share(cfg)
             if workers.is_first:
                 stack.enter_context(folder.open(resume=resume))
-                if resume:
-                    _require_teacher(cfg, folder)
         with workers.sync_errors():
-            schedule = stack.enter_context(contextlib.closing(EnvSchedule(share, make_env, contract)))
+            checkpoint = Checkpoint.load(folder.checkpoint, share.device) if resume else None
+            progress = checkpoint.progress if checkpoint else Progress()
+            schedule = EnvSchedule(share, make_env, contract, progress.transitions)
+            stack.enter_context(contextlib.closing(schedule))
             torch.manual_seed(cfg.seed)
-            training = _Training(cfg, schedule, contract, folder, workers, agents)
+            training = _Training(cfg, schedule, contract, folder, workers, record or {})
             stack.enter_context(contextlib.closing(training))
             if cfg.start and not resume:
                 with workers.sync_errors():
                     start = Policy.load(policy_folder(cfg.start))
                     start.contract.require(contract)
                     training.mappo.adopt(start)
-            if resume:
-                training.progress = load_checkpoint(folder.checkpoint, training.mappo, contract)
+            if checkpoint:
+                checkpoint.restore(training.mappo)
+                training.progress = progress
             workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
-
-
-def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
-    """See that a run with a teacher goes on with one."""
-    file = folder.path / CONFIG_FILE
-    before = None
-    if file.exists():
-        with reading("configuration", file, "Mend it, or begin another run.", CheckpointError):
-            before = read_json_object(file)["train"].get("teacher")
-    if before and not cfg.teacher:
-        raise CheckpointError(
-            f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."
-        )
 
 
 class _Training:
@@ -117,9 +107,9 @@ class _Training:
         contract: PolicyContract,
         folder: RunFolder,
         workers: Workers,
-        agents: Sequence[AgentSpec],
+        record: Mapping[str, Any],
     ) -> None:
-        self.agents = {agent.name: agent.to_dict() for agent in agents}
+        self.record = record
         self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
         self.workers = workers
         self.mappo = Mappo(workers.share(cfg), schedule.env, contract, workers)
@@ -156,10 +146,9 @@ class _Training:
         is_first = self.workers.is_first
         if is_first:
             config = {
-                "train": self.cfg.to_dict(),
-                "env": dataclasses.asdict(self.schedule.env.cfg),
+                "train": dataclasses.asdict(self.cfg),
                 "policy": self.contract.to_dict(),
-                "agents": self.agents,
+                **self.record,
             }
             self.folder.describe(config, self.workers.size)
         return TrainingLog(self.cfg, self.folder.path, self.progress.transitions, is_silent=not is_first)

@@ -112,7 +112,8 @@ class ComparisonFolder:
         if content is None:
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
         with reading("study", self.path / FILE, "Mend it, or name another folder with --out.", StudyError):
-            return decoded(Plan, content["plan"])
+            plan = content["plan"]
+            return decoded(Plan, plan | {"configuration": _current(plan["configuration"])})
 
     def sessions(self) -> list[Json]:
         """When, how and where the study was worked at."""
@@ -152,6 +153,22 @@ class ComparisonFolder:
         longer, shorter = sorted((before.methods, plan.methods), key=len, reverse=True)
         methods = tuple(dict.fromkeys((*longer, *shorter)))
         return Plan(methods=methods, seeds=max(before.seeds, plan.seeds), configuration=asked)
+
+
+MOVED = {
+    "training physics_hz": "training physics_stages",
+    "training cone": "training env.scene.cone",
+    "training multiccd": "training env.scene.multiccd",
+    "training latency_steps": "training env.sensing.latency_steps",
+}
+"""Entries of the configurations of earlier studies, and their names in this revision."""
+
+
+def _current(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration of any revision as this one writes it."""
+    if not MOVED.keys() & configuration.keys():
+        return dict(configuration)
+    return {"training value_loss": "clipped"} | {MOVED.get(key, key): each for key, each in configuration.items()}
 
 
 def _read(path: Path) -> Json | None:

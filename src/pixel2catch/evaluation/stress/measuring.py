@@ -18,6 +18,7 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from pixel2catch.envs.cfg import current_fields
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.cluster import in_jobs
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
@@ -230,6 +231,9 @@ def _require_same(result: Result, origin: Json) -> None:
     found = result.read()
     if found is None:
         return
+    evaluation = found.get("evaluation", {})
+    evaluation = evaluation | {"task": current_fields(evaluation.get("task", {}))}
+    found = found | {"evaluation": evaluation}
     before, now = (dict(leaves(each | {"metrics": None})) for each in (found, origin))
     if changes := differences(before, now, "there"):
         raise StudyError(

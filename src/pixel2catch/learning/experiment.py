@@ -1,0 +1,140 @@
+"""The configuration of a training: its environments and how it learns, by a preset or from a run folder."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pixel2catch.envs.cfg import CatchEnvCfg, current_fields
+from pixel2catch.envs.tasks import find_task
+from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
+from pixel2catch.files import decoded, read_json_object
+from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg
+from pixel2catch.mdp.sensing import RELEASE_CAMERA
+from pixel2catch.policy import Policy
+from pixel2catch.shipped import policy_folder
+from pixel2catch.workcells import find_workcell
+
+FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
+"""Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn as
+much with them. Evaluations have elliptic cones and several points. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """Everything that defines a training, except its method."""
+
+    env: CatchEnvCfg  #: The environments.
+    train: TrainCfg  #: How the policy learns.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What a run folder records of its training."""
+
+    experiment: Experiment
+    method: str  #: Name of the method.
+    preset: str | None  #: Name of the preset; None in runs of earlier revisions.
+
+
+def preset(
+    name: str = "fast",
+    task: str | CatchEnvCfg = "nominal",
+    *,
+    workcell: str | None = None,
+    dynamics: Path | None = None,
+    camera: Path | None = None,
+    **options: Any,
+) -> Experiment:
+    """Return the experiment of a preset.
+
+    A named task gets the contacts and the stages of physics rates of the preset; a `CatchEnvCfg` is used as it
+    is, at its own physics rate.
+
+    Args:
+        name: fast, large, cpu or paper.
+        task: A task or its name.
+        workcell: Name of the robots. Default: the task's.
+        dynamics: Dynamics file of the robot, as `identify` writes it.
+        camera: Camera file, as `calibrate` writes it.
+        **options: Fields of `TrainCfg` that differ from the preset. With `start`, the networks have the sizes
+            of that policy.
+
+    Raises:
+        UnknownNameError: There is no such preset, task, work cell or policy to start from.
+        InvalidValueError: No training is possible with the values, or a file cannot be read.
+        PolicyMismatchError: The policy to start from cannot be read.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    env = find_task(task) if isinstance(task, str) else task
+    if isinstance(task, str) and name != "paper":
+        env = replace(env, scene=replace(env.scene, **FAST_CONTACTS))
+    if not isinstance(task, str):
+        options = {"physics_stages": ()} | options
+    if workcell:
+        env = env.with_workcell(find_workcell(workcell))
+    if options.get("start"):
+        start = Policy.load(policy_folder(Path(options["start"])))
+        options = {"hidden": start.hidden, "recurrent": start.recurrent} | options
+    train = replace(PRESETS[name], **options)
+    has_camera = env.sensing.camera != RELEASE_CAMERA
+    if (dynamics and env.dynamics) or (camera and has_camera):
+        raise InvalidValueError(
+            f"'{dynamics or camera}' is given, but the task has such values already; leave out one of them."
+        )
+    return Experiment(env=env.with_files(dynamics, camera), train=train)
+
+
+def read_run(folder: Path) -> Run:
+    """Read the configuration of a run folder.
+
+    Raises:
+        CheckpointError: It does not fit this code.
+        OSError: It cannot be read.
+    """
+    file = folder / CONFIG_FILE
+    try:
+        content = _current(read_json_object(file))
+        experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
+        return Run(experiment=experiment, method=content["policy"]["method"], preset=content.get("preset"))
+    except (ValueError, LookupError, TypeError) as error:
+        raise CheckpointError(
+            f"'{file}' is no configuration that this code reads ({error}); resume with the version that "
+            "wrote it, or start another run."
+        ) from error
+
+
+def require_run(folder: Path, **given: str | None) -> Run:
+    """Read the run that goes on, and check that what is given is what it was started with.
+
+    Args:
+        folder: The run folder.
+        **given: Names by option: method, preset, task, workcell; None where the option is not given.
+
+    Raises:
+        CheckpointError: There is no run, or it was started with something else.
+    """
+    if not (folder / CONFIG_FILE).is_file():
+        raise CheckpointError(f"'{folder}' holds no run to resume; start without --resume.")
+    run = read_run(folder)
+    env = run.experiment.env
+    found = {"method": run.method, "preset": run.preset, "task": env.name, "workcell": env.scene.workcell}
+    for name, value in given.items():
+        if value not in (None, found[name]):
+            before = f"is a run of the {name} '{found[name]}'" if found[name] else f"does not record its {name}"
+            raise CheckpointError(
+                f"'{folder}' {before}, and '{value}' is given; leave out the {name}, or name another folder."
+            )
+    return run
+
+
+def _current(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a configuration file of any revision as this one writes it."""
+    train, env = dict(content["train"]), current_fields(content["env"])
+    if "physics_hz" in train:
+        stages = train.pop("physics_hz")
+        train["physics_stages"] = stages if len(set(stages)) > 1 else []
+        env = env | {"name": train["task"], "scene": env["scene"] | {"physics_hz": stages[0]}}
+        moved = ("method", "task", "dynamics", "camera", "latency_steps", "cone", "multiccd")
+        train = {name: value for name, value in train.items() if name not in moved}
+    return content | {"train": {"value_loss": "clipped"} | train, "env": env}
