@@ -11,8 +11,14 @@ from pathlib import Path
 import pytest
 
 from domains import PATIENCE
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main, parse
+from pixel2catch.learning import experiment
+from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.own_files import VARIABLE, take_option
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.shipped import policy_folder
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ROOT = Path(__file__).parents[1]
 COMPARISON = ROOT / "experiments" / "results" / "2026-11-21-comparison" / "report" / "table.json"
@@ -77,17 +83,24 @@ def test_links_lead_somewhere():
             assert is_there, f"{page.relative_to(ROOT)}: {target}"
 
 
+WRITTEN = {"--camera": CameraFile(camera=RGB_CAMERA).save, "--dynamics": DynamicsFile().save}
+"""What writes a file of its kind for an option; files of others may be empty."""
+
+
 @pytest.mark.parametrize("line", COMMANDS, ids=[f"{page}: {line[12:50]}" for line, page in COMMANDS.items()])
 def test_commands_are_understood(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Options and their kinds are right; what the commands do is tested where they are."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.setattr(experiment, "policy_folder", lambda _: policy_folder(None))  # of --start
+    monkeypatch.setattr(experiment, "find_workcell", lambda _: UR5E_ALLEGRO)  # of --workcell FILE.py
     args = take_option(shlex.split(line, comments=True)[1:])
+    monkeypatch.setenv(VARIABLE, "")  # files of one's own are not there
     for option, argument in zip(["", *args], args, strict=False):
         path = Path(argument)
         if option != "--out" and path.suffix in INPUTS:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch()
+            WRITTEN.get(option, Path.touch)(path)
         elif option != "--out" and "/" in argument and not path.is_absolute():
             path.mkdir(parents=True, exist_ok=True)
             (path / "policy.json").touch()

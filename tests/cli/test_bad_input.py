@@ -13,7 +13,8 @@ import pytest
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.learning.config import PRESETS, preset
+from pixel2catch.learning.config import PRESETS
+from pixel2catch.learning.experiment import preset
 
 TRAIN = "train --device cpu --num-envs 4 --rollout-steps 2 --mini-batches 2 --hidden 8"
 
@@ -48,7 +49,7 @@ BAD = [
     ("evaluate --physics-hz 100", "physics_hz is 100; it must be a multiple"),
     ("train --learning-rate nan", "learning_rate is nan"),
     ("train --discount 1.5", "discount is 1.5; it must be from 0 to 1"),
-    ("train --physics-hz 120 nan", "physics_hz is nan"),
+    ("train --physics-stages 120 nan", "physics_stages is nan"),
     ("train --hidden 512 0", "hidden is 0"),
     ("train --num-envs 0", "num_envs is 0"),
     ("train --device cpu --env.throws.peak-z nan 1", "nan"),
@@ -132,7 +133,7 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
 def test_presets_and_tasks_are_valid(task: str):
     require_valid(find_task(task))
     for name in PRESETS:
-        require_valid(preset(name))
+        require_valid(preset(name).train)
 
 
 def started(line: str, folder: Path, **options: object) -> subprocess.Popen[str]:

@@ -61,7 +61,7 @@ def test_training_is_for_the_camera_of_the_file(
     other = tmp_path / "other.json"
     CameraFile(camera=RGB_CAMERA).save(other)
     assert run(*TRAIN, "--out", out, "--resume", "--camera", other) == 2
-    assert f"--camera {out / 'camera.json'}" in capsys.readouterr().err
+    assert "leave out --camera" in capsys.readouterr().err
     assert run(*TRAIN, "--out", out, "--resume") == 0
     assert json.loads((out / "config.json").read_text())["env"] == task
 

@@ -55,7 +55,7 @@ def test_training_simulates_the_robot_of_the_file(
     other = tmp_path / "other.json"
     DynamicsFile().save(other)
     assert run(*TRAIN, "--out", out, "--resume", "--dynamics", other) == 2
-    assert f"--dynamics {out / 'dynamics.json'}" in capsys.readouterr().err
+    assert "leave out --dynamics" in capsys.readouterr().err
     assert run(*TRAIN, "--out", out, "--resume") == 0
     assert json.loads((out / "config.json").read_text())["env"] == task
 

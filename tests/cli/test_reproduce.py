@@ -139,7 +139,7 @@ def test_another_configuration_is_refused(study: Study, capsys: pytest.CaptureFi
     before = times(study.folder)
     assert main(["reproduce", *TINY, "--out", str(study.folder), "--physics-hz", "120", "--trials", "2"]) == 2
     message = capsys.readouterr().err
-    assert "training physics_hz: [60.0] in the study, [120.0] now" in message
+    assert "training physics_stages: [60.0] in the study, [120.0] now" in message
     assert "evaluation trials: 1 in the study, 2 now" in message
     assert times(study.folder) == before
 

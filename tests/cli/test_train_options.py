@@ -1,27 +1,35 @@
-"""Fields of the task as options of train, what a run writes down of them, and what it goes on with."""
+"""Options of train: fields of task and learning, what a run records, and what it goes on with."""
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
-from pixel2catch.cli.fields import with_fields
 from pixel2catch.cli.main import main, parse
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.learning.experiment import preset, read_run
 from pixel2catch.methods import METHODS, find_method
+from pixel2catch.policy import Policy
+from pixel2catch.scene.constants import OBJECT_RADIUS
+from pixel2catch.shipped import policy_folder
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8", "--env.scene.physics-hz", "30")
+TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8")
 LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
+OLD_CONFIG = Path(__file__).parents[1] / "learning" / "old_runs" / "config.json"
 
 COVARIANCE = tuple(tuple(0.5 if i == j else 0.0 for j in range(6)) for i in range(6))
 OTHER = {
+    "name": "mine",
     "engine": "physx",
     "cone": "pyramidal",
     "robot_model": ("maker.urdf",),
@@ -73,50 +81,72 @@ def changed(cfg: Any) -> Any:
     )
 
 
-def options(value: Any, name: str = "") -> Iterator[tuple[str, ...]]:
-    """Every leaf of a configuration as an option."""
-    prefix = f"{name}." if name else ""
+def options(value: Any, name: str = "--env") -> Iterator[str]:
+    """Every leaf of a configuration as an option with its values."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             if field.name != "dynamics":
-                yield from options(getattr(value, field.name), prefix + field.name)
+                yield from options(getattr(value, field.name), f"{name}.{field.name}")
     elif name.endswith(("variants", "pose_covariance")):
         for number, entry in enumerate(value):
-            yield from options(entry, f"{prefix}{number}")
+            yield from options(entry, f"{name}.{number}")
     else:
         entries = value if isinstance(value, tuple) else (value,)
-        flat = (part for entry in entries for part in (entry if isinstance(entry, tuple) else (entry,)))
-        yield name, *map(str, flat)
+        yield name
+        yield from (str(part) for each in entries for part in (each if isinstance(each, tuple) else (each,)))
 
 
 @pytest.mark.parametrize("name", ["nominal", "wide"])
 def test_every_field_of_a_task_can_be_set(name: str):
-    task = TASKS[name]
-    expected = changed(task)
-    assert expected != task
-    assert with_fields(task, tuple(options(expected))) == expected
+    expected = changed(TASKS[name])
+    command = parse(["train", "--device", "cpu", "--task", name, *options(expected)])
+    assert command.env == expected
+    assert command.train == dataclasses.replace(preset("cpu").train, physics_stages=())
 
 
 def test_what_is_set_reaches_the_environment():
-    train = parse([*TRAIN, "--task", "wide", "--env.variants.0.share=0.5", *LATE])
-    cfg = train.with_task(train.resolve())
-    assert [variant.share for variant in cfg.env.variants] == [0.5, 0.2, 0.2, 0.1]
-    env = CatchEnv(dataclasses.replace(cfg.env, variants=()), METHODS["only_center"], num_envs=64)
+    cfg = parse([*TRAIN, "--task", "wide", "--env.variants.0.share=0.5", *LATE]).env
+    assert [variant.share for variant in cfg.variants] == [0.5, 0.2, 0.2, 0.1]
+    assert cfg.variants[0].sensing == TASKS["wide"].variants[0].sensing
+    env = CatchEnv(dataclasses.replace(cfg, variants=()), METHODS["only_center"], num_envs=64)
     try:
-        assert env.cfg.sensing.latency_steps == cfg.latency_steps == (1.0, 3.0)
         assert set(env._episode.parameters.latency.tolist()) == {1.0, 2.0, 3.0}
         assert set(env._episode.throw.hover_steps.tolist()) == {7}
     finally:
         env.close()
 
 
-def test_short_options_and_fields_of_the_task_are_one():
-    train = parse([*TRAIN, "--env.sensing.latency-steps", "0", "2", "--env.scene.physics-hz", "60"])
-    cfg = train.with_task(train.resolve())
-    assert (cfg.physics_hz, cfg.env.scene.physics_hz) == ((60.0,), 60.0)
-    assert cfg.env.sensing.latency_steps == cfg.latency_steps == (0.0, 2.0)
-    objects = parse([*TRAIN, "--env.objects", "unseen", "cube_s"])
-    assert "cross" in objects.with_task(objects.resolve()).env.objects
+@pytest.mark.parametrize(
+    ("option", "new"),
+    [
+        (("--latency-steps", "1", "3"), "env.sensing.latency_steps"),
+        (("--physics-hz", "120"), "env.scene.physics_hz"),
+        (("--cone=elliptic",), "env.scene.cone"),
+        (("--no-multiccd",), "env.scene.multiccd"),
+        (("--physics-stages", "60", "--env.scene.physics-hz", "60"), "not both"),
+    ],
+)
+def test_an_option_that_moved_names_the_new_one(option: tuple[str, ...], new: str):
+    with pytest.raises(InvalidValueError, match=new):
+        parse([*TRAIN, *option])
+
+
+def test_a_given_physics_rate_holds_throughout():
+    command = parse([*TRAIN, "--env.scene.physics-hz", "120"])
+    assert (command.train.physics_stages, command.env.scene.physics_hz) == ((), 120.0)
+    assert command.train.rate_at(0) is None
+    assert parse([*TRAIN, "--physics-stages", "60", "120"]).train.physics_stages == (60.0, 120.0)
+    assert len(parse(TRAIN).train.physics_stages) == 6
+
+
+def test_contacts_of_training_are_those_of_the_preset():
+    def contacts(*args: str) -> tuple[str, bool]:
+        scene = parse(["train", "--device", "cpu", *args]).env.scene
+        return scene.cone, scene.multiccd
+
+    assert contacts("--preset", "fast") == ("pyramidal", False)
+    assert contacts("--preset", "paper") == ("elliptic", True)
+    assert contacts("--env.scene.cone", "elliptic") == ("elliptic", False)
 
 
 @pytest.mark.parametrize(
@@ -124,16 +154,20 @@ def test_short_options_and_fields_of_the_task_are_one():
     [
         (("--env.sensing.latency-stps", "1", "3"), ("--env.sensing.latency-steps",)),
         (("--env.sensing.latency-steps", "1"), ("--env.sensing.latency-steps", "Expected 2 values")),
-        (("--env.sensing.edge-noise", "much"), ("--env.sensing.edge-noise", "much")),
         (("--env.scene.object-scale", "9"), ("object_scale is 9",)),
+        (("--task", "wild"), ("'wild'", "nominal", "wide")),
+        (("--start", "ctach+fit"), ("ctach+fit", "catch+fit")),
+        (("--teacher", "ctach+fit"), ("ctach+fit", "catch+fit")),
     ],
 )
-def test_a_wrong_field_or_value_says_what_is_right(
+def test_a_wrong_value_is_refused_before_anything_is_written(
     option: tuple[str, ...], words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    with pytest.raises(SystemExit) as stopped:
-        main([*TRAIN, *option, "--out", str(tmp_path / "run")])
-    assert stopped.value.code == 2
+    try:
+        status = main([*TRAIN, *option, "--out", str(tmp_path / "run")])
+    except SystemExit as stopped:
+        status = stopped.code
+    assert status == 2
     output = "".join(capsys.readouterr())
     assert all(word in output for word in words)
     assert not list(tmp_path.iterdir())
@@ -148,44 +182,68 @@ def test_help_tells_all_fields(capsys: pytest.CaptureFixture[str]):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with a teacher and an own latency."""
+    """A run for the wide task, with a latency and weights of its own, started as the old one was."""
     out = tmp_path_factory.mktemp("own") / "run"
-    teacher = ("--teacher", "object_position-seed0")
-    assert main([*TRAIN, *LATE, *teacher, "--task", "wide", "--out", str(out)]) == 0
+    own = ("--task", "wide", "--preset", "cpu", "--physics-stages", "30", "60")
+    assert main([*TRAIN, *LATE, *own, "--out", str(out)]) == 0
     return out
 
 
-def test_a_run_goes_on_with_its_own_configuration(run: Path):
+def test_a_configuration_of_the_previous_revision_is_read_and_goes_on(run: Path, tmp_path: Path):
+    (tmp_path / "old").mkdir()
+    shutil.copy(OLD_CONFIG, tmp_path / "old")
+    old, new = (read_run(folder).experiment for folder in (tmp_path / "old", run))
+    scene = dataclasses.replace(new.env.scene, physics_hz=30.0)  # the rate of the first stage
+    assert old.train == new.train
+    assert old.env == dataclasses.replace(new.env, scene=scene)
+    out = tmp_path / "run"
+    shutil.copytree(run, out)
+    shutil.copy(OLD_CONFIG, out)
+    assert main(["train", "--resume", "--transitions", "32", "--out", str(out)]) == 0
+    assert json.loads((out / "summary.json").read_text())["transitions"] == 32
+    after = read_run(out).experiment
+    assert (after.train, after.env) == (dataclasses.replace(new.train, transitions=32), old.env)
+
+
+def test_a_run_goes_on_with_its_own_configuration(run: Path, capsys: pytest.CaptureFixture[str]):
     before = json.loads((run / "config.json").read_text())
-    assert main(["train", "--resume", "--transitions", "32", "--out", str(run)]) == 0
+    for wrong in (("--task", "nominal"), ("--workcell", "ur5e_leap"), ("--preset", "fast")):
+        assert main([*TRAIN, *wrong, "--resume", "--out", str(run)]) == 2
+        assert wrong[1] in capsys.readouterr().err
+    assert main(["train", "proposed", "--resume", "--out", str(run)]) == 2
+    assert "only_center" in capsys.readouterr().err
+    assert main(["train", "--task", "wide", "--resume", "--transitions", "24", "--out", str(run)]) == 0
     after = json.loads((run / "config.json").read_text())
-    assert after["train"].pop("transitions") == 32
-    assert before["train"].pop("transitions") == 16
-    assert after == before
-    assert after["train"]["teacher"].endswith("object_position-seed0")
-    assert json.loads((run / "summary.json").read_text())["transitions"] == 32
+    assert (before["train"].pop("transitions"), after["train"].pop("transitions")) == (16, 24)
+    assert after | {"preset": "cpu"} == before
 
 
-def test_a_configuration_that_was_read_is_the_one_that_was_written(run: Path):
-    cfg = TrainCfg.of_run(run)
-    assert isinstance(cfg.env, CatchEnvCfg)
-    assert cfg.env == with_fields(cfg.env, ())
-    assert cfg.env.sensing.latency_steps == (1.0, 3.0)
-    assert cfg.env.variants[0].sensing == TASKS["wide"].variants[0].sensing
-    assert (cfg.method, cfg.task, cfg.hidden) == ("only_center", "wide", (8,))
+def test_a_policy_is_of_its_task_and_is_evaluated_in_the_papers(
+    run: Path, capsys: pytest.CaptureFixture[str]
+):
+    policy, _ = load_policy(run)
+    assert (policy.contract.task, policy.contract.object_radius) == ("wide", OBJECT_RADIUS)
+    args = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--physics-hz", "60", "--json")
+    assert main(["evaluate", str(run), *args]) == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert (metrics["method"], metrics["trials"]) == ("only_center", 2)
 
 
-def test_a_run_tells_terms_and_weights_of_its_agents(run: Path):
-    agents = json.loads((run / "config.json").read_text())["agents"]
-    method = find_method("only_center")
-    assert list(agents) == [agent.name for agent in method.agents]
-    assert agents["arm"]["observation"] == ["pixels", "palm_pose", "joint_pos", "last_action"]
-    assert agents["arm"]["rewards"] == {
+def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
+    out = tmp_path / "run"
+    rewards = ("--rewards", "arm.success", "5", "arm.drop", "0")
+    assert main([*TRAIN, *rewards, "--env.scene.physics-hz", "30", "--out", str(out)]) == 0
+    config = json.loads((out / "config.json").read_text())
+    assert config["train"]["rewards"] == {"arm.success": 5.0, "arm.drop": 0.0}
+    assert config["env"]["name"] == "nominal"
+    assert list(config["agents"]) == [agent.name for agent in find_method("only_center").agents]
+    assert config["agents"]["arm"]["observation"] == ["pixels", "palm_pose", "joint_pos", "last_action"]
+    assert config["agents"]["arm"]["rewards"] == {
         "arm.elapsed_time": -0.01,
         "arm.palm_approach": 1.0,
-        "arm.success": 10.0,
+        "arm.success": 5.0,
         "arm.nearness": 0.1,
-        "arm.drop": -5.0,
+        "arm.drop": 0.0,
         "arm.table_contact": -5.0,
         "arm.action_square": -0.01,
     }
@@ -198,3 +256,18 @@ def test_a_damaged_configuration_is_refused(content: str, tmp_path: Path, capsys
     (tmp_path / "config.json").write_text(content)
     assert main(["train", "--resume", "--out", str(tmp_path)]) == 2
     assert "is no configuration that this code reads" in capsys.readouterr().err
+
+
+def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
+    """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
+    small = ("--device", "cpu", *SIZE, "--env.scene.physics-hz", "30", "--out", str(tmp_path / "run"))
+    teacher = ("--teacher", "object_position-seed0")
+    assert main(["train", "catch+fit", *small, *teacher, "--start", "catch+fit"]) == 0
+    shipped, trained = (Policy.load(policy_folder(path)) for path in (Path("catch+fit"), tmp_path / "run"))
+    for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
+        assert torch.equal(before, after), name
+
+
+def test_tasks_of_the_catalogue_have_their_names():
+    assert {name: task.name for name, task in TASKS.items()} == {name: name for name in TASKS}
+    assert CatchEnvCfg().name == "nominal"

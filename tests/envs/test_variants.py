@@ -208,7 +208,9 @@ def test_only_values_that_are_told_know_the_draws():
     """State: observations, what is told, 21 numbers of the truth; the same size in every step and episode."""
     method, sizes = find_method("catch+age"), []
     for value_sees_parameters in (False, True):
-        cfg = replace(MIXED, value_sees_parameters=value_sees_parameters, episode=EpisodeCfg(max_steps=3), scene=COARSE)
+        cfg = replace(
+            MIXED, value_sees_parameters=value_sees_parameters, episode=EpisodeCfg(max_steps=3), scene=COARSE
+        )
         env = CatchEnv(cfg, method, num_envs=3, seed=1)
         assert env.observation_sizes == {"arm": 51, "hand": 79}
         for _ in range(4):

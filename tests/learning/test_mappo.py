@@ -14,8 +14,8 @@ from torch.distributions import Normal
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning.config import PRESETS, TrainCfg
-from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.distributed import Workers
+from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import learn_together

@@ -8,11 +8,11 @@ import torch
 from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, Statistics, TaughtEnv, observed, roll_out
 from torch import Tensor, nn
 
-from pixel2catch.errors import CheckpointError, InvalidValueError
 from pixel2catch.envs.catch_env import Observation
+from pixel2catch.errors import CheckpointError, InvalidValueError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
-from pixel2catch.learning.networks import recall_all
+from pixel2catch.learning.networks import gru_rollout
 from pixel2catch.learning.train import TrainResult, train
 from pixel2catch.policy import AgentContract, Policy
 
@@ -29,11 +29,11 @@ def test_a_sequence_cut_at_an_episodes_end_is_two_sequences() -> None:
     gru, inputs, state = sequence(7)
     is_first = torch.zeros(7, 3, dtype=torch.bool)
     is_first[4] = True
-    whole = recall_all(gru, inputs, state, is_first)
-    before = recall_all(gru, inputs[:4], state, is_first[:4])
-    after = recall_all(gru, inputs[4:], torch.zeros(1, 3, 5), torch.zeros(3, 3, dtype=torch.bool))
+    whole = gru_rollout(gru, inputs, state, is_first)
+    before = gru_rollout(gru, inputs[:4], state, is_first[:4])
+    after = gru_rollout(gru, inputs[4:], torch.zeros(1, 3, 5), torch.zeros(3, 3, dtype=torch.bool))
     torch.testing.assert_close(whole, torch.cat((before, after)))
-    assert (recall_all(gru, inputs, state, ~is_first)[4] - whole[4]).abs().max() > 1e-3
+    assert (gru_rollout(gru, inputs, state, ~is_first)[4] - whole[4]).abs().max() > 1e-3
 
 
 def gates(gru: nn.GRUCell, inputs: Tensor, state: Tensor) -> Tensor:
@@ -49,7 +49,7 @@ def test_gradients_of_a_sequence_are_those_of_a_loop_by_hand() -> None:
     is_first = torch.rand(6, 3) < 0.3
     weights = torch.randn(6, 3, 5)
     found = torch.autograd.grad(
-        (weights * recall_all(gru, inputs, state, is_first)).sum(), [*gru.parameters()]
+        (weights * gru_rollout(gru, inputs, state, is_first)).sum(), [*gru.parameters()]
     )
     now, total = state[0], torch.zeros(())
     for t in range(6):
@@ -76,7 +76,7 @@ def test_learning_sees_what_acting_saw() -> None:
         assert is_first.any()
         assert bool(rollout.policy_hidden_state.any()) == bool(number)
         inputs = networks.observation_scale(rollout.observations)
-        features = recall_all(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
+        features = gru_rollout(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
         log_prob = networks.log_prob(networks.policy(features), rollout.actions)
         torch.testing.assert_close(log_prob, rollout.log_prob)
         mappo.update(0.0)
@@ -175,7 +175,7 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
     policy, networks, rollout = mappo.export(), mappo.networks["arm"], mappo.rollout["arm"]
     inputs = networks.observation_scale(rollout.observations)
     is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
-    features = recall_all(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
+    features = gru_rollout(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
     for t, expected in enumerate(networks.policy(features)):
         policy.reset(is_first[t])
         observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}

@@ -34,8 +34,8 @@ def test_a_run_keeps_its_inputs_and_goes_on_with_no_others(tmp_path: Path) -> No
 def test_a_file_of_that_name_is_not_overwritten(tmp_path: Path) -> None:
     """Such as in the folder that an identification wrote."""
     mine = written(tmp_path / "dynamics.json", "mine")
+    inputs = {"dynamics": written(tmp_path / "measured.json")}
     with pytest.raises(CheckpointError, match="name another folder"):
-        inputs = {"dynamics": written(tmp_path / "measured.json")}
         train(SHORT, ReachingEnv, CONTRACT, tmp_path, inputs=inputs)
     assert mine.read_text() == "mine"
 

@@ -7,11 +7,10 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, TaughtEnv, roll_out
 
-from pixel2catch.errors import CheckpointError, InvalidValueError, PolicyMismatchError
 from pixel2catch.envs.catch_env import Observation
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
-from pixel2catch.learning.train import train
 from pixel2catch.policy import AgentContract, Policy
 
 
@@ -41,7 +40,13 @@ def distance(teacher: Path, mappo: Mappo, observation: Observation) -> float:
     """Root mean square of the difference of their actions."""
     pupil, expert = mappo.export(), Policy.load(teacher)
     actions, teacher_actions = pupil.act(observation.policy), expert.act(observation.teacher)
-    return torch.cat([actions[name] - teacher_actions[name] for name in teacher_actions], -1).square().mean().sqrt().item()
+    return (
+        torch.cat([actions[name] - teacher_actions[name] for name in teacher_actions], -1)
+        .square()
+        .mean()
+        .sqrt()
+        .item()
+    )
 
 
 def test_the_pupil_acts_like_its_teacher(teacher: Path):
@@ -70,7 +75,6 @@ def test_its_weight_falls_evenly(teacher: Path, final: float, expected: list[flo
         mappo.update(progress)
         weights += [step.teacher_weight.item() for step in mappo.steps.values()][:1]
     assert weights == pytest.approx(expected)
-
 
 
 def test_a_share_out_of_range_is_refused():

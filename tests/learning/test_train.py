@@ -18,6 +18,7 @@ import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, ReachingStep, observed
 
 from domains import PATIENCE
+from pixel2catch.envs.catch_env import Observation
 from pixel2catch.errors import (
     CheckpointError,
     DeviceUnavailableError,
@@ -25,7 +26,6 @@ from pixel2catch.errors import (
     NonFiniteError,
     PolicyMismatchError,
 )
-from pixel2catch.envs.catch_env import Observation
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.log import CsvLog, TrainingLog
 from pixel2catch.learning.train import train
@@ -95,13 +95,12 @@ def test_it_learns(make_env: type[ReachingEnv], contract: PolicyContract, tmp_pa
 
 
 def test_run_folder(tmp_path: Path) -> None:
-    result = train(SMALL, ReachingEnv, CONTRACT, tmp_path / "run")
+    result = train(SMALL, ReachingEnv, CONTRACT, tmp_path / "run", record={"preset": "cpu"})
     assert result.status == "finished"
     assert [int(row["transitions"]) for row in rows(tmp_path / "run")] == [1024, 2048, 3072, 4096]
     config = json.loads((tmp_path / "run/config.json").read_text())
-    lists = {"hidden": [64, 64], "physics_hz": [120.0], "latency_steps": [1, 2]}
-    assert config["train"] == SMALL.to_dict() | lists
-    assert config["env"] == {"bad_step": -1, "bad_quantity": ""}
+    assert config["train"] == dataclasses.asdict(SMALL) | {"hidden": [64, 64], "physics_stages": []}
+    assert config["preset"] == "cpu"
     assert config["policy"] == CONTRACT.to_dict()
     session = json.loads((tmp_path / "run/sessions.json").read_text())[0]
     assert session["versions"]["torch"] == torch.__version__
@@ -190,7 +189,7 @@ def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
 
 def test_environment_that_does_not_fit(tmp_path: Path) -> None:
     few = dataclasses.replace(SMALL, num_envs=32)
-    with pytest.raises(PolicyMismatchError, match=r"num_envs: .* say 32, the environment 64"):
+    with pytest.raises(PolicyMismatchError, match=r"num_envs: .* 32, the environments 64"):
         train(few, lambda *_: ReachingEnv(SMALL), CONTRACT, tmp_path / "a")
     with pytest.raises(PolicyMismatchError, match="observation_sizes"):
         train(SMALL, ReachingEnv, SOLO_CONTRACT, tmp_path / "b")

@@ -1,4 +1,4 @@
-"""Fields of the task as options, `--env.sensing.latency-steps 1 3`, and what they are where they are not given."""
+"""Fields of the task as options, `--env.sensing.latency-steps 1 3`, and their defaults."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """How the fields of commands become options, and how help shows them."""
 
 from dataclasses import is_dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
@@ -38,12 +38,14 @@ def option_rules() -> ConstructorRegistry:
 def _option(field: StructFieldSpec, is_task: bool) -> StructFieldSpec:
     """Return a field with its name and help as an option."""
     kind: Any = field.type
-    if field.name == "dynamics" and is_task or field.name == "env" and field.default is None:
+    if (field.name == "dynamics" and is_task) or (field.name == "env" and field.default is None):
         return replace(field, type=tyro.conf.Suppress[tyro.conf.Fixed[kind]])
-    if is_dataclass(field.default) and field.name != "env" and not is_task:
+    declared = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    is_nested = is_dataclass(field.default) or is_dataclass(declared)
+    if is_nested and field.name != "env" and not is_task:
         return replace(field, type=Annotated[kind, tyro.conf.arg(name="")])
     if field.default is False:
         kind = tyro.conf.FlagCreatePairsOff[kind]
-    if field.default in (None, ()) or field.default is False:
+    if field.default in (None, (), {}) or field.default is False:
         kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
     return replace(field, type=kind)

@@ -210,7 +210,9 @@ class Reproduce:
             methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
             seeds=self.seeds,
             configuration={
-                f"training {n}": value for n, value in training.items() if n not in NEUTRAL and value is not None
+                f"training {n}": value
+                for n, value in training.items()
+                if n not in NEUTRAL and value is not None
             }
             | {f"evaluation {n}": value for n, value in evaluation.items()},
         )

@@ -2,11 +2,11 @@
 
 import argparse
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Fixed, Positional, Suppress
 
@@ -77,7 +77,9 @@ class Train:
         if "--help" in args or "-h" in args:  # at once, without the task
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
         import_files()
-        files = {name: Path(file) for name in ("dynamics", "camera") if (file := getattr(given, name))}
+        files: dict[str, Any] = {
+            name: Path(file) for name in ("dynamics", "camera") if (file := getattr(given, name))
+        }
         require_valid(cls(**files))
         method = args[0] if args and not args[0].startswith("-") else None
         folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
@@ -139,14 +141,14 @@ def _folder(method: str, seed: int | str) -> Path:
     return Path("runs") / f"{method}-seed{seed}"
 
 
-def _preset(given: argparse.Namespace, files: Mapping[str, Path]) -> "Experiment":
+def _preset(given: argparse.Namespace, files: dict[str, Any]) -> "Experiment":
     import torch
 
     from pixel2catch.learning.experiment import preset
 
     device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
     name = given.preset or ("fast" if device.startswith("cuda") else "cpu")
-    options = {"device": device} | ({"start": Path(given.start)} if given.start else {})
+    options: dict[str, Any] = {"device": device} | ({"start": Path(given.start)} if given.start else {})
     return preset(name, given.task or "nominal", workcell=given.workcell, **files, **options)
 
 

@@ -60,7 +60,9 @@ class CatchEnvCfg:
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
     #: Ranges that differ in a share of the episodes each; in the rest the others hold.
     variants: tuple[TaskVariant, ...] = ()
-    value_sees_parameters: bool = False  #: Whether value networks also observe what was drawn for the episode.
+    value_sees_parameters: bool = (
+        False  #: Whether value networks also observe what was drawn for the episode.
+    )
 
     def __post_init__(self) -> None:
         """Refuse shares whose sum exceeds 1, and variants of what is not drawn for an episode."""

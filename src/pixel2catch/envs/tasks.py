@@ -95,7 +95,10 @@ SIDEWAYS = replace(ThrowCfg(), aim_y=(-0.55, 0.55))
 
 SIZES_TASK = CatchEnvCfg(
     name="sizes",
-    objects=SIZES, throws=SIDEWAYS, randomization=RandomizationCfg(mass_scale=(0.7, 1.4)), value_sees_parameters=True
+    objects=SIZES,
+    throws=SIDEWAYS,
+    randomization=RandomizationCfg(mass_scale=(0.7, 1.4)),
+    value_sees_parameters=True,
 )
 """Balls and boxes of 6 to 28 cm and 21 to 392 g, thrown to the middle and to either side."""
 

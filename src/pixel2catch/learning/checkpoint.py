@@ -158,7 +158,8 @@ class RunFolder:
             is_same = bool(given) and copy.exists() and copy.read_bytes() == given.read_bytes()
             if given and not is_same and (resume or copy.exists()):
                 raise CheckpointError(
-                    f"'{self.path}' has another {name} file, or none; leave out --{name}, or name another folder."
+                    f"'{self.path}' has another {name} file, or none; leave out --{name}, or name another "
+                    "folder."
                 )
         made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
         try:

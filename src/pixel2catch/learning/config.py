@@ -36,7 +36,7 @@ class TrainCfg:
 
     #: Environments that are simulated side by side, in all processes of torchrun together.
     num_envs: Count = 8192
-    #: Where to simulate and learn: cpu, cuda (each process on its own device), cuda:1, ... Without the option: cuda
+    #: Where to simulate and learn: cpu, cuda (each process on its own device), cuda:1, ... Default: cuda
     #: where there is one.
     device: Device = "cuda"
     #: Seed of networks, exploration and environments.

@@ -141,5 +141,5 @@ def _require_fit(cfg: TrainCfg, env: Environment, contract: PolicyContract) -> N
     for name, (expected, found) in sizes.items():
         if expected != found:
             raise PolicyMismatchError(
-                f"{name}: expected {expected} (configuration and contract), but the environments have {found}."
+                f"{name}: configuration and contract have {expected}, the environments {found}."
             )

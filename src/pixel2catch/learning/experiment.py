@@ -15,8 +15,8 @@ from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell
 
 FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
-"""Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn as
-much with them. Evaluations have elliptic cones and several points. Source: ours."""
+"""Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn
+as much with them. Evaluations have elliptic cones and several points. Source: ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +47,8 @@ def preset(
 ) -> Experiment:
     """Return the experiment of a preset.
 
-    A named task gets the contacts and the stages of physics rates of the preset; a `CatchEnvCfg` is used as it
-    is, at its own physics rate.
+    A named task gets the contacts and the stages of physics rates of the preset; a `CatchEnvCfg` is used as
+    it is, at its own physics rate.
 
     Args:
         name: fast, large, cpu or paper.
@@ -121,7 +121,9 @@ def require_run(folder: Path, **given: str | None) -> Run:
     found = {"method": run.method, "preset": run.preset, "task": env.name, "workcell": env.scene.workcell}
     for name, value in given.items():
         if value not in (None, found[name]):
-            before = f"is a run of the {name} '{found[name]}'" if found[name] else f"does not record its {name}"
+            before = (
+                f"is a run of the {name} '{found[name]}'" if found[name] else f"does not record its {name}"
+            )
             raise CheckpointError(
                 f"'{folder}' {before}, and '{value}' is given; leave out the {name}, or name another folder."
             )

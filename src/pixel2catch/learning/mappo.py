@@ -156,7 +156,9 @@ class Mappo:
         }
         for agent, batch in self.rollout.items():
             joints = self.contract.agents[agent].joints
-            batch.teacher_actions[self._num_steps] = torch.stack([teacher_actions[joint] for joint in joints], dim=-1)
+            batch.teacher_actions[self._num_steps] = torch.stack(
+                [teacher_actions[joint] for joint in joints], dim=-1
+            )
 
     def record(self, step: Outcome) -> None:
         """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""

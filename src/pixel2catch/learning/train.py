@@ -67,7 +67,7 @@ def train(
         DeviceUnavailableError: The machine does not have `cfg.device`.
         WorkerError: Another process failed; only in the first, which alone reports it.
         InvalidValueError: The environments cannot be split over the processes.
-        PolicyMismatchError: There is no policy to start from, or it does not fit; the message names the field.
+        PolicyMismatchError: The policy to start from is absent or does not fit.
     """
     if cfg.wandb:
         wandb_package()

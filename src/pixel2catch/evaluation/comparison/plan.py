@@ -168,7 +168,9 @@ def _current(configuration: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration of any revision as this one writes it."""
     if not MOVED.keys() & configuration.keys():
         return dict(configuration)
-    return {"training value_loss": "clipped"} | {MOVED.get(key, key): each for key, each in configuration.items()}
+    return {"training value_loss": "clipped"} | {
+        MOVED.get(key, key): each for key, each in configuration.items()
+    }
 
 
 def _read(path: Path) -> Json | None:
