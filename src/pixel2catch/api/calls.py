@@ -147,7 +147,8 @@ def train(
         Pixel2CatchError: As `learning.train.train`.
     """
     require_known(options)
-    inputs = {"dynamics": dynamics and Path(dynamics), "camera": camera and Path(camera)}
+    given = {"dynamics": dynamics, "camera": camera}
+    inputs = {key: None if file is None else Path(file) for key, file in given.items()}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
     if resume:
         if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):
