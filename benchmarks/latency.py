@@ -33,7 +33,7 @@ from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport
-from pixel2catch.servo.process import SERVO_PRIORITY, set_real_time
+from pixel2catch.servo.link import SERVO_PRIORITY, set_real_time
 
 STAMPED = (messages.IMAGE, messages.JOINT_STATE)
 PAUSE = 1.0

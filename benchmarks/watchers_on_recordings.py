@@ -27,10 +27,10 @@ from ur5_recordings import read_ur5
 from pixel2catch.identification.tables import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.servo.compilation import entry
-from pixel2catch.servo.core import JOINT_INPUT, ServoState
-from pixel2catch.servo.flags import Fault, flag_names
+from pixel2catch.servo.laws import joint_faults, update_expected
 from pixel2catch.servo.limits import JointLimits, ServoLimits
-from pixel2catch.servo.watchdogs import expect, faults_of_joints
+from pixel2catch.servo.link import Fault, flag_names
+from pixel2catch.servo.tick import JOINT_INPUT, ServoState
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS, TRAVEL = 6, 2.0 * np.pi + 0.3
@@ -169,10 +169,10 @@ def watch(joints: np.ndarray, told: np.ndarray, found: np.ndarray, limits: np.nd
             for number in range(len(present)):
                 joints[row, number].command = before[number].joint_pos_target
             now = present[0].joint_stamp
-            found[tick, row] = faults_of_joints(joints[row], present, now, tick > 1, limits)
+            found[tick, row] = joint_faults(joints[row], present, now, tick > 1, limits)
             for number in range(len(present)):
                 joints[row, number].command = present[number].joint_pos_target
-                expect(joints[row, number], limits[number])
+                update_expected(joints[row, number], limits[number])
             if ends and found[tick, row] != 0:
                 break
 

@@ -26,8 +26,8 @@ from pixel2catch.mdp.throws import ThrowCfg, sample_paths
 from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.servo.laws import interpolated, limited_speed, moving_mean, speed_to
 from pixel2catch.servo.limits import ServoLimits, records
-from pixel2catch.servo.motion import averaged, on_the_way, towards, wished
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
@@ -240,12 +240,12 @@ def _commands(targets: ndarray, limits: np.record) -> tuple[ndarray, ndarray, nd
     for tick in range(round(len(targets) * CONTROL_DT / limits.dt)):
         now = tick * limits.dt
         if (number := int(now / CONTROL_DT + 1e-9)) > newest:
-            start = on_the_way(start, end, now - begun, CONTROL_DT)
+            start = interpolated(start, end, now - begun, CONTROL_DT)
             end, begun, newest = targets[number], now, number
-        goal = on_the_way(start, end, now - begun + limits.dt + limits.delay, CONTROL_DT)
-        velocity = towards(position, velocity, wished(position, goal, limits), limits)
+        goal = interpolated(start, end, now - begun + limits.dt + limits.delay, CONTROL_DT)
+        velocity = limited_speed(position, velocity, speed_to(position, goal, limits), limits)
         position += velocity * limits.dt
-        rows.append((now + limits.dt, averaged(recent, position, limits)))
+        rows.append((now + limits.dt, moving_mean(recent, position, limits)))
     time, command = np.array(rows).T
     return time, command, np.diff(command, prepend=command[0]) / limits.dt
 

@@ -15,8 +15,7 @@ from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import Command, JointTargets
+from pixel2catch.servo.link import Command, JointTargets, Mode
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 NUM_JOINTS, EPOCH, START = 19, 1_790_000_000.0, 500.0

@@ -15,8 +15,7 @@ from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, Publisher, RealClock, Transport
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import Command, JointTargets
-from pixel2catch.servo.process import set_niceness
+from pixel2catch.servo.link import Command, JointTargets, set_niceness
 
 DT = 0.002
 IMAGE_TICKS = round(CONTROL_DT / DT)

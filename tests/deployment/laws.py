@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from pixel2catch.servo.clearance import contains
-from pixel2catch.servo.core import Output, ServoInputs
-from pixel2catch.servo.flags import Fault, Mode
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.workspace import Workspace
+from pixel2catch.servo.link import Fault, Mode
+from pixel2catch.servo.tick import ServoInputs, ServoState
+from pixel2catch.servo.workspace import Workspace, contains
 
 ROUNDING = 1e-9
 ALLOWED = {
@@ -41,7 +40,7 @@ class Laws:
         #: Largest speed, acceleration and jerk of a command, as shares of its limit.
         self.reached: dict[str, float] = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
 
-    def check(self, inputs: ServoInputs, output: Output) -> None:
+    def check(self, inputs: ServoInputs, output: ServoState) -> None:
         """Check a tick, and remember it."""
         with np.errstate(invalid="ignore", over="ignore"):
             self._check_modes(inputs, output)
@@ -49,10 +48,10 @@ class Laws:
             self._check_motion(inputs, output)
             self._remember(inputs, output)
 
-    def _check_modes(self, inputs: ServoInputs, output: Output) -> None:
+    def _check_modes(self, inputs: ServoInputs, output: ServoState) -> None:
         for before, after in ALLOWED.items():
-            assert np.isin(output.mode[self.mode == before], list(after)).all()
-        is_armed = (output.mode == Mode.ARMED) & (self.mode != Mode.ARMED)
+            assert np.isin(output["mode"][self.mode == before], list(after)).all()
+        is_armed = (output["mode"] == Mode.ARMED) & (self.mode != Mode.ARMED)
         age = inputs.now - inputs.arm_stamp
         is_asked = (inputs.arm_stamp > self.newest_request) & (age < self.limits.operator_age + ROUNDING)
         assert is_asked[is_armed].all(), "armed without a fresh request of its own"
@@ -60,15 +59,15 @@ class Laws:
         assert is_late[is_armed & (self.mode == Mode.STOPPED)].all(), "armed in the middle of a stop"
         is_pressed = inputs.pressed_stamp > self.used_press
         assert is_pressed[is_armed].all(), "armed with a switch that was not pressed anew"
-        is_left = (output.mode == Mode.IDLE) & (self.mode == Mode.STOPPED)
+        is_left = (output["mode"] == Mode.IDLE) & (self.mode == Mode.STOPPED)
         assert is_late[is_left].all(), "given up in the middle of a stop"
         if self.command is not None:
             is_told = is_left & ~self.is_silent
             away = np.abs(inputs.joint_pos - self.command)[is_told] > self.limits.joints.moved_error
             assert away.any(axis=-1).all(), "given up though nobody moved it"
-        np.testing.assert_array_equal(output.stopped_by != 0, output.mode == Mode.STOPPED)
+        np.testing.assert_array_equal(output["stopped_by"] != 0, output["mode"] == Mode.STOPPED)
 
-    def _check_faults(self, inputs: ServoInputs, output: Output) -> None:
+    def _check_faults(self, inputs: ServoInputs, output: ServoState) -> None:
         """No row is active with anything wrong."""
         limits, now = self.limits, inputs.now
         joint_age = now[:, None] - inputs.joint_stamp
@@ -90,18 +89,18 @@ class Laws:
             & (inputs.joint_pos > limits.joints.least).all(axis=-1)
             & (inputs.joint_pos < limits.joints.most).all(axis=-1)
         )
-        assert is_well[np.isin(output.mode, ACTIVE)].all()
+        assert is_well[np.isin(output["mode"], ACTIVE)].all()
         sees = (now - inputs.image_stamp <= limits.image_age) & (
             now - inputs.target_stamp <= limits.target_age
         )
         sees &= (now - inputs.box_stamp <= limits.box_age) & inputs.is_perception_sound
         makes_sense = np.isfinite(inputs.joint_pos_target).all(axis=-1)
-        assert (sees & makes_sense)[np.isin(output.mode, DRIVEN)].all()
+        assert (sees & makes_sense)[np.isin(output["mode"], DRIVEN)].all()
 
-    def _check_motion(self, inputs: ServoInputs, output: Output) -> None:
-        limits, joints, command = self.limits, self.limits.joints, output.command
-        is_silent = (output.stopped_by & Fault.OTHER_PUBLISHER) != 0
-        is_sent = (output.mode != Mode.IDLE) & ~is_silent
+    def _check_motion(self, inputs: ServoInputs, output: ServoState) -> None:
+        limits, joints, command = self.limits, self.limits.joints, output["sent"]
+        is_silent = (output["stopped_by"] & Fault.OTHER_PUBLISHER) != 0
+        is_sent = (output["mode"] != Mode.IDLE) & ~is_silent
         assert np.isnan(command[~is_sent]).all()
         assert ((command >= joints.lower - ROUNDING) & (command <= joints.upper + ROUNDING))[is_sent].all()
         assert contains(self.wider, command[is_sent][:, :6]).all()
@@ -120,32 +119,32 @@ class Laws:
         ):
             assert (np.abs(moved) <= most + ROUNDING)[is_sent].all(), name
             self.reached[name] = max(self.reached[name], np.abs(moved / most)[is_sent].max(initial=0.0))
-        is_over = (output.mode == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
+        is_over = (output["mode"] == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 
-    def _remember(self, inputs: ServoInputs, output: Output) -> None:
-        begun = (output.mode == Mode.STOPPED) & (self.mode != Mode.STOPPED)
+    def _remember(self, inputs: ServoInputs, output: ServoState) -> None:
+        begun = (output["mode"] == Mode.STOPPED) & (self.mode != Mode.STOPPED)
         self.used_press = np.where(begun, inputs.pressed_stamp, self.used_press)
         for fault in Fault:
-            self.stops_by[fault] += int((begun & ((output.stopped_by & fault) != 0)).sum())
-            self.refusals_by[fault] += int(((output.refused & fault) != 0).sum())
-        self.num_clamps |= int(np.bitwise_or.reduce(output.clamped))
-        previous = output.command if self.command is None else self.command
-        is_new = np.logical_or.reduce(np.isnan(previous) | np.isnan(output.command), axis=-1)
-        self.is_silent = np.logical_or.reduce(np.isnan(output.command), axis=-1)
-        change = np.where(is_new[:, None], 0.0, output.command - previous)
+            self.stops_by[fault] += int((begun & ((output["stopped_by"] & fault) != 0)).sum())
+            self.refusals_by[fault] += int(((output["refused"] & fault) != 0).sum())
+        self.num_clamps |= int(np.bitwise_or.reduce(output["clamped"]))
+        previous = output["sent"] if self.command is None else self.command
+        is_new = np.logical_or.reduce(np.isnan(previous) | np.isnan(output["sent"]), axis=-1)
+        self.is_silent = np.logical_or.reduce(np.isnan(output["sent"]), axis=-1)
+        change = np.where(is_new[:, None], 0.0, output["sent"] - previous)
         self.bend = np.where(is_new[:, None], 0.0, change - (0.0 if self.change is None else self.change))
         self.change = change
-        self.command = output.command
-        is_still = output.mode == Mode.STOPPED
+        self.command = output["sent"]
+        is_still = output["mode"] == Mode.STOPPED
         self.stopped_ticks = np.where(is_still & ~begun, self.stopped_ticks + 1, 0)
         age = inputs.now - inputs.arm_stamp
         is_real = (age >= -0.001 - ROUNDING) & (age <= self.limits.operator_age)
         self.newest_request = np.where(
             is_real, np.fmax(self.newest_request, inputs.arm_stamp), self.newest_request
         )
-        self.ticks_in += np.bincount(output.mode, minlength=len(Mode))
-        self.mode, self.last_tick = output.mode, inputs.now
+        self.ticks_in += np.bincount(output["mode"], minlength=len(Mode))
+        self.mode, self.last_tick = output["mode"], inputs.now
 
 
 def widened(workspace: Workspace) -> Workspace:

@@ -32,8 +32,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Publisher, Transport
-from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import Command, ServoEnd, link
+from pixel2catch.servo.link import Command, Mode, ServoEnd, link
 from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])

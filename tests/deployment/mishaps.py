@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from paper_robot import JOINTS
-from pixel2catch.servo.core import ServoInputs
-from pixel2catch.servo.flags import Fault
+from pixel2catch.servo.link import Fault
+from pixel2catch.servo.tick import ServoInputs
 
 ELBOW = np.arange(len(JOINTS)) == 2
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from paper_robot import JOINTS
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.core import Output, ServoCore, ServoInputs, ServoState
 from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.tick import ServoCore, ServoInputs, ServoState
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -43,7 +43,7 @@ class Lab:
         self.lag = limits.joints.lag
         self.is_held_fast = np.zeros(len(JOINTS), dtype=bool)
         self._target_stamp = self.pressed = self.time
-        self.outputs: list[Output] = []
+        self.outputs: list[ServoState] = []
         self.told = self.inputs()
 
     def inputs(self) -> ServoInputs:
@@ -73,14 +73,14 @@ class Lab:
             has_other_subscriber=np.zeros(self.rows, dtype=bool),
         )
 
-    def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
+    def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:
         """A tick, in which something may be otherwise; the robot follows."""
         self.time += self.limits.dt
         good = self.inputs()
         self.told = distort(good) if distort else good
-        self.state, output = self.core.tick(self.state, self.told)
+        self.state = output = self.core.tick(self.state, self.told)
         self.outputs.append(output)
-        self.follow(np.where(np.isnan(output.command), self.joint_pos, output.command))
+        self.follow(np.where(np.isnan(output["sent"]), self.joint_pos, output["sent"]))
         return output
 
     def follow(self, command: np.ndarray) -> None:
@@ -88,18 +88,18 @@ class Lab:
         share = np.minimum(self.limits.dt / self.lag, 1.0)
         self.joint_pos += np.where(self.is_held_fast, 0.0, share * (command - self.joint_pos))
 
-    def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
+    def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:
         """Ticks for a time."""
         for _ in range(round(seconds / self.limits.dt) - 1):
             self.tick(distort)
         return self.tick(distort)
 
-    def arm(self) -> Output:
+    def arm(self) -> ServoState:
         """A first tick, and one in which the operator asks to arm."""
         self.tick()
         return self.ask()
 
-    def ask(self) -> Output:
+    def ask(self) -> ServoState:
         """A tick in which the operator, who has just pressed the switch anew, asks to arm."""
         self.pressed = self.time
         return self.tick(lambda good: replace(good, arm_stamp=good.now))

@@ -10,8 +10,7 @@ from wire_lab import WireLab
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock
-from pixel2catch.servo.flags import Fault, Mode, flag_names
-from pixel2catch.servo.link import LoopEnd, ServoEnd
+from pixel2catch.servo.link import Fault, LoopEnd, Mode, ServoEnd, flag_names
 from pixel2catch.servo.process import Servo, ServoSetup
 
 

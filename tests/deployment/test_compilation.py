@@ -1,21 +1,20 @@
-"""The compiled tick: what its Python does, and compiled or loaded before the first one."""
+"""The compiled tick: what its Python does, compiled once, and never from old sources."""
 
+import importlib.util
 import pickle
-import runpy
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from chaos import Chaos
-from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 from servo_rows import LIMITS, Lab
 
-from pixel2catch.servo import compilation
-from pixel2catch.servo.core import ServoCore, ServoState
-from pixel2catch.servo.flags import Mode
+from pixel2catch.servo import compilation, tick
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.tick import Limits, tick_all
+from pixel2catch.servo.link import Mode
+from pixel2catch.servo.tick import Limits, ServoCore, ServoState, tick_all
 from pixel2catch.workcells import find_workcell
 
 
@@ -23,27 +22,27 @@ def interpreted(limits: Limits, *arrays: np.ndarray) -> None:
     """What `tick_all` is compiled from, entries as Python has them."""
     kept_to = Limits(limits.robot.view(np.recarray), limits.joints.view(np.recarray), limits.space)
     with np.errstate(all="ignore"):
-        tick_all.py_func(
+        tick_all.python(
             kept_to, *(array.view(np.recarray) if array.dtype.names else array for array in arrays)
         )
 
 
 def test_the_compiled_tick_does_what_its_python_does(monkeypatch: pytest.MonkeyPatch):
     """To the last bit, NaN included, whatever it is told; every tenth tick: Python takes 8 ms a row."""
-    compiled, python = ServoCore(LIMITS), ServoCore(LIMITS)
-    monkeypatch.setattr(python, "_tick_all", interpreted)
+    core = ServoCore(LIMITS)
     chaos, state, modes = Chaos(8, LIMITS, seed=3), ServoState.idle(8, LIMITS), set[int]()
     for number in range(150):
         inputs, before = chaos.inputs(), state
-        state, output = compiled.tick(before, inputs)
-        chaos.follow(output.command)
+        state = core.tick(before, inputs)
+        chaos.follow(state["sent"])
         if number % 10 == 9:
-            same_state, same = python.tick(before, inputs)
-            for name, value in vars(output).items():
-                np.testing.assert_array_equal(value, getattr(same, name), name)
-            for name in state.joints.dtype.names or ():
-                np.testing.assert_array_equal(state.joints[name], same_state.joints[name], name)
-            modes |= {*output.mode.tolist()}
+            with monkeypatch.context() as patched:
+                patched.setattr(tick, "tick_all", interpreted)
+                same = core.tick(before, inputs)
+            for name in ("robots", "joints"):
+                for field in getattr(state, name).dtype.names:
+                    np.testing.assert_array_equal(state[field], same[field], field)
+            modes |= {*state["mode"].tolist()}
     assert modes >= {Mode.IDLE, Mode.RAMP, Mode.STOPPED}
 
 
@@ -52,64 +51,68 @@ def test_no_tick_compiles_anything():
     for name in ("ur5e_allegro", "fr3_allegro", "two_ur5e_allegro"):
         ServoCore(ServoLimits.of(find_workcell(name)))
     Lab(limits=pickle.loads(pickle.dumps(LIMITS))).swung()
-    assert len(tick_all.signatures) == 1
+    assert tick_all.dispatcher is not None
+    assert len(tick_all.dispatcher.signatures) == 1
     with pytest.raises(TypeError, match="No matching definition"):
-        tick_all(*[1.0] * 7)
+        tick_all(*[1.0] * 6)
 
 
-def compile_anew(folder: Path, factor: float = 2.0) -> Any:
-    """Compile a law in a folder as another process would, or take what was kept."""
-    (folder / "law.py").write_text(f"def scaled(value):\n    return {factor} * value\n")
-    function = compilation.entry(runpy.run_path(str(folder / "law.py"))["scaled"])
-    assert function(1.5) == factor * 1.5
-    return function
+CALLEE = "from pixel2catch.servo.compilation import compiled\n\n@compiled\ndef factor(): return {}\n"
+LAW = """from callee import factor
+from pixel2catch.servo.compilation import entry
+
+@entry
+def law(value): return factor() * value
+"""
 
 
-def full(*_: object) -> None:
-    raise OSError(28, "No space left on device")
+def write_law(folder: Path, factor: float) -> None:
+    """Write a law that calls a function of another file."""
+    (folder / "callee.py").write_text(CALLEE.format(factor))
+    (folder / "law.py").write_text(LAW)
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where sources are."""
-    monkeypatch.setattr(compilation, "__file__", str(tmp_path / "compilation.py"))
-    return tmp_path
+def load_law(folder: Path, monkeypatch: pytest.MonkeyPatch) -> compilation.entry:
+    """Import the law as a fresh process does."""
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(sys.modules, "callee", raising=False)
+    spec = importlib.util.spec_from_file_location("law", folder / "law.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.law
 
 
-def test_what_is_compiled_is_kept_until_any_source_changes(folder: Path):
-    assert compile_anew(folder).stats.cache_misses
-    assert compile_anew(folder).stats.cache_hits
-    (folder / "limits.py").write_text("STOP_TIME = 0.3\n")
-    assert compile_anew(folder).stats.cache_misses
-    assert compile_anew(folder).stats.cache_hits
-    assert len([*folder.glob("__pycache__/*.nb*")]) == 2
+def kept(folder: Path) -> list[Path]:
+    return sorted(folder.glob("__pycache__/servo-*/*/*.nb*"))
+
+
+def test_a_changed_callee_gives_a_new_result_in_a_fresh_process(tmp_path: Path, monkeypatch):
+    """What was compiled from older sources is never loaded; from the same sources it is."""
+    write_law(tmp_path, 2.0)
+    assert load_law(tmp_path, monkeypatch)(1.5) == 3.0
+    again = load_law(tmp_path, monkeypatch)
+    assert again(1.5) == 3.0
+    assert again.dispatcher is not None
+    assert again.dispatcher.stats.cache_hits
+    write_law(tmp_path, 4.0)
+    script = "from law import law; print(law(1.5))"
+    run = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    assert run.stdout.strip() == "6.0", run.stderr
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-@pytest.mark.parametrize("content", [b"", b"no pickle"])
-def test_what_is_kept_and_cannot_be_read_is_compiled_again(folder: Path, suffix: str, content: bytes):
-    compile_anew(folder)
-    (kept,) = folder.glob(f"__pycache__/*.{suffix}")
-    kept.write_bytes(content)
-    assert not compile_anew(folder).stats.cache_hits
+def test_a_damaged_file_is_compiled_again(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_law(tmp_path, 2.0)
+    load_law(tmp_path, monkeypatch)(1.5)
+    (file,) = (path for path in kept(tmp_path) if path.suffix == f".{suffix}")
+    file.write_bytes(b"no pickle")
+    assert load_law(tmp_path, monkeypatch)(1.5) == 3.0
 
 
-def test_what_was_kept_in_part_is_not_completed_by_what_was_before(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """The disk is full, or the process ends, between the two files of it."""
-    compile_anew(folder)
-    monkeypatch.setattr(compilation._Cache, "_forget", lambda _: None)
-    with monkeypatch.context() as patched:
-        patched.setattr(IndexDataCacheFile, "_save_data", full)
-        compile_anew(folder, factor=3.0)
-    compile_anew(folder, factor=3.0)
-
-
-def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    """On a full disk, and where no folder is writable."""
-    monkeypatch.setattr(IndexDataCacheFile, "save", full)
-    assert compile_anew(folder).stats.cache_misses
-    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
-    compile_anew(folder)
-    assert not [*folder.glob("__pycache__/*.nb*")]
+def test_without_a_writable_folder_it_is_compiled_in_each_process(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(compilation.os, "access", lambda *_: False)
+    write_law(tmp_path, 2.0)
+    assert load_law(tmp_path, monkeypatch)(1.5) == 3.0
+    assert not kept(tmp_path)

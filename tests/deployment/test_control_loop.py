@@ -34,7 +34,7 @@ from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
-from pixel2catch.servo.flags import Fault, Mode
+from pixel2catch.servo.link import Fault, Mode
 from pixel2catch.workcells import find_workcell
 
 

@@ -10,8 +10,7 @@ from loop_lab import HOME, badly_recorded, command, surroundings
 from pixel2catch.cli.record import in_words
 from pixel2catch.deployment.follower import TrajectoryFollower
 from pixel2catch.errors import DeploymentError
-from pixel2catch.servo.flags import Fault, Mode
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.link import Fault, JointTargets, Mode
 
 RAMP = 0.05
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from servo_rows import HOME, LIMITS, Lab, noisy
 
-from pixel2catch.servo.core import ServoInputs
-from pixel2catch.servo.flags import Fault, Mode
+from pixel2catch.servo.laws import FROZEN_ANGLE, FROZEN_TIME
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.watchdogs import FROZEN_ANGLE, FROZEN_TIME
+from pixel2catch.servo.link import Fault, Mode
+from pixel2catch.servo.tick import ServoInputs
 
 ARM, FINGERS, ELBOW = range(6), range(6, len(HOME)), 2
 NUM = len(HOME)
@@ -33,7 +33,7 @@ def until_stopped(lab: Lab, seconds: float, distort: Distort) -> float:
     """Time until the robot stops [s]; infinite if it does not."""
     begin = lab.time
     while lab.time < begin + seconds:
-        if lab.tick(distort).mode[0] == Mode.STOPPED:
+        if lab.tick(distort)["mode"][0] == Mode.STOPPED:
             return lab.time - begin
     return np.inf
 
@@ -44,7 +44,7 @@ def test_a_frozen_joint_of_an_arm_stops_it_within_a_fifth_of_a_second(joint: int
     lab = Lab().started()
     lab.target[0, joint] += motion
     time = until_stopped(lab, 1.0, frozen(joint))
-    assert lab.outputs[-1].stopped_by[0] in (Fault.JOINTS_FROZEN, Fault.TRACKING_ERROR)
+    assert lab.outputs[-1]["stopped_by"][0] in (Fault.JOINTS_FROZEN, Fault.TRACKING_ERROR)
     assert time < FROZEN_TIME + 2.0 / 30.0
     assert FROZEN_TIME <= 0.2
 
@@ -59,7 +59,7 @@ def test_a_hand_that_is_frozen_as_a_whole_stops():
     lab = Lab().started()
     lab.target[0, FINGERS] += 0.3
     assert until_stopped(lab, 1.0, frozen(FINGERS)) < 0.25
-    assert lab.outputs[-1].stopped_by[0] == Fault.JOINTS_FROZEN
+    assert lab.outputs[-1]["stopped_by"][0] == Fault.JOINTS_FROZEN
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
@@ -75,7 +75,7 @@ def test_an_elbow_that_is_measured_a_tenth_of_a_radian_off_stops(seconds: float)
             return replace(good, joint_pos=good.joint_pos + 0.1 * share * (np.arange(NUM) == ELBOW))
 
         assert until_stopped(lab, seconds + 1.5, distort) < np.inf
-        assert lab.outputs[-1].stopped_by[0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
+        assert lab.outputs[-1]["stopped_by"][0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
 
 
 @pytest.mark.parametrize("share", [0.7, 1.3])
@@ -86,7 +86,7 @@ def test_swings_of_an_arm_whose_lag_is_a_little_wrong_are_explained(share: float
     for step in range(20):
         if step % 10 < 6:
             lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
-        assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
+        assert lab.run(1.0 / 30.0)["mode"][0] == Mode.RUN
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.14])
@@ -97,7 +97,7 @@ def test_swings_of_an_arm_that_was_not_identified_are_explained(lag: float):
     for step in range(20):
         if step % 10 < 6:
             lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
-        assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
+        assert lab.run(1.0 / 30.0)["mode"][0] == Mode.RUN
 
 
 def test_fingers_that_an_object_stops_or_pushes_are_explained():
@@ -106,14 +106,14 @@ def test_fingers_that_an_object_stops_or_pushes_are_explained():
     for closing in (0.2, 1.2, 0.6, 0.0, 1.5):
         lab.target[0, FINGERS] = HOME[FINGERS] + closing
         lab.is_held_fast[FINGERS] = closing > 0.5
-        assert lab.run(0.3, noisy).mode[0] == Mode.RUN
+        assert lab.run(0.3, noisy)["mode"][0] == Mode.RUN
     lab.is_held_fast[:] = False
     lab.run(0.5, noisy)
     lab.joint_pos[0, FINGERS] -= 0.08  # a tick later: no jump
-    assert lab.run(0.3, noisy).mode[0] == Mode.RUN
+    assert lab.run(0.3, noisy)["mode"][0] == Mode.RUN
     lab.is_held_fast[7] = True
     lab.target[0, FINGERS] = HOME[FINGERS] + 0.2
-    assert lab.run(0.5).mode[0] == Mode.RUN
+    assert lab.run(0.5)["mode"][0] == Mode.RUN
 
 
 @pytest.mark.parametrize("finger", [6, 18])
@@ -129,7 +129,7 @@ def test_a_finger_that_leaves_its_command_by_itself_stops_the_robot(finger: int)
         return replace(good, joint_pos=good.joint_pos - gone)
 
     assert until_stopped(lab, 2.0, drifting) < np.inf
-    assert lab.outputs[-1].stopped_by[0] == Fault.JOINTS_IMPLAUSIBLE
+    assert lab.outputs[-1]["stopped_by"][0] == Fault.JOINTS_IMPLAUSIBLE
 
 
 def test_a_dry_run_expects_nothing_of_the_joints():
@@ -141,4 +141,4 @@ def test_a_dry_run_expects_nothing_of_the_joints():
     lab = Lab(limits=limits).started()
     lab.target[0] += 0.2
     lab.is_held_fast[:] = True
-    assert lab.run(1.0).mode[0] == Mode.RUN
+    assert lab.run(1.0)["mode"][0] == Mode.RUN

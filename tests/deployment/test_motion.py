@@ -8,8 +8,15 @@ import ruckig
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pixel2catch.servo.laws import (
+    braked_position,
+    braked_speed,
+    limited_speed,
+    moving_mean,
+    speed_to,
+    stopping_speed,
+)
 from pixel2catch.servo.limits import MotionLimits, records
-from pixel2catch.servo.motion import averaged, braked, braking, fastest, towards, wished
 
 LIMITS = MotionLimits(
     lower=np.array([-1.0, -0.5]),
@@ -24,10 +31,10 @@ FAST, SLOW = BOTH = records(**LIMITS.columns).view(np.recarray)
 
 def test_braking_by_hand():
     """From 1 rad/s with 0.4 rad/s less in each tick: 0.6, 0.2, 0 rad/s for 2 ms each."""
-    position, velocity, path = 0.1, -1.0, [braked(0.1, -1.0, ticks, FAST) for ticks in (1, 2, 3, 50)]
+    position, velocity, path = 0.1, -1.0, [braked_position(0.1, -1.0, ticks, FAST) for ticks in (1, 2, 3, 50)]
     np.testing.assert_allclose(path, 0.1 - 0.002 * np.array([0.6, 0.8, 0.8, 0.8]), atol=1e-15)
     for left in (0.6, 0.2, 0.0, 0.0):
-        velocity = braking(velocity, FAST)
+        velocity = braked_speed(velocity, FAST)
         position += velocity * LIMITS.dt
         assert velocity == pytest.approx(-left, abs=1e-15)
     assert position == pytest.approx(path[-1], abs=1e-15)
@@ -36,8 +43,8 @@ def test_braking_by_hand():
 @given(st.floats(0.0, 3.0))
 def test_the_fastest_speed_stops_just_in_the_distance(distance: float):
     for limits in BOTH:
-        speed = fastest(distance, limits)
-        assert braked(speed * LIMITS.dt, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
+        speed = stopping_speed(distance, limits)
+        assert braked_position(speed * LIMITS.dt, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
 
 
 def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
@@ -49,14 +56,14 @@ def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
         (SLOW, [6.0, 8.0, 1.0, 5.0], 5.0),
     ):
         recent = np.array(positions)
-        assert averaged(recent, 5.0 if limits is FAST else 9.0, limits) == pytest.approx(mean)
+        assert moving_mean(recent, 5.0 if limits is FAST else 9.0, limits) == pytest.approx(mean)
         assert recent.tolist() == [*positions[1:], 5.0 if limits is FAST else 9.0]
 
 
 def test_a_jerk_without_a_limit_needs_no_mean():
     free = replace(LIMITS, jerk=np.full(2, np.inf))
     assert free.window.tolist() == [1, 1]
-    assert averaged(np.zeros(1), 0.3, records(**free.columns).view(np.recarray)[0]) == 0.3
+    assert moving_mean(np.zeros(1), 0.3, records(**free.columns).view(np.recarray)[0]) == 0.3
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -67,9 +74,9 @@ def test_no_wish_breaks_a_limit(joint: int):
     for _ in range(20):
         position, velocity, recent, commands = start, 0.0, np.full(5, start), [start] * 4
         for wish in random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], 300):
-            velocity = towards(position, velocity, wish, limits)
+            velocity = limited_speed(position, velocity, wish, limits)
             position += velocity * LIMITS.dt
-            commands.append(averaged(recent, position, limits))
+            commands.append(moving_mean(recent, position, limits))
         for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
             reached = np.abs(np.diff(commands, n=order)).max() / LIMITS.dt**order / limits[name]
             assert reached <= 1.0 + 1e-6, name
@@ -84,7 +91,7 @@ def test_a_goal_is_reached_and_never_passed(joint: int):
     for goal in np.random.default_rng(1).uniform(limits.lower, limits.upper, 20):
         position = velocity = 0.0
         for _ in range(600):
-            velocity = towards(position, velocity, wished(position, goal, limits), limits)
+            velocity = limited_speed(position, velocity, speed_to(position, goal, limits), limits)
             assert (goal - position) * (goal - position - velocity * LIMITS.dt) >= -1e-15
             position += velocity * LIMITS.dt
         assert position == pytest.approx(goal, abs=1e-12)
@@ -99,9 +106,9 @@ def test_no_way_to_a_goal_within_the_limits_is_two_ticks_shorter(distance: float
     position = velocity = command = 0.0
     recent, ticks = np.zeros(limits.window), 0
     while abs(command - distance) > 1e-9:
-        velocity = towards(position, velocity, wished(position, distance, limits), limits)
+        velocity = limited_speed(position, velocity, speed_to(position, distance, limits), limits)
         position += velocity * LIMITS.dt
-        command, ticks = averaged(recent, position, limits), ticks + 1
+        command, ticks = moving_mean(recent, position, limits), ticks + 1
     asked, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     asked.target_position = [distance]
     for name, limit in (

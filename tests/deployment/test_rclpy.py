@@ -24,6 +24,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic
+from pixel2catch.servo.link import JointTargets
 from pixel2catch.servo.process import ServoSubscriptions
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
@@ -55,8 +56,9 @@ def test_a_switch_counts_only_if_it_was_pressed_just_now(network: Network, delay
         heard = ServoSubscriptions(node, Profile.load("ur5e_allegro_v4"), LIMITS, ())
         node.publisher(SWITCH).publish(messages.boolean(True))
         assert node.wait(PATIENCE)
-        heard.hear(0.0)
-        assert np.isfinite(heard._operator.dead_man_stamp) == is_believed
+        heard.read(0.0)
+        inputs = heard.inputs(0.0, JointTargets.none(LIMITS.num_joints))
+        assert np.isfinite(inputs.dead_man_stamp[0]) == is_believed
 
 
 def test_it_is_refused_where_it_would_speak_to_the_whole_network(network: Network, monkeypatch):

@@ -11,7 +11,7 @@ from typing import TypeVar
 import pytest
 
 from pixel2catch.deployment.recorder import ORDERS, BagRecorder
-from pixel2catch.servo.process import (
+from pixel2catch.servo.link import (
     LOOP_PRIORITY,
     RECORDER_PRIORITY,
     SERVO_PRIORITY,

@@ -10,8 +10,8 @@ from servo_rows import HOME, LIMITS, Lab, given, noisy
 from paper_robot import JOINTS
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
+from pixel2catch.servo.link import Clamp, Fault, Mode, flag_names
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
@@ -21,36 +21,36 @@ YES, NO = np.array([True]), np.array([False])
 
 def test_the_states_in_their_order():
     lab = Lab()
-    assert np.isnan(lab.tick().command).all()
-    assert lab.arm().mode == Mode.ARMED
-    assert lab.tick().mode == Mode.RAMP
+    assert np.isnan(lab.tick()["sent"]).all()
+    assert lab.arm()["mode"] == Mode.ARMED
+    assert lab.tick()["mode"] == Mode.RAMP
     lab.run(LIMITS.ramp_time - 2 * LIMITS.dt)
-    assert lab.tick().mode == Mode.RAMP
+    assert lab.tick()["mode"] == Mode.RAMP
     lab.run(2 * LIMITS.dt)
-    assert lab.tick().mode == Mode.RUN
-    assert lab.tick(given(is_stop_requested=YES)).mode == Mode.STOPPED
+    assert lab.tick()["mode"] == Mode.RUN
+    assert lab.tick(given(is_stop_requested=YES))["mode"] == Mode.STOPPED
 
 
 def test_nothing_is_sent_before_the_operator_asks():
     lab = Lab()
     lab.run(0.5)
-    assert all(np.isnan(output.command).all() for output in lab.outputs)
+    assert all(np.isnan(output["sent"]).all() for output in lab.outputs)
 
 
 def test_the_first_command_is_the_measured_pose():
     lab = Lab()
     lab.joint_pos[0, :6] += (0.1, -0.1, 0.05, 0.02, -0.03, 0.04)
     start = lab.joint_pos.copy()
-    np.testing.assert_allclose(lab.arm().command, start, atol=1e-12)
+    np.testing.assert_allclose(lab.arm()["sent"], start, atol=1e-12)
 
 
 def test_armed_it_waits_for_the_camera():
     lab = Lab()
     lab.arm()
     stale = np.array([0.0])
-    assert lab.run(0.2, given(image_stamp=stale)).mode == Mode.ARMED
-    np.testing.assert_allclose(lab.tick(given(image_stamp=stale)).command, HOME[None], atol=1e-12)
-    assert lab.tick().mode == Mode.RAMP
+    assert lab.run(0.2, given(image_stamp=stale))["mode"] == Mode.ARMED
+    np.testing.assert_allclose(lab.tick(given(image_stamp=stale))["sent"], HOME[None], atol=1e-12)
+    assert lab.tick()["mode"] == Mode.RAMP
 
 
 def test_the_ramp_goes_over_evenly():
@@ -59,8 +59,8 @@ def test_the_ramp_goes_over_evenly():
     lab.target[0, 1] += 0.1
     lab.arm()
     output = lab.run(LIMITS.ramp_time / 2 + LIMITS.dt)
-    assert output.command[0, 1] - HOME[1] == pytest.approx(0.05, abs=6e-3)
-    assert lab.run(LIMITS.ramp_time).command[0, 1] - HOME[1] == pytest.approx(0.1, abs=1e-12)
+    assert output["sent"][0, 1] - HOME[1] == pytest.approx(0.05, abs=6e-3)
+    assert lab.run(LIMITS.ramp_time)["sent"][0, 1] - HOME[1] == pytest.approx(0.1, abs=1e-12)
 
 
 def test_a_target_is_reached_after_a_control_step_as_in_training():
@@ -73,8 +73,8 @@ def test_a_target_is_reached_after_a_control_step_as_in_training():
     while lab.state.robots["target_stamp"] != lab.state.robots["now"]:
         lab.tick()
     commands = [
-        lab.outputs[-1].command[0, 0] - HOME[0],
-        *(lab.tick().command[0, 0] - HOME[0] for _ in range(STEP_TICKS)),
+        lab.outputs[-1]["sent"][0, 0] - HOME[0],
+        *(lab.tick()["sent"][0, 0] - HOME[0] for _ in range(STEP_TICKS)),
     ]
     ideal = 0.05 * np.minimum(np.arange(1, STEP_TICKS + 2) * LIMITS.dt / CONTROL_DT, 1.0)
     lag = 1.5**2 / (2 * LIMITS.joints.acceleration[0]) + 2 * 1.5 * LIMITS.dt
@@ -85,9 +85,9 @@ def test_a_target_is_reached_after_a_control_step_as_in_training():
 def test_every_fault_stops_and_is_named():
     lab = Lab(len(MISHAPS)).swung()
     output = lab.tick(all_at_once)
-    assert (output.mode == Mode.STOPPED).all()
+    assert (output["mode"] == Mode.STOPPED).all()
     for row, (fault, field, _) in enumerate(MISHAPS):
-        found = int(output.stopped_by[row])
+        found = int(output["stopped_by"][row])
         assert found & fault if field == "now" else found == fault, tuple(flag_names(Fault, found))
         assert str(fault.name).lower().replace("_", " ") in tuple(flag_names(Fault, found))
 
@@ -95,7 +95,7 @@ def test_every_fault_stops_and_is_named():
 def test_every_stop_stands_still_in_time_near_where_the_joints_are():
     lab = Lab(len(MISHAPS)).swung()
     assert (np.abs(lab.state.joints["velocity"][:, :3]) > 3.0).all()
-    commands = np.stack([lab.tick(all_at_once).command, *(lab.tick().command for _ in range(2 * STOP_TICKS))])
+    commands = np.stack([lab.tick(all_at_once)["sent"], *(lab.tick()["sent"] for _ in range(2 * STOP_TICKS))])
     is_silent = np.array([fault == Fault.OTHER_PUBLISHER for fault, _, _ in MISHAPS])
     np.testing.assert_array_equal(np.isnan(commands), np.broadcast_to(is_silent[:, None], commands.shape))
     commands[:, is_silent] = lab.state.joints["position"][is_silent]
@@ -106,7 +106,7 @@ def test_every_stop_stands_still_in_time_near_where_the_joints_are():
 def test_a_stop_without_positions_brakes_where_it_is():
     lab = Lab().swung()
     joint_states = lab.state.joints
-    final = lab.run(STOP_TIME, given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command
+    final = lab.run(STOP_TIME, given(joint_pos=np.full((1, len(JOINTS)), np.nan)))["sent"]
     joints, speed = LIMITS.joints, np.abs(joint_states["velocity"])
     brake = speed**2 / (2.0 * joints.acceleration) + speed * LIMITS.dt
     evenly = 0.5 * np.minimum(speed, joints.lead / joints.lag) * joints.stop_time
@@ -119,11 +119,11 @@ def test_a_stop_lasts_until_the_operator_asks_again():
     asked = np.array([lab.time])
     lab.tick(given(arm_stamp=asked))
     lab.tick(given(is_safe=NO))
-    assert lab.run(0.4, given(arm_stamp=asked)).mode == Mode.STOPPED
-    assert lab.run(0.2).mode == Mode.STOPPED
+    assert lab.run(0.4, given(arm_stamp=asked))["mode"] == Mode.STOPPED
+    assert lab.run(0.2)["mode"] == Mode.STOPPED
     lab.target = lab.joint_pos.copy()
-    assert lab.ask().mode == Mode.ARMED
-    assert lab.outputs[-1].stopped_by == 0
+    assert lab.ask()["mode"] == Mode.ARMED
+    assert lab.outputs[-1]["stopped_by"] == 0
 
 
 def test_a_stopped_robot_that_somebody_moves_is_left_to_them_and_armed_where_it_is():
@@ -132,13 +132,13 @@ def test_a_stopped_robot_that_somebody_moves_is_left_to_them_and_armed_where_it_
     lab.run(2.0 * STOP_TIME)
     homed = lab.joint_pos.copy()
     homed[0, 2] -= 0.1
-    assert lab.tick(given(joint_pos=homed)).found == Fault.JOINTS_IMPLAUSIBLE  # so far in a tick
-    assert lab.tick(given(joint_pos=homed)).mode == Mode.IDLE
-    assert np.isnan(lab.outputs[-1].command).all()
-    assert lab.run(0.1, given(joint_pos=homed)).mode == Mode.IDLE
+    assert lab.tick(given(joint_pos=homed))["found"] == Fault.JOINTS_IMPLAUSIBLE  # so far in a tick
+    assert lab.tick(given(joint_pos=homed))["mode"] == Mode.IDLE
+    assert np.isnan(lab.outputs[-1]["sent"]).all()
+    assert lab.run(0.1, given(joint_pos=homed))["mode"] == Mode.IDLE
     lab.joint_pos[:] = lab.target[:] = homed
-    assert lab.arm().mode == Mode.ARMED
-    assert (np.abs(lab.outputs[-1].command - homed) < 1e-9).all()
+    assert lab.arm()["mode"] == Mode.ARMED
+    assert (np.abs(lab.outputs[-1]["sent"] - homed) < 1e-9).all()
 
 
 def test_a_robot_that_somebody_else_has_commanded_is_armed_where_that_left_it():
@@ -146,9 +146,9 @@ def test_a_robot_that_somebody_else_has_commanded_is_armed_where_that_left_it():
     lab = Lab().swung()
     lab.run(2.0 * STOP_TIME, given(has_other_publisher=~NO))
     lab.joint_pos[0, 2] -= 0.5 * (LIMITS.joints.start_error + LIMITS.joints.moved_error)[2]
-    assert lab.tick().mode == Mode.STOPPED
-    assert lab.ask().mode == Mode.ARMED
-    np.testing.assert_allclose(lab.outputs[-1].command, lab.told.joint_pos, atol=1e-9)
+    assert lab.tick()["mode"] == Mode.STOPPED
+    assert lab.ask()["mode"] == Mode.ARMED
+    np.testing.assert_allclose(lab.outputs[-1]["sent"], lab.told.joint_pos, atol=1e-9)
 
 
 def test_a_request_in_the_middle_of_a_stop_is_refused():
@@ -156,8 +156,8 @@ def test_a_request_in_the_middle_of_a_stop_is_refused():
     lab.tick(given(is_safe=NO))
     lab.run(0.1)
     output = lab.ask()
-    assert output.mode == Mode.STOPPED
-    assert output.refused & Fault.STILL_STOPPING
+    assert output["mode"] == Mode.STOPPED
+    assert output["refused"] & Fault.STILL_STOPPING
 
 
 @pytest.mark.parametrize(
@@ -168,8 +168,8 @@ def test_a_pose_to_keep_away_from_is_refused(joint: int, offset: float, fault: F
     """The elbow beyond its upper limit, the pan beyond its own, the arm turned down through the table."""
     lab = Lab()
     lab.joint_pos[0, joint] += offset
-    assert lab.arm().mode == Mode.IDLE
-    assert lab.outputs[-1].refused & fault
+    assert lab.arm()["mode"] == Mode.IDLE
+    assert lab.outputs[-1]["refused"] & fault
 
 
 def test_a_first_target_far_away_is_refused():
@@ -177,18 +177,18 @@ def test_a_first_target_far_away_is_refused():
     lab.target[0, 1] += 0.6
     lab.arm()
     output = lab.tick()
-    assert (output.mode, output.stopped_by) == (Mode.STOPPED, Fault.TARGET_FAR)
+    assert (output["mode"], output["stopped_by"]) == (Mode.STOPPED, Fault.TARGET_FAR)
 
 
 def test_an_arm_that_is_held_fast_stops_fingers_do_not():
     lab = Lab().started()
     lab.is_held_fast[6:] = True
     lab.target[0, 6:] += 0.5
-    assert lab.run(0.4, noisy).mode == Mode.RUN
+    assert lab.run(0.4, noisy)["mode"] == Mode.RUN
     lab.is_held_fast[1] = True
     lab.target[0, 1] += 0.3
     lab.run(0.5, noisy)
-    assert lab.outputs[-1].stopped_by == Fault.TRACKING_ERROR
+    assert lab.outputs[-1]["stopped_by"] == Fault.TRACKING_ERROR
 
 
 def test_a_command_stays_near_its_joint():
@@ -200,8 +200,8 @@ def test_a_command_stays_near_its_joint():
         before = lab.joint_pos[0, 0]
         output = lab.tick()
         speeds.append(abs(lab.joint_pos[0, 0] - before) / LIMITS.dt)
-        leads.append(abs(output.command[0, 0] - before))
-    assert any(output.clamped & Clamp.LEAD for output in lab.outputs)
+        leads.append(abs(output["sent"][0, 0] - before))
+    assert any(output["clamped"] & Clamp.LEAD for output in lab.outputs)
     assert max(leads) <= LIMITS.joints.lead[0] + 1e-9
     assert 2.3 < max(speeds) < JOINTS[0].velocity_limit
 
@@ -223,20 +223,20 @@ def test_the_table_holds_back_only_what_leads_into_it():
     lab = Lab().started()
     lab.target[0, [0, 2, 8]] = HOME[0] + 0.2, HOME[2] + 0.8, 1.0
     output = lab.run(0.6)
-    assert output.mode == Mode.RUN
-    assert output.clamped & Clamp.WORKSPACE
-    np.testing.assert_allclose(output.command[0, [0, 8]], lab.target[0, [0, 8]], atol=1e-6)
-    assert 0.6 < output.command[0, 2] - HOME[2] < 0.75
+    assert output["mode"] == Mode.RUN
+    assert output["clamped"] & Clamp.WORKSPACE
+    np.testing.assert_allclose(output["sent"][0, [0, 8]], lab.target[0, [0, 8]], atol=1e-6)
+    assert 0.6 < output["sent"][0, 2] - HOME[2] < 0.75
     lab.target[0, 2] = HOME[2]
-    np.testing.assert_allclose(lab.run(0.6).command[0, 2], HOME[2], atol=1e-9)
+    np.testing.assert_allclose(lab.run(0.6)["sent"][0, 2], HOME[2], atol=1e-9)
 
 
 def test_targets_out_of_limits_are_clipped_and_said():
     lab = Lab().started()
     lab.target[0, -1] = 9.0
     output = lab.run(0.5)
-    assert output.clamped & Clamp.POSITION
-    assert output.command[0, -1] == pytest.approx(JOINTS[-1].upper, abs=1e-9)
+    assert output["clamped"] & Clamp.POSITION
+    assert output["sent"][0, -1] == pytest.approx(JOINTS[-1].upper, abs=1e-9)
 
 
 def test_rows_do_not_know_of_each_other():
@@ -248,8 +248,8 @@ def test_rows_do_not_know_of_each_other():
     alone.tick()
     for _ in range(50):
         one, several = alone.tick(), three.tick()
-        assert several.mode.tolist() == [Mode.RUN, Mode.STOPPED, Mode.RUN]
-        np.testing.assert_array_equal(several.command[[0, 2]], np.repeat(one.command, 2, axis=0))
+        assert several["mode"].tolist() == [Mode.RUN, Mode.STOPPED, Mode.RUN]
+        np.testing.assert_array_equal(several["sent"][[0, 2]], np.repeat(one["sent"], 2, axis=0))
 
 
 LAGS = (0.02, 0.03, 0.06, 0.1, 0.14)
@@ -277,7 +277,7 @@ def fastest_in_swings(lab: Lab, num_swings: int = 20) -> np.ndarray:
             before = lab.joint_pos.copy()
             lab.tick()
             fastest = np.maximum(fastest, np.abs(lab.joint_pos - before) / LIMITS.dt)
-        if (lab.outputs[-1].mode == Mode.STOPPED).any():
+        if (lab.outputs[-1]["mode"] == Mode.STOPPED).any():
             lab.run(STOP_TIME)
             lab.target = lab.joint_pos.copy()
             lab.ask()
@@ -294,7 +294,7 @@ def test_no_joint_is_faster_than_it_may_be(lag: float, share: float):
     fastest = fastest_in_swings(lab)
     assert (fastest <= share * SPEED_LIMITS[:6]).all(), fastest
     assert (fastest[:3, 0] > 0.75 * share * SPEED_LIMITS[0]).all()
-    assert (lab.outputs[-1].mode[:3] == Mode.RUN).all()
+    assert (lab.outputs[-1]["mode"][:3] == Mode.RUN).all()
 
 
 @pytest.mark.parametrize("share", SHARES)
@@ -313,7 +313,7 @@ def test_a_lag_that_changes_in_the_middle_of_a_motion_is_seen_again():
     lab.run(0.1)
     assert (fastest_in_swings(lab, 2) < LIMITS.joints.joint_speed[:6]).all()
     assert (fastest_in_swings(lab, 4) <= SPEED_LIMITS[:6]).all()
-    assert lab.outputs[-1].mode == Mode.RUN
+    assert lab.outputs[-1]["mode"] == Mode.RUN
 
 
 @pytest.mark.parametrize("is_identified", [True, False])
@@ -342,7 +342,7 @@ def test_a_stop_without_positions_slows_commands_evenly():
     lab.run(0.15)
     commands = [lab.state.joints["command"][0, 0]]
     for _ in range(STOP_TICKS):
-        commands.append(lab.tick(given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command[0, 0])
+        commands.append(lab.tick(given(joint_pos=np.full((1, len(JOINTS)), np.nan)))["sent"][0, 0])
     speed = np.diff(commands) / LIMITS.dt
     stop_time, delay = LIMITS.joints.stop_time[0], LIMITS.motion.delay[0]
     even = speed[0] * (1.0 - (np.arange(1, STOP_TICKS) * LIMITS.dt - delay) / stop_time).clip(0.0, 1.0)
@@ -355,8 +355,8 @@ def test_a_stop_that_began_without_positions_does_not_go_back_to_them():
     lab = Lab().swung()
     before, speed = (lab.state.joints[name].copy() for name in ("command", "velocity"))
     lab.tick(given(joint_pos=lab.joint_pos + 0.3))
-    assert lab.outputs[-1].stopped_by & Fault.JOINTS_IMPLAUSIBLE
-    way = (lab.run(STOP_TIME).command - before)[:, :3] * np.sign(speed[:, :3])
+    assert lab.outputs[-1]["stopped_by"] & Fault.JOINTS_IMPLAUSIBLE
+    way = (lab.run(STOP_TIME)["sent"] - before)[:, :3] * np.sign(speed[:, :3])
     assert (way > -1e-3).all()
 
 
@@ -365,5 +365,5 @@ def test_an_arm_that_something_moves_faster_than_it_may_be_is_stopped():
     faults = 0
     for _ in range(50):
         lab.joint_pos[0, 0] += 1.25 * SPEED_LIMITS[0] * LIMITS.dt
-        faults |= int(lab.tick().stopped_by[0])
+        faults |= int(lab.tick()["stopped_by"][0])
     assert faults & Fault.JOINT_SPEED

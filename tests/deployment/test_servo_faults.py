@@ -11,8 +11,8 @@ from servo_stage import Cut, Stage, wait
 from wire_lab import frozen, twice, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
-from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import Mode
 
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
 

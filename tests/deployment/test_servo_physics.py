@@ -10,8 +10,8 @@ from servo_rows import HOME, LIMITS, Lab, given
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.servo.flags import Fault
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
+from pixel2catch.servo.link import Fault
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -69,19 +69,19 @@ def check_swings(lab: PhysicalLab, share: float) -> None:
     lab.run(STOP_TIME)
     assert np.abs(lab.speeds).max() < share * FASTEST
     assert np.abs(lab.speeds[-1]).max() < 0.1
-    if lab.outputs[-1].stopped_by & Fault.STOP_REQUEST:
+    if lab.outputs[-1]["stopped_by"] & Fault.STOP_REQUEST:
         assert np.abs(lab.speeds).max() > 0.6 * share * FASTEST
         stop = np.diff(lab.speeds[first:], axis=0) * PHYSICS_HZ
         assert np.abs(stop).max() < 2.0 * lab.limits.joints.deceleration[0]
     else:
         stops = Fault.TRACKING_ERROR | Fault.JOINTS_IMPLAUSIBLE
-        assert any(output.stopped_by & stops for output in lab.outputs)
+        assert any(output["stopped_by"] & stops for output in lab.outputs)
 
 
 def test_a_swing_and_a_stop_of_the_nominal_arm():
     with physical_lab(None) as lab:
         check_swings(lab, 1.0)
-        assert lab.outputs[-1].stopped_by == Fault.STOP_REQUEST
+        assert lab.outputs[-1]["stopped_by"] == Fault.STOP_REQUEST
 
 
 @pytest.mark.slow

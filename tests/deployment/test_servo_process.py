@@ -12,10 +12,9 @@ from wire_lab import shuffled
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.profile import Profile, StatusTopics
-from pixel2catch.servo.flags import Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import LoopEnd, ServoEnd
-from pixel2catch.servo.subscriptions import ARM_PAUSE, DEPTH, JointStates
+from pixel2catch.servo.link import Fault, LoopEnd, Mode, ServoEnd, flag_names
+from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
@@ -93,7 +92,7 @@ def test_joints_that_are_none_of_ours_are_not_where_a_late_message_has_them(stag
     for stamp, angle in ((10.0, 0.1), (9.99, 0.7), (10.0, 0.8)):
         position = np.repeat((0.0, angle), (len(ours), len(theirs)))
         driver.publish(messages.joint_state(ours + theirs, position, stamp))
-        joints.hear()
+        joints.read()
         np.testing.assert_allclose(joints.held[1], 0.1)
 
 

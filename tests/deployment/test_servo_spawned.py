@@ -18,8 +18,8 @@ from domains import PATIENCE, own_domain
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
-from pixel2catch.servo.flags import Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import Fault, Mode, flag_names
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
 
 RATE = 0.25

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pixel2catch.camera.image import Verdict
-from pixel2catch.servo.flags import Fault, Mode, flag_names
+from pixel2catch.servo.link import Fault, Mode, flag_names
 from pixel2catch.servo.status_words import (
     FAULT_WORDS,
     VERDICTS,

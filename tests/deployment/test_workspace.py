@@ -15,8 +15,7 @@ from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
 from pixel2catch.robots.workcell import TableSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.servo.clearance import HAND_CLEARANCE, are_apart, contains, distance, link_frames
-from pixel2catch.servo.workspace import Workspace
+from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, are_apart, contains, distance, link_frames
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

@@ -79,7 +79,7 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.deployment.image_subscriber import ImageSubscriber
-            from pixel2catch.servo.process import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
+            from pixel2catch.servo.link import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
         set_niceness(CONTROL_LOOP)
         self.vision.perception.prepare()
         notes: list[str] = []

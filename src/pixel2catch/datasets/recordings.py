@@ -17,8 +17,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
-from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import Command, JointTargets
+from pixel2catch.servo.link import Command, JointTargets, Mode
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
 TASK = "Catch the thrown object."

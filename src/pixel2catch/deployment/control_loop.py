@@ -24,8 +24,7 @@ from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.link import JointTargets, Mode
 
 POLL = 0.002
 """Longest real time between two looks at servo and network [s]; an image ends it. Source: ours."""

@@ -8,9 +8,8 @@ import numpy as np
 from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
-from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.limits import STOP_TIME, Joints
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.link import JointTargets, Mode
 
 PERIOD = 0.01  #: Time between two commands [s]. Source: ours.
 

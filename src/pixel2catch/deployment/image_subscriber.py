@@ -10,10 +10,9 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile
-from pixel2catch.ros2.transport import Clock, Message, Transport
+from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import Joints
-from pixel2catch.servo.subscriptions import POLL_TIME
 
 DEPTH = 4  #: Images that are kept until they are looked at; only the newest is. Source: ours.
 MEMORY = 0.5  #: How long joint positions are remembered [s]. Source: ours; longer than an image may be late.

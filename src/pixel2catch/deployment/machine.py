@@ -9,7 +9,7 @@ from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2.dds import domain_id
 from pixel2catch.ros2.transport import ROS_ON_LOOPBACK, RealClock
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.process import SERVO_PRIORITY, scheduled
+from pixel2catch.servo.link import SERVO_PRIORITY, scheduled
 
 GUIDE = "docs/laboratory.md"  #: Where the steps are.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.

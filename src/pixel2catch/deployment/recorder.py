@@ -18,8 +18,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
-from pixel2catch.servo.link import Command, LoopEnd
-from pixel2catch.servo.process import RECORDER_PRIORITY, give_way
+from pixel2catch.servo.link import RECORDER_PRIORITY, Command, LoopEnd, give_way
 
 MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
 

@@ -10,8 +10,7 @@ import numpy as np
 from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.deployment.sight import Sight
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
-from pixel2catch.servo.link import Command, JointTargets
+from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one holds from [s]. Source: ours.
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.

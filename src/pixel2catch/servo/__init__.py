@@ -1,5 +1,5 @@
 """The servo that guards the robot at 500 Hz.
 
-`core` decides what of the policy's targets reaches the robot: a function of what is given to it, which knows
-neither ROS nor a clock nor a robot. `process` runs it in a process of its own, on the wire of a profile.
+`tick` decides which part of the policy's targets reaches the robot: a function of its inputs, without ROS,
+clock or robot. `process` runs it in its own process, on the topics of a profile.
 """

@@ -1,4 +1,4 @@
-"""What the servo keeps to: limits of the joints, and how old its inputs may be."""
+"""Limits of the servo: motion of the joints, age of the inputs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -6,7 +6,7 @@ from functools import partial
 from math import isclose, pi
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int, Int64
+from jaxtyping import Bool, Int, Int64
 from numpy.typing import ArrayLike
 
 from pixel2catch.errors import InvalidValueError
@@ -14,34 +14,29 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.profile import MotionBudget, RobotPart
 from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
+from pixel2catch.servo.laws import REST_ERROR, RETURN_TIME, STOP_TIME
+from pixel2catch.servo.link import Joints
 from pixel2catch.servo.workspace import Workspace
 
-STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
-RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
 LOSS_TIME = 3.0
-"""Time since the object was last seen after which it is lost [s]. Source: ours; longer than a throw lasts."""
+"""Time since the last box after which the object is lost [s]. Source: ours; longer than a throw."""
 
 BEYOND_TRAVEL = 0.3
 """Distance beyond the ends of its travel at which a joint cannot be [rad].
 
-Source: ours; fingers give way, and encoders have offsets.
+Source: ours; fingers yield, and encoders have offsets.
 """
-
-REST_ERROR = 0.05
-"""Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
-
-Joints = Float64[np.ndarray, " joints"]
 
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
 def steady_lag(dynamics: JointDynamics) -> Joints:
-    """How far each joint is behind its command in a steady motion, per speed [s]."""
+    """Return the lag of each joint behind its command at a steady speed [s]."""
     return dynamics.latency + dynamics.filter_lookahead + dynamics.damping / dynamics.stiffness
 
 
 def records(**columns: ArrayLike) -> np.ndarray:
-    """Entries of a structured array whose fields are columns, or the same in all entries."""
+    """Return a structured array with these columns as fields; scalars are repeated."""
     arrays = np.broadcast_arrays(*(np.atleast_1d(each) for each in columns.values()))
     types = [(name, array.dtype) for name, array in zip(columns, arrays, strict=True)]
     return np.array([*zip(*arrays, strict=True)], np.dtype(types, align=True))
@@ -49,7 +44,7 @@ def records(**columns: ArrayLike) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """What the motion of every joint's command keeps to."""
+    """Limits of the motion of each joint's command."""
 
     lower: Joints  #: Lowest position [rad].
     upper: Joints  #: Highest position [rad].
@@ -60,21 +55,21 @@ class MotionLimits:
 
     @property
     def window(self) -> Int64[np.ndarray, " joints"]:
-        """How many positions a command of each joint is the mean of."""
+        """Number of positions of which each joint's command is the mean."""
         ticks = 2.0 * self.acceleration / (self.jerk * self.dt)
         return np.maximum(np.ceil(ticks * (1.0 - 1e-12)), 1.0).astype(np.int64)
 
     @property
     def delay(self) -> Joints:
-        """How much later than the positions the commands are [s]."""
+        """Delay of the commands behind the positions [s]."""
         return (self.window - 1) / 2.0 * self.dt
 
     @property
     def columns(self) -> dict[str, ArrayLike]:
-        """What compiled laws ask of each joint's motion.
+        """Numbers of each joint's motion for the compiled laws.
 
-        Beside fields and properties: what a position counts in a command, the largest change of the speed in
-        a tick [rad/s], and of the way of a tick from one to the next [rad].
+        Besides fields and properties: `share` is the weight of a position in a command, `change` the largest
+        change of the speed in a tick [rad/s], `bend` that of the distance of a tick [rad].
         """
         change = self.acceleration * self.dt
         more = {"share": 1.0 / self.window, "change": change, "bend": change * self.dt, "delay": self.delay}
@@ -83,29 +78,31 @@ class MotionLimits:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLimits:
-    """Limits of every joint, in joint order.
+    """Limits of each joint, in joint order.
 
-    Speed and acceleration are those of the commands, which run ahead of the joints: a joint follows through
-    its servo, and at a steady speed it is `lag` behind. Its own speed is therefore limited by `lead`.
+    Speed and acceleration are those of the commands. A joint follows its command through its servo, with the
+    lag at a steady speed. The speed of the joint itself is therefore limited by `lead`.
 
     Sources:
-        lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
-            its travel (UR), and `TRAVEL_MARGIN` is kept from it.
-        speed, acceleration: ours, in proportion to the share of the speed; 300 rad/s² for an arm that is not
-            identified. With 300 rad/s² for all, and a lag that was only as told, 94.2 % of 600 throws were
-            caught in simulation; as it is, 97.0 of 400; without limits 97.0 of 600 (experiments/LOG.md).
-        jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
-            in a tick: the slowest driver of a hand takes every fifth command.
-        deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody
-            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed. Joints that would
-            not rest in time have more.
-        step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
+        lower, upper: the spec. Where an arm joint turns by whole half turns, that is the end of its travel
+            (UR), and `TRAVEL_MARGIN` is kept from it.
+        speed, acceleration: ours, proportional to the share of the speed; lower for arms that are not
+            identified (experiments/LOG.md).
+        jerk: ours. The acceleration of an arm may reverse in 10 ms, which delays commands by 4 ms; that of a
+            finger in a tick, as the slowest driver of a hand takes every fifth command.
+        deceleration: ours. For an arm five times that of UR's driver after the last command; at full speed
+            it stops in 0.13 s and 0.16 rad. Joints that would take too long have more.
+        step: ours. UR's control program ignores steps of an arm joint above 0.04 rad in 2 ms.
         lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
-        joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
-        tracking_error: ours; an arm that is held fast goes beyond it, one whose positions are as old as they
-            may be does not. Fingers are held by what they hold.
-        start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
-            finger's target is anywhere.
+        joint_speed, jump_speed: ours; with a margin for the error of the estimate.
+        tracking_error: ours. An arm that is held fast exceeds it; one whose positions have the largest
+            allowed age does not. Objects may hold fingers.
+        lag_error: ours; a joint that is not identified may follow without lag.
+        escape: ours, twice the distance by which objects push fingers in simulated catches.
+        moved_error: ours, three times `start_error`.
+        start_error, start_distance: ours. An arm's action moves its target by 0.48 rad at most; a finger's
+            target may be anywhere.
+        position_age: ours, ten cycles of the UR driver, five of the slowest Allegro driver.
     """
 
     lower: Joints  #: Lowest command [rad].
@@ -113,28 +110,21 @@ class JointLimits:
     speed: Joints  #: Largest speed of a command [rad/s].
     acceleration: Joints  #: Largest acceleration of a command [rad/s²].
     jerk: Joints  #: Largest jerk of a command [rad/s³].
-    deceleration: Joints  #: Deceleration in a stop from the full speed [rad/s²].
+    deceleration: Joints  #: Deceleration in a stop from full speed [rad/s²].
     step: Joints  #: Largest change of a command in a tick [rad].
-    lag: Joints  #: How long a joint is behind its command [s].
-    lead: Joints  #: How far a command goes ahead of its joint [rad].
-    tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
-    #: How wrong the lag may be, as a share of it. Source: ours; a joint may follow at once if not identified.
-    lag_error: float
-    #: Distance of a finger's joint from what its commands explain that is a fault [rad]. Source: ours, twice
-    #: what objects push fingers away in simulated catches.
-    escape: Joints
-    #: Distance from a stopped command from which somebody has moved the joint [rad]. Source: ours, three
-    #: times `start_error`.
-    moved_error: Joints
+    lag: Joints  #: Lag of a joint behind its command [s].
+    lead: Joints  #: Largest distance of a command ahead of its joint [rad].
+    tracking_error: Joints  #: Distance of an arm joint from its expected position that is a fault [rad].
+    lag_error: float  #: Relative error of the lag that is allowed.
+    escape: Joints  #: Distance of a finger joint from the explained position that is a fault [rad].
+    moved_error: Joints  #: Distance from a stopped command that means that somebody moved the joint [rad].
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
     joint_speed: Joints  #: Speed of a joint that is a fault [rad/s].
-    jump_speed: Joints  #: Speed that a joint cannot have [rad/s].
+    jump_speed: Joints  #: Speed that a joint cannot reach [rad/s].
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
-    #: Age of a measured position that is a fault [s]. Source: ours, ten cycles of the UR driver, five of the
-    #: slowest Allegro driver.
-    position_age: Joints
+    position_age: Joints  #: Age of a measured position that is a fault [s].
 
     @classmethod
     def of(
@@ -146,13 +136,15 @@ class JointLimits:
         is_identified: bool = True,
         parts: Iterable[RobotPart] = (),
     ) -> "JointLimits":
-        """The limits of the robots of a work cell, at a share of the full speed, more than 0 and up to 1.
+        """Return the limits of a work cell's robots.
 
-        The full speed is that of the spec, or what a laboratory allows the joint's part, if that is less.
-
-        Joints of one role have the same limits where the spec does not say more. The lag is that of the
-        dynamics of all joints, nominal if absent. Where it has not been identified, commands are no faster
-        than joints may be: a joint with a shorter lag than told would otherwise be faster than it may.
+        Args:
+            workcell: The robots.
+            share: Share of the full speed, more than 0 and up to 1.
+            dynamics: Of all joints, for their lag; nominal if absent.
+            is_identified: Whether the dynamics were identified. If not, commands are limited to the speed of
+                the joints, as the true lag may be shorter.
+            parts: Drivers, whose `limits` may lower the full speed.
 
         Raises:
             InvalidValueError: The share is out of range.
@@ -197,21 +189,21 @@ class JointLimits:
 
     @property
     def is_arm(self) -> Bool[np.ndarray, " joints"]:
-        """Which joints are watched as an arm's, which their servo keeps near their command."""
+        """Arm joints, which must stay near their expected position."""
         return np.isfinite(self.tracking_error)
 
     @property
     def is_finger(self) -> Bool[np.ndarray, " joints"]:
-        """Which joints are watched as fingers, which an object may stop."""
+        """Finger joints, which an object may hold."""
         return np.isfinite(self.escape)
 
     @property
     def stop_time(self) -> Joints:
-        """Time in which a stop takes each joint to rest [s]."""
+        """Time in which a stop brings each joint to rest [s]."""
         return self.lead / (self.lag * self.deceleration)
 
     def __post_init__(self) -> None:
-        """Refuse limits that are none."""
+        """Refuse limits that are not positive or not in order."""
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
@@ -220,12 +212,12 @@ class JointLimits:
 
 
 def _by_role(workcell: WorkcellSpec, arm: float, hand: float) -> Joints:
-    """One number for the joints of arms, and one for those of hands."""
+    """Repeat one number for arm joints, and one for hand joints."""
     return np.array([arm if group.role == "arm" else hand for group in workcell.groups for _ in group.joints])
 
 
 def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Joints]:
-    """What a laboratory allows each joint, by the kind of limit; infinite where it says nothing."""
+    """Return a laboratory's limits of each joint, by kind; infinite where there are none."""
     budgets = {joint: part.limits for part in parts for joint in part.joints}
     of_joints = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
     return {
@@ -235,36 +227,30 @@ def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Jo
 
 
 def _is_end_of_travel(limit: float) -> bool:
-    """Whether a limit [rad] is a whole number of half turns, and not one of the task."""
+    """Return whether a limit [rad] is a whole number of half turns."""
     half_turns = round(limit / pi)
     return half_turns != 0 and isclose(limit, half_turns * pi, abs_tol=1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoLimits:
-    """All that the servo keeps to. Source of the ages: ours, two to three periods of what sends."""
+    """All limits of the servo. Source of the ages: ours, two to three periods of the sender."""
 
     joints: JointLimits
     workspace: Workspace
-    #: Time between two commands [s]. Source: UR's control cycle.
-    dt: float = 0.002
-    #: Time since the last tick that is a fault [s]; UR's driver halts after 40 ms of silence.
-    tick_age: float = 0.02
-    #: Age of the newest image that is a fault [s].
-    image_age: float = 0.1
-    #: Age of the newest box of the object that is a fault [s]; before, the control loop holds the arm.
-    box_age: float = LOSS_TIME
-    #: Age of the newest targets that is a fault [s].
-    target_age: float = 2.0 * CONTROL_DT
-    #: Time since the operator last held the dead-man switch that is a fault [s], and up to which a request
-    #: to arm is heeded. Source: ours.
+    dt: float = 0.002  #: Time between two commands [s]. Source: UR's control cycle.
+    tick_age: float = 0.02  #: Time since the last tick that is a fault [s]; UR's driver halts after 40 ms.
+    image_age: float = 0.1  #: Age of the newest image that is a fault [s].
+    box_age: float = LOSS_TIME  #: Age of the newest box that is a fault [s].
+    target_age: float = 2.0 * CONTROL_DT  #: Age of the newest targets that is a fault [s].
+    #: Age of the operator's newest message that is a fault [s], and of a request to arm that still counts.
+    #: Source: ours.
     operator_age: float = 0.2
-    #: Time over which the policy takes over from the pose at the start [s]. Source: ours.
-    ramp_time: float = 1.0
+    ramp_time: float = 1.0  #: Time in which commands go over to the policy's targets [s]. Source: ours.
 
     @classmethod
     def of(cls, workcell: WorkcellSpec, joints: JointLimits | None = None) -> "ServoLimits":
-        """Those of a work cell, and of its joints if there are no others."""
+        """Return the limits of a work cell, with nominal joint limits if none are given."""
         return cls(joints=joints or JointLimits.of(workcell), workspace=Workspace(workcell=workcell))
 
     def __post_init__(self) -> None:
@@ -283,7 +269,7 @@ class ServoLimits:
             )
 
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
-        """What the motion of some joints, by their places in joint order, keeps to."""
+        """Describe the motion limits of some joints, by their places in joint order."""
         motion, joints = self.motion, self.joints
         own_speed = (joints.lead / (joints.lag * SPEED_MARGIN))[ids].max()
         return (
@@ -294,7 +280,7 @@ class ServoLimits:
 
     @property
     def num_joints(self) -> int:
-        """How many joints the robots have."""
+        """Number of joints of all robots."""
         return len(self.joints.lower)
 
     @property
@@ -312,17 +298,17 @@ class ServoLimits:
 
     @property
     def robot_records(self) -> np.ndarray:
-        """The numbers of a robot, for compiled laws: one entry."""
+        """Limits of the robot for the compiled laws, one entry."""
         numbers = {name: each for name, each in vars(self).items() if name not in ("joints", "workspace")}
         return records(**numbers)
 
     @property
     def joint_records(self) -> np.ndarray:
-        """The limits of each joint, for compiled laws.
+        """Limits of each joint for the compiled laws.
 
-        Beside fields and properties: speed of commands at which no joint is too fast, whatever its lag, which
-        an arm's keep to until that is seen [rad/s]; how far ahead in time a tick aims [s]; how far a stop may
-        lead back [rad].
+        Besides fields and properties: `even_speed` is the speed of a command at which the joint is not too
+        fast, whatever its lag, and `unseen_speed` limits an arm to it until the lag is estimated [rad/s];
+        `time_ahead` is the time that a tick looks ahead [s]; `stop_reach` limits the return of a stop [rad].
         """
         joints, motion = self.joints, self.motion
         even_speed = joints.lead / joints.lag

@@ -1,6 +1,7 @@
-"""The servo as a process of its own: 500 times a second it hears, decides and commands.
+"""The servo process: 500 times a second it reads its inputs, ticks, and sends commands.
 
-It ends on SIGTERM, or when the control loop is gone, whatever ended it: first it stops the robot.
+It ends on SIGTERM, or with the control loop, after it has stopped the robot. Messages that cannot be read are
+ignored: their sender counts as silent, which stops the robot.
 """
 
 import gc
@@ -10,87 +11,236 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from importlib.util import find_spec
 from math import ceil
 from multiprocessing.context import SpawnProcess
 from time import perf_counter
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.installation import needs_extra
-from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport
-from pixel2catch.servo.core import ServoCore, ServoState
-from pixel2catch.servo.flags import Mode
+from pixel2catch.installation import install_command
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Columns, Profile
+from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, RealClock, Topic, Transport
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.link import Command, JointTargets, LoopEnd, ServoEnd, link
-from pixel2catch.servo.subscriptions import ServoSubscriptions
+from pixel2catch.servo.link import (
+    Command,
+    JointTargets,
+    LoopEnd,
+    Mode,
+    ServoEnd,
+    link,
+    scheduled,
+    set_servo_priority,
+)
+from pixel2catch.servo.tick import ServoCore, ServoInputs, ServoState
 
-SERVO, CONTROL_LOOP = -10, -8
-"""Niceness of the servo, which is a real-time process where that is allowed, and of perception and policy.
+PATIENCE = 10.0  #: Real time that a servo process has to end after its link was closed [s]. Source: ours.
+HELD_SPEED = 0.5  #: Speed at which held joints move to their angle [rad/s]. Source: ours.
+DEPTH = 16  #: Messages kept from one tick to the next; several senders may share a topic. Source: ours.
+MOST_BYTES = 2**14  #: Largest message that is read [bytes]. Source: ours; robots' have up to 3,000.
+ARM_PAUSE = 0.5  #: Pause after which a request to arm counts, and not as a repetition [s]. Source: ours.
+ORDER_TIME = 0.1  #: Silence of a joint after which older stamps count: a clock was set [s]. Source: ours.
+SCALING_DIGITS = 3  #: Digits of the speed scaling: the driver multiplies two fractions. Source: ours.
+SCALING_AGE = 0.1  #: Age up to which a speed scaling holds [s]. Source: ours, ten periods of the UR driver.
 
-Source: ours. Without it a busy machine takes the cores from the policy first: it works in one long piece.
-"""
-
-SERVO_PRIORITY, LOOP_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
-"""Priorities among real-time threads of the servo, of perception and policy, and of what is recorded of them.
-
-Source: ours, below what drivers take. On two busy cores, images of 30 Hz: without it perception, which takes
-7 ms of a core, is done 13 ms after an image in the median and 46 ms at p99, with it 10 and 13.
-"""
-
-
-def set_niceness(niceness: int) -> None:
-    """Give this thread, and those that it starts, their place among all others."""
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, niceness)
-
-
-def set_real_time(priority: int) -> None:
-    """Put this thread, and those that it starts, before all that are not real-time, where that is allowed."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+T = TypeVar("T")
 
 
-def give_way(priority: int) -> None:
-    """Give this thread a lower priority among real-time ones, if it is one."""
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        set_real_time(priority)
+def _decoded(
+    received: list[Message], read: Callable[[bytes], T], longest: float = np.inf
+) -> Iterator[tuple[T, float]]:
+    """Yield the messages that can be read and were sent at most so long ago [s], with their arrival [s]."""
+    for message in received:
+        if abs(message.age) <= longest and len(message.data) <= MOST_BYTES:
+            with suppress(DeploymentError):
+                yield read(message.data), message.arrival
 
 
-@contextmanager
-def scheduled(policy: int, priority: int) -> Iterator[bool]:
-    """Another place for this thread among all others, for a while; say whether the system grants it."""
-    before, is_granted = (os.sched_getscheduler(0), os.sched_getparam(0)), False
-    with suppress(OSError):
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
-        is_granted = True
-    try:
-        yield is_granted
-    finally:
-        with suppress(OSError):
-            os.sched_setscheduler(0, *before)
+class _JointOrder(NamedTuple):
+    columns: Columns  #: Columns of a joint state, and their joints in joint order.
+    ids: Columns
+    held: list[tuple[int, Columns, Columns]]  #: Part, columns and places of its held joints.
 
 
-PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
-HELD_SPEED = 0.5  #: Speed at which joints that are none of ours go where they are kept [rad/s]. Source: ours.
+class JointStates:
+    """The newest position of each joint, by name, from any number of senders.
+
+    Messages with a repeated or older stamp are ignored: repetitions, or a recording that is being played.
+    """
+
+    def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
+        """Subscribe."""
+        self.joint_pos = np.full(num_joints, np.nan)  #: In joint order [rad].
+        self.joint_stamp = np.full(num_joints, -np.inf)  #: [s].
+        #: Positions of the held joints of each part [rad]; NaN if not measured.
+        self.held = [np.full(len(part.held), np.nan) for part in profile.robots]
+        self._parts, self._sent = profile.robots, np.full(num_joints, -np.inf)
+        self._order = lru_cache(DEPTH)(self._find_order)
+        topics = dict.fromkeys(part.state_topic for part in profile.robots)
+        self._subscriptions = {topic: transport.subscription(topic, DEPTH) for topic in topics}
+
+    def read(self) -> None:
+        """Read new messages."""
+        for topic, subscription in self._subscriptions.items():
+            for reading, arrival in _decoded(subscription.take(), messages.read_joint_state):
+                with suppress(DeploymentError):
+                    self._merge(reading, self._order(topic, reading.names), arrival)
+
+    def _merge(self, reading: messages.JointReading, order: _JointOrder, arrival: float) -> None:
+        sent, is_old = self._sent[order.ids], arrival - self.joint_stamp[order.ids] > ORDER_TIME
+        is_new = (reading.stamp > sent) | (is_old & (reading.stamp < sent))
+        ids = order.ids[is_new]
+        self.joint_pos[ids] = reading.position[order.columns[is_new]]
+        self._sent[ids], self.joint_stamp[ids] = reading.stamp, arrival
+        is_repetition = len(order.ids) > len(ids) == 0
+        for number, columns, places in () if is_repetition else order.held:
+            measured, held = reading.position[columns], self.held[number]
+            held[places] = np.where(np.isfinite(measured), measured, held[places])
+
+    def _find_order(self, topic: Topic, names: tuple[str, ...]) -> _JointOrder:
+        parts = {number: part for number, part in enumerate(self._parts) if part.state_topic == topic}
+        columns, ids = np.concatenate([part.columns(names) for part in parts.values()], axis=1)
+        return _JointOrder(columns, ids, [(n, *part.held_columns(names)) for n, part in parts.items()])
+
+
+class _Latest(Generic[T]):
+    """The latest value of a driver's topic; None before the first, and when it no longer holds."""
+
+    def __init__(
+        self, transport: Transport, topic: Topic, read: Callable[[bytes], T], longest: float = np.inf
+    ) -> None:
+        self.value: T | None = None
+        self._transport, self._topic, self._read, self._longest = transport, topic, read, longest
+        self._subscription, self._stamp = transport.subscription(topic, DEPTH), -np.inf
+        self._num_senders = 1
+
+    @property
+    def is_known(self) -> bool:
+        return self.value is not None and self._num_senders == 1
+
+    def update(self, now: float) -> None:
+        for value, arrival in _decoded(self._subscription.take(), self._read):
+            self.value, self._stamp = value, arrival
+        if now - self._stamp > self._longest:
+            self.value = None
+
+    def count_senders(self) -> None:
+        """Discard a latched value whose sender is gone."""
+        self._num_senders = self._transport.num_other_publishers(self._topic)
+        self.value = self.value if self._num_senders else None
+
+
+class ServoSubscriptions:
+    """Everything that the servo reads from the network: joints, status of the drivers, operator."""
+
+    def __init__(
+        self, transport: Transport, profile: Profile, limits: ServoLimits, commands: Sequence[Publisher]
+    ) -> None:
+        """Subscribe, and watch the subscribers of the commands, of which a dry run has none."""
+        self._transport, self._publishers, self._profile = transport, commands, profile
+        self.joints = JointStates(transport, profile, limits.num_joints)
+        status, latest = profile.status, partial(_Latest[Any], transport)
+        modes: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
+            (status.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
+            (status.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
+            (status.program_running, messages.read_boolean),
+        ]
+        controllers = [part.controller for part in profile.robots if part.controller]
+        self._modes = [latest(topic, read) for topic, read in modes if topic]
+        self._controllers = [
+            latest(each.activity, lambda data, name=each.name: name in messages.read_active_controllers(data))
+            for each in controllers
+        ]
+        scaling = partial(latest, read=messages.read_number, longest=SCALING_AGE)
+        self._scaling = [scaling(topic) for topic in (status.speed_scaling,) if topic]
+        self._status = (*self._modes, *self._controllers, *self._scaling)
+        topics, self._operator_age = profile.operator, limits.operator_age
+        self._dead_man, self._arm, self._stop = (
+            transport.subscription(topic, DEPTH) for topic in (topics.dead_man, topics.arm, topics.stop)
+        )
+        self._dead_man_stamp = self._pressed_stamp = self._arm_stamp = self._last_arm = -np.inf
+        self._is_stop_requested, self._next_poll = False, -np.inf
+        self._has_other_publisher = self._has_other_operator = True
+        self._num_subscribers: list[int] = [0]
+
+    def read(self, now: float) -> None:
+        """Read new messages; from time to time, count publishers and subscribers."""
+        self.joints.read()
+        for latest in self._status:
+            latest.update(now)
+        self._read_operator()
+        if now >= self._next_poll:
+            self._next_poll, count = now + POLL_TIME, self._transport.num_other_publishers
+            topics = self._profile.operator
+            self._has_other_publisher = any(count(part.command_topic) for part in self._profile.robots)
+            self._has_other_operator = any(count(topic) > 1 for topic in (topics.dead_man, topics.arm))
+            self._num_subscribers = [publisher.num_subscribers() for publisher in self._publishers]
+            for latest in self._status:
+                latest.count_senders()
+
+    def _read_operator(self) -> None:
+        """Read switch and requests; a message that is older than the switch may be silent does not count."""
+        for is_held, arrival in _decoded(self._dead_man.take(), messages.read_boolean, self._operator_age):
+            if is_held and arrival - self._dead_man_stamp > self._operator_age:
+                self._pressed_stamp = arrival
+            self._dead_man_stamp = arrival if is_held else -np.inf
+        for is_request, arrival in _decoded(self._arm.take(), messages.read_boolean, self._operator_age):
+            if is_request and arrival - self._last_arm > ARM_PAUSE:
+                self._arm_stamp = arrival
+            self._last_arm = arrival if is_request else self._last_arm
+        stops = self._stop.take()  # if messages were lost, one of them may have been a request
+        self._is_stop_requested = len(stops) >= DEPTH or any(
+            each for each, _ in _decoded(stops, messages.read_boolean)
+        )
+
+    def inputs(self, now: float, targets: JointTargets) -> ServoInputs:
+        """Return the inputs of a tick."""
+        percent = next((each.value for each in self._scaling if each.value is not None), 100.0)
+        values = {
+            "now": now,
+            "target_stamp": targets.target_stamp,
+            "image_stamp": targets.image_stamp,
+            "box_stamp": targets.box_stamp,
+            "is_perception_sound": targets.is_perception_sound,
+            "dead_man_stamp": self._dead_man_stamp,
+            "pressed_stamp": self._pressed_stamp,
+            "arm_stamp": self._arm_stamp,
+            "is_stop_requested": self._is_stop_requested or targets.is_stop_requested,
+            "speed_scaling": round(percent / 100.0, SCALING_DIGITS),
+            "is_safe": all(each.value is not False for each in self._modes),
+            "is_status_known": all(each.is_known for each in self._status),
+            "has_controller": all(each.value is not False for each in self._controllers),
+            "has_other_publisher": self._has_other_publisher,
+            "has_other_operator": self._has_other_operator,
+            "has_subscriber": all(self._num_subscribers),
+            "has_other_subscriber": max(self._num_subscribers, default=0) > 1,
+        }
+        return ServoInputs(
+            joint_pos=self.joints.joint_pos[None].copy(),
+            joint_stamp=self.joints.joint_stamp[None].copy(),
+            joint_pos_target=targets.joint_pos_target[None],
+            **{name: np.array([value]) for name, value in values.items()},
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServoSetup:
-    """What a servo is the servo of; all of it can be given to another process."""
+    """Drivers and limits of a servo; it can be passed to another process."""
 
     profile: Profile  #: The robot's drivers.
-    limits: ServoLimits  #: What the servo keeps to.
+    limits: ServoLimits
     is_dry_run: bool = False  #: Whether nothing is sent; the robot is then not expected to follow.
 
 
 class CommandPublisher:
-    """What sends commands to the drivers, to each one as often as it takes them; to none in a dry run."""
+    """Sends commands to each driver at its rate; in a dry run to none."""
 
     def __init__(self, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
-        """Announce the commands, and encode each once: the first time takes as long as eight ticks."""
+        """Announce the topics, and encode a command for each: the first time is slow."""
         self._clock = clock
         parts = () if setup.is_dry_run else setup.profile.robots
         self.publishers = [transport.publisher(part.command_topic) for part in parts]
@@ -98,111 +248,95 @@ class CommandPublisher:
         self._drivers = [*zip(parts, self.publishers, periods, strict=True)]
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
-        self._is_kept = [True for _ in parts]
         for part in parts:
             part.command(np.zeros(setup.limits.num_joints))
 
-    def send(self, command: np.ndarray, held: Sequence[np.ndarray]) -> None:
-        """Send the commands of a tick in joint order [rad]; nothing while they are no numbers.
-
-        Joints that are none of ours go from where they are measured, part by part [rad], to where they are
-        kept.
-        """
-        if np.isnan(command).any():
+    def send(self, command: Command, held: Sequence[np.ndarray]) -> None:
+        """Send a command, if it has positions. Held joints go from their positions [rad] to their angles."""
+        if np.isnan(command.joint_pos_command).any():
             self._tick = 0
             return
         for number, (part, publisher, period) in enumerate(self._drivers):
             if self._tick == 0:
                 self._held[number] = np.where(np.isfinite(held[number]), held[number], part.held_angles)
-                self._is_kept[number] = False
-            if not self._is_kept[number]:
-                left = part.held_angles - self._held[number]
-                self._held[number] = self._held[number] + left.clip(-self._held_step, self._held_step)
-                self._is_kept[number] = not left.any()
+            left = part.held_angles - self._held[number]
+            self._held[number] = self._held[number] + left.clip(-self._held_step, self._held_step)
             if self._tick % period == 0:
-                publisher.publish(part.command(command, self._clock.stamp(), self._held[number]))
+                data = part.command(command.joint_pos_command, self._clock.stamp(), self._held[number])
+                publisher.publish(data)
         self._tick += 1
 
 
 class Servo:
-    """The loop: `run` until it is asked to `end`, or nobody is left to command it; or call `tick`."""
+    """The servo's loop: `run` until `end` is called or the control loop has ended, or call `tick`."""
 
     def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
-        """Begin to listen; nothing is sent before the operator arms."""
-        limits, num_joints = setup.limits, setup.limits.num_joints
+        """Subscribe; nothing is sent before the operator arms."""
+        limits = setup.limits
         if setup.is_dry_run:
-            anywhere = np.full(num_joints, np.inf)
+            anywhere = np.full(limits.num_joints, np.inf)
             limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere, escape=anywhere))
-        self._end, self._clock, self._core = end, clock, ServoCore(limits)
+        self._end, self._clock, self._core, self._dt = end, clock, ServoCore(limits), limits.dt
         self._commands = CommandPublisher(transport, setup, clock)
         publishers = self._commands.publishers
         self._subscriptions = ServoSubscriptions(transport, setup.profile, limits, publishers)
-        self._state, self._joint_targets = ServoState.idle(1, limits), JointTargets.none(num_joints)
+        self._state, self._targets = ServoState.idle(1, limits), JointTargets.none(limits.num_joints)
         self._is_ending = False
-        #: What came up that nobody foresaw; the robot was stopped for it.
-        self.unforeseen: Exception | None = None
+        self.unforeseen: Exception | None = None  #: An unexpected error; the robot was stopped first.
 
     def end(self) -> None:
-        """Stop the robot, and then return from `run`; any thread or signal may ask for it."""
+        """Stop the robot and return from `run`; any thread or signal handler may call this."""
         self._is_ending = True
 
     def run(self) -> None:
-        """Tick at fixed moments; those that are missed are left out, not made up for.
+        """Tick at a fixed rate; missed ticks are left out.
 
         Raises:
-            Exception: What nobody foresaw came up; the robot was stopped for it.
+            Exception: An unexpected error occurred; the robot was stopped first.
         """
-        dt, due = self._core.limits.dt, self._clock.now()
+        due = self._clock.now()
         while not self._is_over:
             self.tick()
-            due += dt * max(ceil((self._clock.now() - due) / dt), 1)
+            due += self._dt * max(ceil((self._clock.now() - due) / self._dt), 1)
             self._clock.sleep_until(due)
         if self.unforeseen:
             raise self.unforeseen
 
     @property
     def _is_over(self) -> bool:
-        """Whether it is to end, and nothing moves any more."""
-        (robot,), dt = self._state.robots, self._core.limits.dt
-        stands = robot["mode"] == Mode.STOPPED and robot["ticks"] * dt >= STOP_TIME
-        return self._is_ending and bool(stands or robot["mode"] == Mode.IDLE)
+        mode, ticks = self._state["mode"][0], self._state["ticks"][0]
+        is_at_rest = mode == Mode.IDLE or (mode == Mode.STOPPED and ticks * self._dt >= STOP_TIME)
+        return self._is_ending and bool(is_at_rest)
 
     def tick(self) -> None:
-        """Hear, decide, command and tell."""
+        """Read the inputs, tick, and send the command to drivers and control loop."""
         begun = perf_counter()
-        self._guard(self._hear)
-        now, joint_targets = self._clock.now(), self._joint_targets
+        self._guard(self._read)
+        now, targets = self._clock.now(), self._targets
         if self._is_ending:
-            joint_targets = replace(joint_targets, is_stop_requested=True)
-        inputs = self._subscriptions.inputs(now, joint_targets)
-        self._state, output = self._core.tick(self._state, inputs)
-        self._guard(lambda: self._commands.send(output.command[0], self._subscriptions.joints.held))
-        self._end.send(
-            Command(
-                time=now,
-                mode=int(output.mode[0]),
-                stopped_by=int(output.stopped_by[0]),
-                found=int(output.found[0]),
-                refused=int(output.refused[0]),
-                clamped=int(output.clamped[0]),
-                joint_pos_command=output.command[0],
-                joint_pos=inputs.joint_pos[0],
-                duration=perf_counter() - begun,
-                target_stamp=joint_targets.target_stamp,
-                image_stamp=joint_targets.image_stamp,
-            )
+            targets = replace(targets, is_stop_requested=True)
+        inputs = self._subscriptions.inputs(now, targets)
+        self._state = state = self._core.tick(self._state, inputs)
+        command = Command(
+            time=now,
+            duration=0.0,
+            target_stamp=targets.target_stamp,
+            image_stamp=targets.image_stamp,
+            joint_pos_command=state["sent"][0],
+            joint_pos=inputs.joint_pos[0],
+            **{name: int(state[name][0]) for name in ("mode", "stopped_by", "found", "refused", "clamped")},
         )
+        self._guard(lambda: self._commands.send(command, self._subscriptions.joints.held))
+        self._end.send(replace(command, duration=perf_counter() - begun))
 
-    def _hear(self) -> None:
-        """Take what control loop, robot and operator have said."""
-        for joint_targets in self._end.receive():
-            self._joint_targets = joint_targets
+    def _read(self) -> None:
+        for targets in self._end.receive():
+            self._targets = targets
         if self._end.is_closed:
             self.end()
-        self._subscriptions.hear(self._clock.now())
+        self._subscriptions.read(self._clock.now())
 
     def _guard(self, action: Callable[[], None]) -> None:
-        """Do it; if something comes up, stop the robot first, and raise it then."""
         try:
             action()
         except Exception as error:
@@ -210,37 +344,33 @@ class Servo:
             self.end()
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunningServo:
-    """A servo process that was started."""
+class RunningServo(NamedTuple):
+    """A servo process, and the control loop's end of its link."""
 
-    link: LoopEnd  #: The control loop's end of the link.
+    link: LoopEnd
     process: SpawnProcess
 
 
-MakeTransport = Callable[[RealClock], Transport]  #: Joins the network, on either side of a process's start.
+MakeTransport = Callable[[RealClock], Transport]  #: Joins the network.
 
 
 @contextmanager
 def start_servo(
     setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0
 ) -> Iterator[RunningServo]:
-    """Start a servo process; it is heard of over the link as soon as it ticks.
-
-    At the end it stops the robot and is waited for; one that hangs is killed.
+    """Start a servo process; at the end of the context, it stops the robot and ends, or is killed.
 
     Raises:
-        DeploymentError: The compiler of its tick is missing.
+        DeploymentError: numba is missing.
     """
-    with needs_extra("deployment", error=DeploymentError):
-        if not find_spec("numba"):  # not imported here, beside perception
-            raise ImportError("No module named 'numba'")
+    if not find_spec("numba"):  # importing it takes long, and only the servo process needs it
+        raise DeploymentError(f"numba is not installed: {install_command('deployment')}.")
     loop, servo = link()
     with closing(servo):
         process = multiprocessing.get_context("spawn").Process(
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
-        with scheduled(os.SCHED_OTHER, 0):  # it takes seconds to start
+        with scheduled(os.SCHED_OTHER, 0):  # starting takes seconds
             process.start()
     try:
         yield RunningServo(link=loop, process=process)
@@ -253,12 +383,11 @@ def start_servo(
 
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
-    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP, not by Ctrl-C or Ctrl-Z."""
-    ServoCore(setup.limits)  # compiled before this is a real-time process
+    """Run the servo process until its link is closed, or SIGTERM or SIGHUP; Ctrl-C and Ctrl-Z are ignored."""
+    ServoCore(setup.limits)  # compile it before this is a real-time process
     for number in (signal.SIGINT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
-    set_niceness(SERVO)
-    set_real_time(SERVO_PRIORITY)
+    set_servo_priority()
     clock = RealClock(clock_rate)
     with make_transport(clock) as transport:
         servo = Servo(end, transport, setup, clock)

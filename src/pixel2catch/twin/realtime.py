@@ -21,7 +21,7 @@ from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.servo.process import set_niceness
+from pixel2catch.servo.link import set_niceness
 from pixel2catch.twin.config import TwinCfg
 from pixel2catch.twin.drivers import CYCLE, Camera
 from pixel2catch.twin.lab_node import LabNode, twin_profile

@@ -1,0 +1,296 @@
+"""Laws of one joint and of one robot: motion of commands within limits, and checks of the inputs.
+
+Motion: a tick chooses a speed v, which moves a position by v dt. Braking from it takes the ticks v, v - a dt,
+and so on, that are above 0. A command is the mean of the newest n positions. It keeps their limits of
+position, speed and acceleration, as each mean does. Its acceleration changes by (a - a of n ticks ago) / n
+in a tick, which limits its jerk to 2 a / (n dt). All of this is exact in discrete time, except for rounding.
+
+Checks: all stamps are of one monotonic clock. A stamp that is NaN or in the future counts as too old.
+
+Limits are entries of `ServoLimits.joint_records` and `ServoLimits.robot_records`.
+"""
+
+from enum import IntFlag
+from math import copysign
+
+import numpy as np
+
+from pixel2catch.servo.compilation import Record, Records, compiled
+from pixel2catch.servo.link import Clamp, Fault, Mode
+
+STOP_TIME = 0.3  #: Duration of a stop, after which the commands are constant [s]. Source: ours.
+RETURN_TIME = (
+    0.2  #: Part of a stop in which commands return to the joints [s]; then they brake. Source: ours.
+)
+
+REST_ERROR = 0.05
+"""Distance of an arm joint at rest from its command that is allowed [rad]. Source: ours."""
+
+JITTER = 0.015  #: Variation of a position's arrival time [s]. Source: ours.
+SMOOTHING = 0.04  #: Time constant of the estimated joint speed [s]. Source: ours.
+SLACK_LAGS = 3.0
+"""Time constant with which the allowed distance from the command decays after a motion [lags]. Source: ours.
+"""
+
+FROZEN_ANGLE = 0.01
+"""Motion of a command during which the measurement must change by at least one bit [rad]. Source: ours."""
+
+FROZEN_TIME = (
+    0.15  #: Time that a measurement has to change [s]. Source: ours, more than the lag of any servo.
+)
+LAG_MARGIN = 1.05
+"""Factor on the estimated lag. Source: ours, half of the margin of the speed."""
+
+LEAST_LAG = 0.002  #: Smallest lag [s]. Source: ours, a tick.
+
+LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
+"""Motion v² t from which a joint's lag is estimated, and that over which it is averaged [rad²/s].
+
+Source: ours; 0.03 s after the beginning of a swing, and 0.02 s of the fastest.
+"""
+
+CLOCK_ERROR = 1e-3  #: Time by which a stamp may be in the future [s]. Source: ours; processes read the clock.
+
+
+@compiled
+def clipped(value: float, lower: float, upper: float) -> float:
+    """Clip a value to bounds; return NaN if one of the three is NaN."""
+    return np.minimum(np.maximum(value, lower), upper)
+
+
+@compiled
+def interpolated(start: float, end: float, elapsed: float, duration: float) -> float:
+    """Return the position of a uniform motion after a part of its duration [rad]; then its end."""
+    return start + clipped(elapsed / duration, 0.0, 1.0) * (end - start)
+
+
+@compiled
+def stopping_speed(distance: float, limits: Record) -> float:
+    """Return the largest speed [rad/s] after which braking ends within a distance [rad], 0 or more.
+
+    Braking from v = (n + f) a dt, n whole and 0 <= f < 1, takes ((n + 1) f + n (n + 1) / 2) a dt².
+    """
+    share = distance / limits.bend
+    whole = np.floor(np.sqrt(2.0 * share + 0.25) - 0.5)
+    return (share / (whole + 1.0) + 0.5 * whole) * limits.change
+
+
+@compiled
+def speed_to(position: float, goal: float, limits: Record) -> float:
+    """Return the speed [rad/s] that leads to a goal [rad] without overshoot, without other limits."""
+    distance = goal - position
+    return copysign(stopping_speed(abs(distance), limits), distance)
+
+
+@compiled
+def limited_speed(position: float, velocity: float, requested: float, limits: Record) -> float:
+    """Return the speed nearest to the requested one that keeps all limits [rad, rad/s]."""
+    below = np.minimum(stopping_speed(np.maximum(position - limits.lower, 0.0), limits), limits.speed)
+    above = np.minimum(stopping_speed(np.maximum(limits.upper - position, 0.0), limits), limits.speed)
+    slowest = np.maximum(velocity - limits.change, -below)
+    return clipped(requested, slowest, np.minimum(velocity + limits.change, above))
+
+
+@compiled
+def braked_position(position: float, velocity: float, num_ticks: int, limits: Record) -> float:
+    """Return the position after a number of ticks of braking [rad]."""
+    speed = abs(velocity)
+    whole = np.minimum(num_ticks, np.floor(speed / limits.change))
+    covered = whole * (speed - limits.change * (0.5 * whole + 0.5))
+    return position + copysign(limits.dt, velocity) * covered
+
+
+@compiled
+def braked_speed(velocity: float, limits: Record) -> float:
+    """Return the speed after one tick of braking [rad/s]."""
+    return copysign(np.maximum(abs(velocity) - limits.change, 0.0), velocity)
+
+
+@compiled
+def moving_mean(recent: np.ndarray, position: float, limits: Record) -> float:
+    """Append a position to the newest ones, oldest first, and return their mean: the command [rad]."""
+    command, last = 0.0, len(recent) - 1
+    for number in range(last + 1):
+        recent[number] = recent[number + 1] if number < last else position
+        if number > last - limits.window:
+            command += recent[number] * limits.share
+    return command
+
+
+@compiled
+def is_recent(now: float, stamp: float, age: float) -> bool:
+    """Return whether a stamp is at most so old [s]."""
+    elapsed = now - stamp
+    return (elapsed >= -CLOCK_ERROR) and (elapsed <= age)
+
+
+@compiled
+def bit(fault: IntFlag, holds: bool) -> int:
+    """Return the number of a flag if it holds, else 0."""
+    return fault.value if holds else 0
+
+
+@compiled
+def robot_faults(last_tick: float, inputs: Record, limits: Record) -> int:
+    """Return the faults of robot, operator and clock; the last tick is a time [s]."""
+    elapsed = inputs.now - last_tick
+    return (
+        bit(Fault.CLOCK, not ((elapsed > 0.0) and (elapsed <= limits.tick_age)))
+        | bit(Fault.SAFETY_MODE, not inputs.is_safe)
+        | bit(Fault.SPEED_SCALING, inputs.speed_scaling != 1.0)
+        | bit(Fault.STATUS_UNKNOWN, not inputs.is_status_known)
+        | bit(Fault.CONTROLLER, not inputs.has_controller)
+        | bit(Fault.NO_SUBSCRIBER, not inputs.has_subscriber)
+        | bit(Fault.OTHER_SUBSCRIBER, inputs.has_other_subscriber)
+        | bit(Fault.OTHER_PUBLISHER, inputs.has_other_publisher)
+        | bit(Fault.OTHER_OPERATOR, inputs.has_other_operator)
+        | bit(Fault.DEAD_MAN, not is_recent(inputs.now, inputs.dead_man_stamp, limits.operator_age))
+        | bit(Fault.STOP_REQUEST, inputs.is_stop_requested)
+    )
+
+
+@compiled
+def policy_faults(inputs: Record, is_finite: bool, limits: Record) -> int:
+    """Return the faults of perception and policy; it is given whether all targets are finite."""
+    return (
+        bit(Fault.IMAGE_STALE, not is_recent(inputs.now, inputs.image_stamp, limits.image_age))
+        | bit(Fault.POLICY_LATE, not is_recent(inputs.now, inputs.target_stamp, limits.target_age))
+        | bit(Fault.TARGET_NOT_FINITE, not is_finite)
+        | bit(Fault.OBJECT_LOST, not is_recent(inputs.now, inputs.box_stamp, limits.box_age))
+        | bit(Fault.PERCEPTION_UNSOUND, not inputs.is_perception_sound)
+    )
+
+
+@compiled
+def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: bool, limits: Records) -> int:
+    """Update the estimates of all joints, and return the faults of their measurements.
+
+    An arm joint follows its servo: near its command at rest, behind it by the lag in motion. A finger may be
+    stopped by what it holds. Some faults are only found in robots that have been commanded for a tick.
+    """
+    found, of_commands, num_fingers, num_frozen = 0, 0, 0, 0
+    for number in range(len(joints)):
+        joint, position, stamp = joints[number], inputs[number].joint_pos, inputs[number].joint_stamp
+        limit = limits[number]
+        is_jump = update_estimates(joint, position, stamp, is_commanded, limit)
+        is_impossible = (position < limit.least) or (position > limit.most) or is_jump
+        found |= bit(Fault.JOINTS_STALE, not is_recent(now, stamp, limit.position_age))
+        found |= bit(Fault.JOINTS_NOT_FINITE, not np.isfinite(position))
+        found |= bit(Fault.JOINTS_IMPLAUSIBLE, is_impossible)
+        most = np.minimum(limit.tracking_error, REST_ERROR + limit.lag_error * joint.slack)
+        is_off, is_frozen = abs(position - joint.expected) > most, joint.still_time > FROZEN_TIME
+        of_commands |= bit(Fault.JOINTS_IMPLAUSIBLE, abs(position - joint.explained) > limit.escape)
+        of_commands |= bit(Fault.JOINT_SPEED, abs(joint.speed) > limit.joint_speed)
+        of_commands |= bit(Fault.TRACKING_ERROR, is_off and limit.is_arm)
+        of_commands |= bit(Fault.JOINTS_FROZEN, is_frozen and limit.is_arm)
+        num_fingers += limit.is_finger
+        num_frozen += is_frozen and limit.is_finger
+    of_commands |= bit(Fault.JOINTS_FROZEN, num_frozen == num_fingers and num_fingers > 0)
+    return found | of_commands if is_commanded else found
+
+
+@compiled
+def update_estimates(
+    joint: Record, position: float, stamp: float, is_commanded: bool, limits: Record
+) -> bool:
+    """Update a joint's estimates by a position [rad] and its stamp [s]; return whether it jumped.
+
+    A joint with a lag has the speed (command - position) / lag, and so have the means of both.
+    """
+    command, expected = joint.command, joint.expected
+    is_new = np.isfinite(position) and np.isfinite(stamp) and not stamp <= joint.stamp
+    is_next = is_new and np.isfinite(joint.stamp)
+    elapsed = stamp - joint.stamp if is_next else 0.0
+    moved = position - joint.measured if is_next else 0.0
+    is_jump = abs(moved) > limits.jump_speed * (elapsed + JITTER)
+    share = np.minimum(elapsed / SMOOTHING, 1.0)
+    joint.speed *= 1.0 - share
+    joint.speed += 0.0 if is_jump else moved / np.maximum(elapsed, SMOOTHING)
+    if np.isfinite(position):
+        joint.explained = explained_position(joint, position) if is_commanded else position
+    joint.slack = np.maximum(
+        abs(command - expected), joint.slack * (1.0 - limits.dt / (SLACK_LAGS * limits.lag))
+    )
+    if not (is_commanded and moved == 0.0):
+        joint.anchor = command
+    is_still = abs(command - joint.anchor) > FROZEN_ANGLE
+    joint.still_time = joint.still_time + limits.dt if is_still else 0.0
+    ahead = (1.0 - share) * joint.ahead + (command - joint.measured if is_next else 0.0) * share
+    joint.ahead = ahead if is_commanded else 0.0
+    estimate_lag(joint, joint.speed * elapsed if is_commanded else 0.0, limits)
+    if is_new:
+        joint.measured, joint.stamp = position, stamp
+    return is_jump
+
+
+@compiled
+def explained_position(joint: Record, position: float) -> float:
+    """Return the measured position, clipped to the range that recent commands can explain [rad]."""
+    least = np.minimum(np.minimum(joint.command, joint.expected), joint.explained)
+    most = np.maximum(np.maximum(joint.command, joint.expected), joint.explained)
+    return np.maximum(least, np.minimum(position, most))
+
+
+@compiled
+def estimate_lag(joint: Record, way: float, limits: Record) -> None:
+    """Update the lag of a joint by a distance that it moved [rad].
+
+    Up to the specified lag, the estimate with a margin is used; beyond it, the estimate within its error.
+    """
+    joint.evidence = np.minimum(joint.evidence + way * joint.speed, MOST_EVIDENCE)
+    error = joint.ahead - joint.estimated_lag * joint.speed
+    joint.estimated_lag += way * error / np.maximum(joint.evidence, 1e-9)
+    joint.is_lag_estimated = limits.is_arm and joint.evidence >= LEAST_EVIDENCE
+    joint.lag = limits.lag
+    if joint.is_lag_estimated:
+        most = np.minimum(np.maximum(limits.lag, joint.estimated_lag), (1.0 + limits.lag_error) * limits.lag)
+        joint.lag = np.minimum(np.maximum(LAG_MARGIN * joint.estimated_lag, LEAST_LAG), most)
+
+
+@compiled
+def update_expected(joint: Record, limits: Record) -> None:
+    """Predict where the joint is a tick later, by its lag behind the command."""
+    joint.expected += np.minimum(limits.dt / joint.lag, 1.0) * (joint.command - joint.expected)
+
+
+@compiled
+def is_driven(robot: Record) -> bool:
+    """Return whether the policy moves the robot, in the ramp or in the run."""
+    return Mode.RAMP <= robot.mode <= Mode.RUN
+
+
+@compiled
+def is_active(robot: Record) -> bool:
+    """Return whether a fault would stop the robot."""
+    return Mode.ARMED <= robot.mode <= Mode.RUN
+
+
+@compiled
+def target_speed(robot: Record, joint: Record, limit: Record) -> float:
+    """Return the speed of an armed robot's joint to its target, with a limited lead [rad/s]."""
+    goal = joint.hold
+    if is_driven(robot):
+        share = min((robot.ticks + 1) * limit.dt / limit.ramp_time, 1.0) if robot.mode == Mode.RAMP else 1.0
+        elapsed = robot.now - robot.target_begun + limit.time_ahead
+        wanted = interpolated(joint.start, joint.end, elapsed, limit.control_dt)
+        wanted = joint.hold + share * (wanted - joint.hold)
+        reach = limit.even_speed * (joint.lag + limit.delay)
+        goal = clipped(wanted, joint.joint_pos - reach, joint.joint_pos + reach)
+        robot.clamped |= bit(Clamp.LEAD, goal != wanted)
+    speed = speed_to(joint.position, clipped(goal, limit.lower, limit.upper), limit)
+    most = np.inf if joint.is_lag_estimated else limit.unseen_speed
+    return clipped(speed, -most, most)
+
+
+@compiled
+def stop_speed(robot: Record, joint: Record, limit: Record) -> float:
+    """Return the speed that brings a joint to rest [rad/s], from its position if that is measured."""
+    time = robot.ticks * limit.dt
+    left = limit.stop_time - time
+    if not (robot.is_returning and time < RETURN_TIME):
+        slower = clipped(joint.velocity, -limit.even_speed, limit.even_speed)
+        return slower * max(1.0 - limit.dt / max(left, limit.dt), 0.0)
+    speed = joint.speed - joint.lead / limit.stop_time if left > 0.0 else 0.0
+    back = joint.joint_pos + joint.lead * max(left / limit.stop_time, 0.0) + speed * limit.time_ahead
+    back = clipped(back, joint.hold - limit.stop_reach, joint.hold + limit.stop_reach)
+    return speed + speed_to(joint.position, clipped(back, limit.lower, limit.upper), limit)
