@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
-from pixel2catch.robots.chain import pose_matrix
 from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

@@ -35,7 +35,7 @@ def test_nominal_dynamics_are_the_simulators():
 def test_values_out_of_range_are_refused():
     with pytest.raises(InvalidValueError, match="filter_gain"):
         ELBOW.with_values(filter_gain=0.0)
-    with pytest.raises(InvalidValueError, match="name each once"):
+    with pytest.raises(InvalidValueError, match="name each joint once"):
         dataclasses.replace(ELBOW, joints=())
     with pytest.raises(UnknownNameError, match="elbow"):
         dataclasses.replace(ELBOW, joints=("elbow",)).require(UR5E_ALLEGRO.joints)

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from maker_difference import differences, reach
 
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.cli.main import main
@@ -15,7 +16,6 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.allegro import allegro
 from pixel2catch.robots.maker import maker_parts
-from pixel2catch.robots.maker_difference import differences, reach
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell
@@ -125,13 +125,13 @@ def test_a_urdf_with_meshes_and_without_masses(tmp_path: Path):
 
 def test_the_other_hand_and_a_second_arm_are_refused(tmp_path: Path, arm: Path):
     in_other_words(allegro("right").mjcf, tmp_path / "right.xml")
-    with pytest.raises(InvalidValueError, match=r"right\.xml is no model.*allegro_left: an axis is \d+ mm"):
+    with pytest.raises(InvalidValueError, match=r"right\.xml is no model.*allegro_left: an axis is off by \d+ mm"):
         build_model(SceneCfg(robot_model=(str(tmp_path / "right.xml"),)))
     with pytest.raises(InvalidValueError, match="is a second model of"):
         build_model(SceneCfg(robot_model=(str(arm), str(arm))))
     plain = tmp_path / "plain.xml"
     plain.write_text('<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>')
-    with pytest.raises(InvalidValueError, match="has no visual shapes; take its collision ones"):
+    with pytest.raises(InvalidValueError, match="has no visual shapes; use its collision shapes"):
         build_model(SceneCfg(robot_model=(str(plain),), robot_surface="visual"))
 
 
@@ -149,7 +149,7 @@ def test_commands_take_makers_models(
 ):
     files = ["--robot-model", str(arm), str(hand)]
     assert main(["scene", str(tmp_path / "scene.xml"), *files]) == 0
-    assert "| wrist_3_link | 365.0 | 365.0 | 0.0 | 0.0 | 0.0 |" in capsys.readouterr().out
+    assert "ur5e_allegro_left: axes differ from the package's model by at most 0.00 mm" in capsys.readouterr().out
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nu == len(WORKCELL.joints)
     task = TaskOptions(robot_model=(arm, hand)).change(CatchEnvCfg(), "evaluate")
     assert task == replace(CatchEnvCfg(), scene=SceneCfg(robot_model=(str(arm), str(hand))))

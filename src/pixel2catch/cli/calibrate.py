@@ -192,7 +192,7 @@ class Calibrate:
 
     def _board(self) -> "Pose | None":
         """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
-        from pixel2catch.robots.chain import pose_matrix
+        from pixel2catch.robots.poses import pose_matrix
 
         if self.board_pose is None:
             return None

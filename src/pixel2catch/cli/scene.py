@@ -18,21 +18,21 @@ class Scene:
     object: str = "cube_s"  #: Name of the object that is in the scene.
     workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 
-    #: Makers' models of arm, hand or both, URDF or MJCF, in place of ours; prints what differs.
+    #: Makers' models of arm, hand or both, URDF or MJCF, in place of the package's; prints how their axes
+    #: differ.
     robot_model: tuple[RobotModelPath, ...] = ()
     surface: Literal["collision", "visual"] = "collision"  #: Which shapes of these collide.
 
     def run(self) -> None:
         """Write the file."""
-        from pixel2catch.evaluation.report import markdown
-        from pixel2catch.robots.maker_difference import differences
+        from pixel2catch.robots.maker import maker_parts
         from pixel2catch.scene.scene import SceneCfg, export
         from pixel2catch.workcells import find_workcell
 
         files = tuple(map(str, self.robot_model))
         cfg = SceneCfg(workcell=self.workcell, visuals=True, robot_model=files, robot_surface=self.surface)
         export(self.file, cfg, self.object)
-        if files:
-            whole, bodies = differences(find_workcell(self.workcell), files, self.surface)
-            print(markdown(whole, 1), markdown(bodies, 1), sep="\n")
+        for (prefix, name), part in maker_parts(find_workcell(self.workcell), files, self.surface).items():
+            difference = f"{1e3 * part.distance:.2f} mm and {1e3 * part.angle:.2f} mrad"
+            print(f"{prefix}{name}: axes differ from the package's model by at most {difference}")
         print(f"wrote {self.file}")

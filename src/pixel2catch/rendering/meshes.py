@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.chain import pose_matrix, quaternion
 from pixel2catch.robots.mjcf import read_mjcf
+from pixel2catch.robots.poses import pose_matrix, quaternion
 from pixel2catch.robots.spec import MeshSource, RobotSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, parts_of, robot_mjcf
 

@@ -1,8 +1,7 @@
 """Forward kinematics of a chain of joints, read from a compiled model and batched in torch.
 
-Joint i turns by Rz-like matrices K + cos(q) C + sin(q) S, so that a pose is a product of homogeneous matrices
-that are linear in cos and sin. No call copies between host and device and no value is looked at, so it runs
-inside CUDA graphs; a chain owns its constants.
+The matrix of joint i is K + cos(q) C + sin(q) S. A pose is the product of these homogeneous matrices. No call
+copies between host and device or branches on a value, so a chain works inside CUDA graphs.
 """
 
 from collections.abc import Sequence
@@ -15,10 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.poses import pose_matrix
 
 
 class Chain:
-    """The hinges between the world and a site, from the first to the last."""
+    """The hinges between the world and a site, from base to tip."""
 
     def __init__(
         self,
@@ -29,39 +29,39 @@ class Chain:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Read the chain off a model; `home` are the start positions of its joints [rad].
+        """Read the chain from a model; `home` are the start positions of its joints [rad].
 
         Raises:
-            InvalidValueError: If something else than hinges moves the site, or `home` is of another length.
+            InvalidValueError: A joint that moves the site is no hinge, or `home` has the wrong length.
         """
         self.joints, matrices = _read(model, site)
         if len(self.joints) != len(home):
             raise InvalidValueError(
-                f"{len(self.joints)} joints move the site '{site}', {', '.join(self.joints)}; "
-                f"there are {len(home)} start positions"
+                f"{len(home)} start positions were given; give one for each joint that moves the site "
+                f"'{site}': {', '.join(self.joints)}."
             )
-        #: K, C and S of each joint, with the fixed parts of the way in them.
+        #: K, C and S of each joint, multiplied by the fixed transforms between joints.
         self.matrices = torch.as_tensor(matrices, dtype=dtype, device=device)
         self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
         self.side = torch.ones(4, dtype=dtype, device=device)
         _, start = self.pose(torch.tensor([home], dtype=dtype, device=device))
-        #: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its side
-        #: is returned. Its largest number is negative, as in the first policies. Differs: paper and release
-        #: return w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
+        #: Sign convention: of q and -q, return the one with a positive product with this quaternion, the
+        #: orientation at the start pose with its largest entry negative. Differs: paper and release return
+        #: w >= 0; w is 0 at the start pose, where noise would flip all four entries.
         self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
 
     def link_poses(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> Float[Tensor, "num_envs num_joints 4 4"]:
-        """World frames at the far ends of the links; the last is the site's."""
+        """Return the world frame at the far end of each link; the last one is the site's."""
         return torch.stack([*accumulate(self._transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
 
     def pose(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
-        """Position [m] and orientation (w, x, y, z) of the site in the world, from the joints' [rad]."""
+        """Return position [m] and orientation (w, x, y, z) of the site in the world, for joints [rad]."""
         transforms = [*self._transforms(joint_pos).unbind(dim=1)]
-        while len(transforms) > 3:  # pairs first: fewer steps one after the other
+        while len(transforms) > 3:  # multiply in pairs: fewer dependent kernels
             whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]
             left, right = torch.stack(transforms[0:whole:2], 1), torch.stack(transforms[1:whole:2], 1)
             transforms = [*_multiply(left, right).unbind(dim=1), *rest]
@@ -76,7 +76,7 @@ class Chain:
         return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
 
     def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Float[Tensor, "num_envs 4"]:
-        """Rotation part as a quaternion, from the row of 4 q qᵀ with the largest diagonal entry."""
+        """Convert the rotation by the row of 4 q qᵀ with the largest diagonal entry."""
         products = (self._products * pose.reshape(-1, 1, 1, 16)).sum(-1)
         diagonal = products.diagonal(dim1=-2, dim2=-1)
         largest = diagonal.argmax(-1, keepdim=True)
@@ -87,7 +87,7 @@ class Chain:
 
 
 def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names of the joints that move a site, and their matrices (3, num_joints, 4, 4)."""
+    """Return the names of the joints that move a site, and K, C, S: (3, num_joints, 4, 4)."""
     end = model.site(site)
     body, after = int(end.bodyid[0]), pose_matrix(end.pos, end.quat)
     names, afters, axes = list[str](), list[np.ndarray](), list[np.ndarray]()
@@ -95,7 +95,7 @@ def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         if count > 1 or (count and model.jnt_type[first] != mujoco.mjtJoint.mjJNT_HINGE):
             raise InvalidValueError(
-                f"'{model.body(body).name}' has not one hinge; the palm must hang on hinges"
+                f"body '{model.body(body).name}' has another joint than one hinge; use one hinge a body."
             )
         if count:
             place = pose_matrix(model.jnt_pos[first], (1.0, 0.0, 0.0, 0.0))
@@ -114,7 +114,7 @@ def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray
 
 
 def _turning(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rodrigues: the rotation about an axis is K + cos C + sin S, homogeneous."""
+    """Return K, C, S of Rodrigues' formula: the rotation about an axis is K + cos C + sin S."""
     constant, cosine, sine = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
     x, y, z = axis
     constant[:3, :3], constant[3, 3] = np.outer(axis, axis), 1.0
@@ -123,24 +123,8 @@ def _turning(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return constant, cosine, sine
 
 
-def pose_matrix(pos: Sequence[float] | np.ndarray, quat: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Homogeneous matrix (4, 4) of a position [m] and an orientation (w, x, y, z)."""
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, np.asarray(quat, dtype=float) / np.linalg.norm(quat))
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), pos
-    return matrix
-
-
-def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Orientation (w, x, y, z) of a rotation matrix (3, 3)."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
-    return quat
-
-
 def _product_maps() -> np.ndarray:
-    """Tensor (4, 4, 16): the products 4 q_i q_j as linear maps of the entries of the homogeneous matrix."""
+    """Return the products 4 q_i q_j as linear maps of the entries of a homogeneous matrix: (4, 4, 16)."""
     table = np.zeros((4, 4, 4, 4))
     for i in range(3):
         for j in range(3):
@@ -158,5 +142,5 @@ def _product_maps() -> np.ndarray:
 
 
 def _multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Matrix products (..., 4, 4), summed elementwise to stay clear of reduced-precision matrix units."""
+    """Multiply matrices (..., 4, 4) elementwise, as matrix units would reduce the precision."""
     return (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)

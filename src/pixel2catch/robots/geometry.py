@@ -1,8 +1,8 @@
-"""Poses of palms for given joint positions, and how near robots are to the table.
+"""Poses of palms for given joint positions, and distances of robots from the table.
 
-The latter is what a command may not do in deployment, and what it costs in training. An arm is made of
-capsules about its links, a hand is a box that holds it in every position of the fingers. The base and the
-first link stand on the table.
+The servo keeps these distances, and training penalises commands that violate them. An arm is a set of
+capsules about its links. A hand is a box that contains it at every position of its fingers. The base and the
+first link stand on the table and are left out.
 """
 
 from dataclasses import dataclass
@@ -15,19 +15,20 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pixel2catch.robots.chain import Chain, pose_matrix
+from pixel2catch.robots.chain import Chain
+from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
 TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its sides [m]. Source: ours.
 
 POINTS_PER_CAPSULE = 5
-"""Points of a capsule's axis that training looks at. Source: ours: 9 cm apart on the longest."""
+"""Points on the axis of a capsule that training checks. Source: ours: 9 cm apart on the longest capsule."""
 
 
 @cache
 def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjModel:
-    """The robots of a work cell alone, with or without what is only seen of them."""
+    """Compile the robots of a work cell alone, with or without visual geoms."""
     spec = mujoco.MjSpec()
     add_robots(spec, workcell, visuals)
     return spec.compile()
@@ -35,19 +36,18 @@ def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjMod
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmShape:
-    """What carries a palm, as far as it is watched: its links but the first and the last, and the hand."""
+    """Collision shape of an arm and its hand, without the first and the last link."""
 
-    links: Int[np.ndarray, " capsules"]  #: Of each capsule the link, as a row of `Chain.link_poses`.
-    #: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
+    links: Int[np.ndarray, " capsules"]  #: Link of each capsule, as a row of `Chain.link_poses`.
+    #: Both ends of each capsule's axis in the frame at the far end of its link, homogeneous [m].
     ends: Float[np.ndarray, "capsules 4 2"]
-    radii: Float[np.ndarray, " capsules"]  #: Their radii [m].
-    #: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
-    hand_center: Float[np.ndarray, " 3"]
-    hand_half: Float[np.ndarray, " 3"]  #: Half of its extents [m].
-    #: Lower and upper corners of boxes about the hand alone and the last link, likewise [m]; none if the
-    #: hand need not keep away from its arm.
+    radii: Float[np.ndarray, " capsules"]  #: Radii of the capsules [m].
+    hand_center: Float[np.ndarray, " 3"]  #: Centre of the box about the hand, frame of the palm's site [m].
+    hand_half: Float[np.ndarray, " 3"]  #: Half of the extents of that box [m].
+    #: Lower and upper corners of boxes about the hand alone and about the last link, frame of the palm's site
+    #: [m]; empty if the hand cannot touch its arm.
     boxes: Float[np.ndarray, "2 3 boxes"]
-    #: Capsules that hand and last link can reach: three joints away or more.
+    #: Capsules that hand and last link can touch: those at least three joints away.
     reached: Int[np.ndarray, " some"]
 
 
@@ -57,20 +57,20 @@ def chain_of(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> Chain:
-    """The joints that carry a palm."""
+    """Return the chain of joints that carry a palm."""
     home = [joint.home for joint in workcell.joints[palm.carriers]]
     return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
 
 
 @cache
 def first_chain(workcell: WorkcellSpec, dtype: torch.dtype = torch.float64) -> Chain:
-    """The joints that carry the first palm, on the CPU."""
+    """Return the chain of joints that carry the first palm, on the CPU."""
     return chain_of(workcell, workcell.palms[0], dtype=dtype)
 
 
 @cache
 def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
-    """Read the shape of what carries a palm off the model."""
+    """Read the shape of the arm that carries a palm from the model."""
     model, chain = bare_model(workcell), chain_of(workcell, palm, dtype=torch.float64)
     data = mujoco.MjData(model)
     data.qpos[:] = [joint.home for joint in workcell.joints]
@@ -108,7 +108,7 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
 def _box_about(
     frame: Float[np.ndarray, "4 4"], lower: np.ndarray | Vec3, upper: np.ndarray | Vec3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corners [m] of the box in the axes of a frame's target about one in those of its source."""
+    """Transform a box by a pose; return the corners [m] of the axis-parallel box about the result."""
     corners = np.array([*product(*zip(np.asarray(lower), np.asarray(upper), strict=True))])
     corners = corners @ frame[:3, :3].T + frame[:3, 3]
     return corners.min(axis=0), corners.max(axis=0)
@@ -117,7 +117,7 @@ def _box_about(
 def _last_link_box(
     model: mujoco.MjModel, data: mujoco.MjData, joint: str, palm: PlacedPalm
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box about what an arm's last joint turns but the hand, in the site's axes [m]."""
+    """Return the corners of the box about the last link of an arm, frame of the palm's site [m]."""
     site = data.site(palm.spec.site)
     axes, origin = site.xmat.reshape(3, 3), site.xpos
     welded = (
@@ -136,24 +136,24 @@ def _last_link_box(
 
 
 def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """A capsule that holds a geom: ends [m] in the world, and radius [m]."""
+    """Return a capsule that contains a geom: both ends [m] in the world, and radius [m]."""
     size, center, axes = model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     match model.geom_type[geom]:
         case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
             radius, axis, half = float(size[0]), 2, float(size[1])
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             radius, axis, half = float(size[0]), 2, 0.0
-        case _:  # a box, or the box about anything else
+        case _:  # a box, or the bounding box of another shape
             size = model.geom_aabb[geom, 3:]
             center = center + axes @ model.geom_aabb[geom, :3]
             axis = int(np.argmax(size))
             radius, half = float(np.linalg.norm(np.delete(size, axis))), float(size[axis])
-    way = half * axes[:, axis]
-    return center - way, center + way, radius
+    offset = half * axes[:, axis]
+    return center - offset, center + offset, radius
 
 
 class WorkcellGeometry:
-    """Poses and clearances of a work cell on a device; it owns the constants that they are computed from."""
+    """Palm poses and table clearances of a work cell, on one device."""
 
     def __init__(self, workcell: WorkcellSpec, device: torch.device | str = "cpu") -> None:
         """Copy the constants to the device."""
@@ -164,7 +164,7 @@ class WorkcellGeometry:
     def palm_poses(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
-        """Position [m] and orientation (w, x, y, z) of all palms in the world, from all joints [rad]."""
+        """Return position [m] and orientation (w, x, y, z) of all palms in the world, for joints [rad]."""
         poses = [
             chain.pose(joint_pos[:, palm.carriers])
             for chain, palm in zip(self._chains, self._palms, strict=True)
@@ -175,10 +175,10 @@ class WorkcellGeometry:
     def depth_in_table(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> Float[Tensor, "num_envs num_palms"]:
-        """How deep each arm, or the box about its hand, is in the table and the clearance about it [m].
+        """Return how deep each arm or hand box is inside the table plus `TABLE_CLEARANCE` [m].
 
-        Looks at points of the capsules' axes and at the corners of the box, so that an edge across the
-        table's edge may pass; the servo looks at all of them.
+        Checks points on the axes of the capsules and the corners of the hand box. A box edge that crosses an
+        edge of the table between two corners is missed; the servo checks the whole box.
         """
         depths = [
             points.depth(chain.link_poses(joint_pos[:, palm.carriers]))
@@ -188,7 +188,7 @@ class WorkcellGeometry:
 
 
 class _TablePoints:
-    """Points of an arm, and the table around each of them."""
+    """Checked points of an arm, and the table enlarged by the radius at each point."""
 
     def __init__(self, workcell: WorkcellSpec, palm: PlacedPalm, device: torch.device | str) -> None:
         shape, table = arm_shape(workcell, palm), workcell.table

@@ -1,11 +1,11 @@
-"""What is identified: for each joint a servo, and the command path in front of it.
+"""Identified dynamics of joints: a command path and a servo for each joint.
 
-A command reaches the joint `latency` after it was sent, passes the filter
+A command u arrives `latency` after it was sent and passes the filter
 
-    q̈ = filter_gain (u − q − filter_lookahead q̇)
+    q̈ = filter_gain (u − q − filter_lookahead q̇).
 
-and its output is the target of the servo: torque = stiffness (target − position) − damping velocity, with dry
-friction and the drive's armature.
+The filter's output q is the target of the servo: torque = stiffness (target − position) − damping velocity.
+The joint has dry friction and the armature of its drive.
 """
 
 import dataclasses
@@ -24,15 +24,15 @@ from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.ur5e import ARM
 
 JOINTS: tuple[JointSpec, ...] = (*ARM.joints, *HAND.joints)
-"""Joints that are taken where none are given: the paper's robot's."""
+"""Default joints: those of the paper's robot."""
 
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
 
-SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain.
+SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: the controller's setting.
 
 LARGEST, LARGEST_OTHER = {"latency": 1.0, "filter_lookahead": 10.0}, 1e9
-"""Above these no parameter is believed, by name and of the others. Source: ours."""
+"""Largest valid values of a parameter, by name and of all others. Source: ours."""
 
 Parameter = Float[np.ndarray, " num_joints"]
 
@@ -51,25 +51,25 @@ class JointDynamics:
     filter_lookahead: Parameter  #: Look-ahead time of the command filter [s]; 0 where there is no filter.
 
     def __post_init__(self) -> None:
-        """Refuse joints that are named twice, other numbers of values, and values out of range."""
+        """Refuse repeated joints, other numbers of values, and values out of range."""
         if not self.joints or len(set(self.joints)) < len(self.joints):
-            raise InvalidValueError(f"joints are {list(self.joints)}; name each once")
+            raise InvalidValueError(f"joints are {list(self.joints)}; name each joint once.")
         for name in PARAMETERS:
             self._check(name)
 
     def require(self, joints: Sequence[JointSpec]) -> None:
-        """See that all joints are among those of a robot, in its order.
+        """Require that all joints belong to a robot, in its order.
 
         Raises:
-            UnknownNameError: There is no such joint.
-            InvalidValueError: They are in another order.
+            UnknownNameError: A joint is not the robot's.
+            InvalidValueError: The order differs.
         """
         known = [joint.name for joint in joints]
         for name in self.joints:
             if name not in known:
                 raise UnknownNameError("joint", name, known)
         if list(self.joints) != [name for name in known if name in self.joints]:
-            raise InvalidValueError(f"joints are {list(self.joints)}; name them in the order {known}")
+            raise InvalidValueError(f"joints are {list(self.joints)}; name them in the order {known}.")
 
     def _check(self, name: str) -> None:
         values = getattr(self, name)
@@ -84,15 +84,15 @@ class JointDynamics:
             least = "0 or more" if may_be_zero else "more than 0"
             raise InvalidValueError(
                 f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and at most "
-                f"{largest:g}"
+                f"{largest:g}."
             )
 
     def __eq__(self, other: object) -> bool:
-        """Whether joints and all values are the same."""
+        """Compare joints and all values."""
         return isinstance(other, JointDynamics) and self._key() == other._key()
 
     def __hash__(self) -> int:
-        """Equal dynamics have equal hashes."""
+        """Hash joints and all values."""
         return hash(self._key())
 
     def _key(self) -> tuple[tuple[Any, ...], ...]:
@@ -102,7 +102,7 @@ class JointDynamics:
     def nominal(
         cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
     ) -> "JointDynamics":
-        """What the simulator has of the named joints, or of all: neither latency nor filter."""
+        """Return the nominal dynamics of the named joints, or of all, without latency and filter."""
         specs = [joint for joint in specs if joints is None or joint.name in joints]
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
@@ -114,18 +114,18 @@ class JointDynamics:
         )
 
     def with_values(self, **values: Any) -> "JointDynamics":
-        """The same joints with other values; a single number is every joint's."""
+        """Return the same joints with other values; one number holds for every joint."""
         full = {name: np.full(len(self.joints), value, dtype=float) for name, value in values.items()}
         return dataclasses.replace(self, **full)
 
     def select(self, joints: Sequence[str]) -> "JointDynamics":
-        """The dynamics of some of the joints, given in joint order."""
+        """Return the dynamics of some of the joints, given in joint order."""
         columns = [self.joints.index(name) for name in joints]
         values = {name: getattr(self, name)[columns] for name in PARAMETERS}
         return JointDynamics(joints=tuple(joints), **values)
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
-        """The joints of both, those of `below` first; what both have is as in here."""
+        """Return the joints of both, those of `below` first; this one's values win for common joints."""
         last = {name: i for i, name in enumerate((*below.joints, *self.joints))}
         rows = [*last.values()]
         values = {
@@ -134,14 +134,14 @@ class JointDynamics:
         return JointDynamics(joints=tuple(last), **values)
 
     def to_dict(self) -> dict[str, Any]:
-        """Lists and numbers, ready for JSON; an infinite gain is null there."""
+        """Convert to lists and numbers for JSON; an infinite gain becomes null."""
         values = {name: getattr(self, name).tolist() for name in PARAMETERS}
         values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in values["filter_gain"]]
         return {"joints": list(self.joints), **values}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "JointDynamics":
-        """Read what `to_dict` returned.
+        """Convert from the result of `to_dict`.
 
         Raises:
             InvalidValueError: A value is out of range, or an entry is missing or unknown.
@@ -150,7 +150,7 @@ class JointDynamics:
 
     @property
     def has_filter(self) -> np.ndarray:
-        """Which joints have a command filter."""
+        """Return which joints have a command filter."""
         return np.isfinite(self.filter_gain)
 
 
@@ -159,18 +159,18 @@ PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if 
 
 
 def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
-    """How much earlier than the middle of a physics step, of a length [s], its command was sent [s].
+    """Return the time between sending a command and the middle of the physics step that uses it [s].
 
-    A servo that aims in a step at the command of the step's middle leads by half a step, and so does a filter
-    that answers at the end of its step: both are taken back, so that motion hardly depends on the time step.
+    A servo leads by half a step `dt` [s], and a filter by half a step more. The sum adds both to the latency,
+    so that motion hardly depends on the time step.
     """
     return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
 
 
 def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
-    """Exact step of every joint's filter, for position minus command and speed; 0 where there is no filter.
+    """Return the exact transition over `dt` [s] of every filter, with a constant command.
 
-    The command is constant in the step, which takes dt [s].
+    The state is (position minus command, speed). The matrix is 0 where there is no filter.
     """
     step = np.zeros((len(dynamics.joints), 2, 2))
     gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead

@@ -1,7 +1,8 @@
-"""Manufacturers' models, URDF or MJCF, as the simulated body in place of ours; names do not matter.
+"""Manufacturers' models, URDF or MJCF, simulated in place of the package's models.
 
-Joints are told apart by where their axes are with all at 0, which also says how both roots lie to each other.
-Axes, masses and surfaces become the maker's; limits, servos, sites and what policies know of the robot stay.
+Joints are matched by the positions of their axes with all angles at 0, not by names; the match gives the pose
+of the maker's root. Axes, masses and surfaces become the maker's. Limits, servos and sites stay, and so does
+the kinematic model of the policies.
 """
 
 from dataclasses import dataclass
@@ -17,46 +18,53 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.chain import quaternion
 from pixel2catch.robots.mjcf import read_mjcf
+from pixel2catch.robots.poses import (
+    Inertial,
+    Pose,
+    combined,
+    pose_matrix,
+    pose_of,
+    principal_axes,
+    quaternion,
+    rotation_matrix,
+    sphere_points,
+)
 from pixel2catch.robots.spec import RobotSpec
 from pixel2catch.robots.workcell import COLLISION_GROUP, WorkcellSpec, add_robots, parts_of, robot_mjcf
 
 Surface = Literal["collision", "visual"]
-Pose = Float[ndarray, "4 4"]
 Line = tuple[Float[ndarray, "3"], Float[ndarray, "3"]]
 """A point of an axis [m] and its direction, of length 1."""
 
 MOST_ANGLE, MOST_DISTANCE = 0.05, 0.005
-"""How far axes may be from ours [rad, m]. Source: ours; makers differ among themselves by up to 1.4 mm."""
+"""Largest deviation of an axis from ours [rad, m]. Source: ours; makers' models differ by up to 1.4 mm."""
 
-MASSLESS = 1e-4  #: What weighs less has no mass in a model [kg].
-ARM_LENGTH = 0.1  #: What an error of 1 rad of an axis counts when roots are laid on each other [m].
-NUM_STARTS = 4  #: Orders of the chains that are looked at closely, of those that fit roughly.
-HULL_POINTS = 250  #: Points that a mesh's convex hull is made of. Source: ours; PhysX takes at most 255.
+MASSLESS = 1e-4  #: A body that weighs less has no mass in a model [kg].
+ARM_LENGTH = 0.1  #: Weight of an angular error of an axis against its distance in the fit of roots [m/rad].
+NUM_STARTS = 4  #: Orders of the chains whose fit is refined, of those with the smallest rough error.
+HULL_POINTS = 250  #: Points of a mesh's convex hull. Source: ours; PhysX accepts at most 255.
 
 
 @dataclass(frozen=True, kw_only=True)
 class MakerGeom:
-    """A convex shape of a body of ours."""
+    """A convex shape of a maker's model, on a body of our model."""
 
     body: str
     type: mujoco.mjtGeom
     size: Float[ndarray, "3"]  #: As in MuJoCo [m].
-    vertices: Float[ndarray, "num_vertices 3"]  #: Of a mesh [m]; of others none.
+    vertices: Float[ndarray, "num_vertices 3"]  #: Vertices of a mesh [m]; empty for other shapes.
     pose: Pose  #: In the frame of the body.
     rgba: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class MakerPart:
-    """What of a part of a robot is the maker's."""
+    """The maker's values of one part of a robot."""
 
-    bodies: tuple[str, ...]  #: Bodies of ours that it has.
-    axes: dict[str, Line]  #: Of each joint of ours, in the frame of its body.
-    #: Of each body of ours mass [kg], centre [m] and inertia about it [kg·m²], in its frame; of those that
-    #: have no mass there nothing.
-    inertials: dict[str, tuple[float, Float[ndarray, "3"], Float[ndarray, "3 3"]]]
+    bodies: tuple[str, ...]  #: Names of our bodies that it covers.
+    axes: dict[str, Line]  #: Axis of each of our joints, in the frame of its body.
+    inertials: dict[str, Inertial]  #: Mass properties of our bodies, in their frames, without massless ones.
     geoms: tuple[MakerGeom, ...]
     distance: float  #: Largest distance of an axis from ours [m].
     angle: float  #: Largest angle of an axis with ours [rad].
@@ -65,10 +73,10 @@ class MakerPart:
 def add_maker_bodies(
     spec: mujoco.MjSpec, workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface
 ) -> None:
-    """Exchange the bodies of the robots in a scene for makers' models.
+    """Replace the bodies of the robots in a scene by makers' models.
 
     Raises:
-        InvalidValueError: If a file is no model of a part of the robots, or cannot be read.
+        InvalidValueError: A file is no model of a part of the robots, or cannot be read.
     """
     _exchange(spec, maker_parts(workcell, files, surface))
     named = {tuple(sorted((pair.bodyname1, pair.bodyname2))) for pair in spec.excludes}
@@ -80,7 +88,7 @@ def add_maker_bodies(
 def maker_parts(
     workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface
 ) -> dict[tuple[str, str], MakerPart]:
-    """The makers' parts by the prefix and name of ours, each file for all that it is a model of.
+    """Return the makers' parts by prefix and name of our part; one file may match several parts.
 
     Raises:
         InvalidValueError: As `add_maker_bodies`.
@@ -94,21 +102,21 @@ def maker_parts(
             if isinstance(read, str):
                 problems.append(f"{part.name}: {read}")
             elif key in found:
-                raise InvalidValueError(f"{file} is a second model of {part.name}; name one of each part")
+                raise InvalidValueError(f"{file} is a second model of {part.name}; give one for each part.")
             else:
                 found[key] = read
         if len(problems) == len(ours):
             reasons = "; ".join(problems)
-            raise InvalidValueError(f"{file} is no model of a part of '{workcell.name}': {reasons}")
+            raise InvalidValueError(f"{file} is no model of a part of '{workcell.name}': {reasons}.")
     return found
 
 
 def _fitted(part: RobotSpec, theirs: mujoco.MjModel, surface: Surface) -> MakerPart | str:
-    """What is the maker's of a part, or why it is another robot."""
+    """Return the maker's values of a part, or the reason why the file is another robot."""
     ours = robot_mjcf(part, visuals=False).compile()
     chains = _chains(ours), _chains(theirs)
     if len(chains[0]) != len(chains[1]):
-        return f"it has {len(chains[0])} chains of joints, the file {len(chains[1])}"
+        return f"it has {len(chains[0])} chains of joints, the file has {len(chains[1])}"
     own_axes, their_axes, tries = _axes(ours), _axes(theirs), []
     lines = [own_axes[joint] for chain in chains[0] for joint in chain]
     for order in permutations(range(len(chains[1]))):
@@ -125,7 +133,7 @@ def _fitted(part: RobotSpec, theirs: mujoco.MjModel, surface: Surface) -> MakerP
         fits.append((*_misfit(lines, matched, root), root, pairs))
     distance, angle, root, pairs = min(fits, key=lambda each: each[0])
     if distance > MOST_DISTANCE or angle > MOST_ANGLE:
-        return f"an axis is {1e3 * distance:.0f} mm and {1e3 * angle:.0f} mrad from where it should be"
+        return f"an axis is off by {1e3 * distance:.0f} mm and {1e3 * angle:.0f} mrad"
     return _part(ours, theirs, pairs, root, surface, (distance, angle))
 
 
@@ -137,9 +145,9 @@ def _part(
     surface: Surface,
     misfit: tuple[float, float],
 ) -> MakerPart:
-    """Put what moves with each joint of theirs into the body of ours."""
+    """Assign the maker's bodies to ours by the joint that moves them."""
     own, their_axes = _body_poses(ours), _axes(theirs)
-    moves = {0: int(ours.body_rootid[ours.jnt_bodyid[0]])}  # what does not move is our root
+    moves = {0: int(ours.body_rootid[ours.jnt_bodyid[0]])}  # fixed bodies belong to our root
     roots = [int(theirs.body_parentid[theirs.jnt_bodyid[others[0]]]) for _, others in pairs]
     axes = {}
     for root_body, (joints, others) in zip(roots, pairs, strict=True):
@@ -168,7 +176,7 @@ def _part(
         if _is_of(theirs, geom, surface)
     )
     inertials = {
-        ours.body(body).name: _inertial(theirs, [(to_ours[body] @ frames[i], i) for i in members])
+        ours.body(body).name: combined([_inertial(theirs, i, to_ours[body] @ frames[i]) for i in members])
         for body, members in bodies.items()
         if theirs.body_mass[members].sum() > MASSLESS
     }
@@ -182,19 +190,19 @@ def _part(
 def _compiled(path: Path, surface: Surface) -> mujoco.MjModel:
     try:
         spec = read_mjcf(path)
-        if path.suffix == ".urdf":  # what has no mass there shall not be filled with water
+        if path.suffix == ".urdf":  # MuJoCo would derive masses from shapes, at the density of water
             for geom in spec.geoms:
                 geom.mass = 0.0
-        spec.compiler.balanceinertia = True  # the hand's maker publishes impossible ones
+        spec.compiler.balanceinertia = True  # the hand's maker publishes inertias that no body can have
         spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-12
         model = spec.compile()
     except (OSError, ValueError) as error:
-        raise InvalidValueError(f"cannot read the robot model {path}: {error}") from error
+        raise InvalidValueError(f"the robot model {path} cannot be read: {error}.") from error
     if (model.jnt_type != int(mujoco.mjtJoint.mjJNT_HINGE)).any() or not model.njnt:
-        raise InvalidValueError(f"the robot model {path} has other joints than hinges, or none")
+        raise InvalidValueError(f"the robot model {path} has no hinges or other joints; use hinges only.")
     if not any(_is_of(model, geom, surface) for geom in range(model.ngeom)):
         other = "collision" if surface == "visual" else "visual"
-        raise InvalidValueError(f"the robot model {path} has no {surface} shapes; take its {other} ones")
+        raise InvalidValueError(f"the robot model {path} has no {surface} shapes; use its {other} shapes.")
     return model
 
 
@@ -203,7 +211,7 @@ def _is_of(model: mujoco.MjModel, geom: int, surface: Surface) -> bool:
 
 
 def _chains(model: mujoco.MjModel) -> list[list[int]]:
-    """Joints from the root to each last one; those that several have in common are refused as of no chain."""
+    """Return the joints from the root to each tip; a joint shared by chains belongs to one of them only."""
     joint_of = {int(body): joint for joint, body in enumerate(model.jnt_bodyid)}
     chains: dict[int, list[int]] = {}
     for joint, body in enumerate(model.jnt_bodyid.tolist()):
@@ -213,7 +221,7 @@ def _chains(model: mujoco.MjModel) -> list[list[int]]:
 
 
 def _axes(model: mujoco.MjModel) -> list[Line]:
-    """The axis of every joint with all joints at 0, seen from the world."""
+    """Return the axis of every joint in the world, with all joints at 0."""
     poses = _body_poses(model)
     lines = zip(model.jnt_pos, model.jnt_axis, model.jnt_bodyid, strict=True)
     return [_seen((point, direction), poses[body]) for point, direction, body in lines]
@@ -223,9 +231,7 @@ def _body_poses(model: mujoco.MjModel) -> Float[ndarray, "nbody 4 4"]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    poses = np.tile(np.eye(4), (model.nbody, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
-    return poses
+    return np.array([pose_of(pos, rotation) for pos, rotation in zip(data.xpos, data.xmat, strict=True)])
 
 
 def _seen(line: Line, pose: Pose) -> Line:
@@ -233,25 +239,20 @@ def _seen(line: Line, pose: Pose) -> Line:
 
 
 def _laid(ours: list[Line], theirs: list[Line]) -> tuple[Pose, float]:
-    """The pose of their root in ours that lays points of axes on each other, and what is left [m]."""
+    """Return the pose of their root in ours that aligns points of the axes, and the residual [m]."""
     points = [np.array([point for point, _ in lines]) for lines in (ours, theirs)]
     centers = [each.mean(axis=0) for each in points]
     turn, left = Rotation.align_vectors(points[0] - centers[0], points[1] - centers[1])[:2]
-    pose = np.eye(4)
-    pose[:3, :3] = turn.as_matrix()
-    pose[:3, 3] = centers[0] - pose[:3, :3] @ centers[1]
-    return pose, float(left)
+    rotation = turn.as_matrix()
+    return pose_of(centers[0] - rotation @ centers[1], rotation), float(left)
 
 
 def _refined(ours: list[Line], theirs: list[Line], start: Pose) -> Pose:
-    """The pose that lays the axes themselves on each other, wherever their points are."""
+    """Return the pose that aligns the axes themselves, independent of the points along them."""
     from scipy.optimize import least_squares
 
     def moved(x: Float[ndarray, "6"]) -> Pose:
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix() @ start[:3, :3]
-        pose[:3, 3] = start[:3, 3] + x[3:]
-        return pose
+        return pose_of(start[:3, 3] + x[3:], Rotation.from_rotvec(x[:3]).as_matrix() @ start[:3, :3])
 
     def gaps(x: Float[ndarray, "6"]) -> Float[ndarray, " gaps"]:
         return np.concatenate([_gap(a, _seen(b, moved(x))) for a, b in zip(ours, theirs, strict=True)])
@@ -265,28 +266,17 @@ def _gap(ours: Line, theirs: Line) -> Float[ndarray, "6"]:
 
 
 def _misfit(ours: list[Line], theirs: list[Line], root: Pose) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] of an axis of theirs from ours."""
+    """Return the largest distance [m] and angle [rad] of their axes from ours."""
     gaps = np.array([_gap(a, _seen(b, root)) for a, b in zip(ours, theirs, strict=True)])
     sines = np.linalg.norm(gaps[:, 3:], axis=1) / ARM_LENGTH
     return float(np.linalg.norm(gaps[:, :3], axis=1).max()), float(np.arcsin(np.minimum(sines, 1.0)).max())
 
 
-def _inertial(
-    model: mujoco.MjModel, placed: list[tuple[Pose, int]]
-) -> tuple[float, Float[ndarray, "3"], Float[ndarray, "3 3"]]:
-    """Mass, centre and inertia of bodies together, each with its pose."""
-    masses = np.array([model.body_mass[body] for _, body in placed])
-    centers = np.array([pose[:3, :3] @ model.body_ipos[body] + pose[:3, 3] for pose, body in placed])
-    mass = float(masses.sum())
-    center = masses @ centers / mass if mass else centers.mean(axis=0)
-    total = np.zeros((3, 3))
-    for (pose, body), share, point in zip(placed, masses, centers - center, strict=True):
-        axes = np.empty(9)
-        mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-        turn = pose[:3, :3] @ axes.reshape(3, 3)
-        total += turn @ np.diag(model.body_inertia[body]) @ turn.T
-        total += share * (point @ point * np.eye(3) - np.outer(point, point))
-    return mass, center, total
+def _inertial(model: mujoco.MjModel, body: int, pose: Pose) -> Inertial:
+    """Return the mass properties of a body, seen from the frame in which it has this pose."""
+    axes = pose[:3, :3] @ rotation_matrix(model.body_iquat[body])
+    center = pose[:3, :3] @ model.body_ipos[body] + pose[:3, 3]
+    return float(model.body_mass[body]), center, axes @ np.diag(model.body_inertia[body]) @ axes.T
 
 
 def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom:
@@ -295,26 +285,17 @@ def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
         vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
-        outermost = (vertices @ directions(HULL_POINTS).T).argmax(axis=0)  # the farthest in each direction
+        outermost = (vertices @ sphere_points(HULL_POINTS).T).argmax(axis=0)
         vertices = vertices[np.unique(outermost)]
-    turn, pose, paint = np.empty(9), np.eye(4), model.geom_matid[geom]
-    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-    pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), model.geom_pos[geom]
+    material = model.geom_matid[geom]
     return MakerGeom(
         body=body,
         type=kind,
         size=np.array(model.geom_size[geom]),
         vertices=vertices,
-        pose=frame @ pose,
-        rgba=tuple((model.mat_rgba[paint] if paint >= 0 else model.geom_rgba[geom]).tolist()),
+        pose=frame @ pose_matrix(model.geom_pos[geom], model.geom_quat[geom]),
+        rgba=tuple((model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]).tolist()),
     )
-
-
-def directions(count: int) -> Float[ndarray, "count 3"]:
-    """Points spread evenly over the unit sphere, on a golden spiral."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    angle, radius = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count), np.sqrt(1.0 - z**2)
-    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), z))
 
 
 def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> None:
@@ -327,8 +308,7 @@ def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> N
                 spec.delete(geom)
         for name, (mass, center, inertia) in part.inertials.items():
             body = spec.body(prefix + name)
-            moments, axes = np.linalg.eigh(inertia)
-            axes[:, 2] *= np.sign(np.linalg.det(axes))
+            moments, axes = principal_axes(inertia)
             body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, center, moments
             body.iquat = quaternion(axes)
         for number, geom in enumerate(part.geoms):
@@ -351,7 +331,7 @@ def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> N
 
 @cache
 def _overlapping(workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface) -> set[tuple[str, str]]:
-    """Pairs of bodies that touch at the start, where no robot does: hulls fill what is hollow."""
+    """Return pairs of bodies that touch at the start only because convex hulls fill hollows."""
     spec = mujoco.MjSpec()
     add_robots(spec, workcell, visuals=False)
     _exchange(spec, maker_parts(workcell, files, surface))

@@ -1,6 +1,5 @@
-"""Model files of robots, looked at before MuJoCo reads them: what is too large, deep or grows is refused."""
+"""Model files of robots. Files that are too large or too deep are refused before MuJoCo reads them."""
 
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from xml.parsers import expat
@@ -10,28 +9,24 @@ import mujoco
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import read_bytes, reading
 
-MOST_MJCF = 2**24  #: Bytes of a model; those of robots have some ten thousand. Source: ours.
+MOST_MJCF = 2**24  #: Largest size of a model file [bytes]; robots have about 10,000. Source: ours.
 MOST_ELEMENTS, MOST_NESTED = 20_000, 64
-"""Elements of a model, and how many of them may be in each other.
-
-Source: ours; an arm with a hand has some 500, and 15 in each other.
-"""
+"""Largest number of elements of a model, and largest depth. Source: ours; an arm with a hand: 500 and 15."""
 
 GROWING = ("include", "replicate", "composite", "flexcomp")
-"""Elements that make others, or read other files; a robot has none."""
-
+"""Elements that create other elements or read other files. They are refused."""
 
 URDF_COMPILER = '<mujoco><compiler strippath="false" fusestatic="false" discardvisual="false"/></mujoco>'
-"""What MuJoCo is told about a URDF: to keep all links, and of meshes the paths and what is only seen."""
+"""Compiler settings for a URDF: keep all links, mesh paths and visual shapes."""
 
-MESH_ENDINGS = (".stl", ".obj", ".msh")  #: What MuJoCo reads of meshes.
+MESH_ENDINGS = (".stl", ".obj", ".msh")  #: Mesh formats that MuJoCo reads.
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Read a model, MJCF or URDF, whose meshes are where it says or in a folder above.
+    """Read a model, MJCF or URDF. Mesh paths are searched in its folder and in all folders above.
 
     Raises:
-        InvalidValueError: It cannot be read, or is too large, too deep or grows.
+        InvalidValueError: It cannot be read, is too large or too deep, or creates elements.
     """
     with reading("model", path, "Write MJCF, as for MuJoCo, or URDF without macros."):
         content = read_bytes(path, MOST_MJCF)
@@ -50,18 +45,18 @@ def read_mjcf(path: Path) -> mujoco.MjSpec:
 
 
 def _find_mesh(name: str, folder: Path) -> Path:
-    """The file of `package://NAME/PATH`, or of a path, from a folder or one above."""
+    """Return the file of `package://NAME/PATH` or of a path, in a folder or in one above."""
     parts = Path(name.partition("://")[2] or name)
     for above in (folder, *folder.parents):
         for found in (above / parts, above / Path(*parts.parts[1:])):
             if found.is_file():
                 return found
-    raise InvalidValueError(f"there is no mesh '{name}' in {folder} or above")
+    raise InvalidValueError(f"there is no mesh '{name}' in {folder} or above; copy it there")
 
 
-@lru_cache(maxsize=8)  # a scene of each object has the same robots
+@lru_cache(maxsize=8)  # scenes with different objects share their robots
 def _require_simple(content: bytes) -> str:
-    """The name of the outermost element."""
+    """Return the name of the outermost element of a model without forbidden content."""
     depth = num_elements = 0
     root = ""
 
@@ -71,28 +66,23 @@ def _require_simple(content: bytes) -> str:
         depth, num_elements = depth + 1, num_elements + 1
         if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
             raise InvalidValueError(
-                f"it has more than {MOST_ELEMENTS} elements, or more than {MOST_NESTED} in each other"
+                f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
             )
         if name in GROWING:
-            raise InvalidValueError(f"it has the element '{name}'; write out what that makes")
+            raise InvalidValueError(f"it has the element '{name}'; write out the elements that it creates")
 
     def end(_: str) -> None:
         nonlocal depth
         depth -= 1
 
     def declare(*_: object) -> None:
-        raise InvalidValueError("it declares a type of document, or entities; a model needs none")
+        raise InvalidValueError("it declares a document type or entities; remove them")
 
     parser = expat.ParserCreate()
-    handlers: dict[str, Callable[..., None]] = {
-        "StartElementHandler": begin,
-        "EndElementHandler": end,
-        "StartDoctypeDeclHandler": declare,
-    }
-    for name, handler in handlers.items():
-        setattr(parser, name, handler)
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartDoctypeDeclHandler = declare
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
-        raise InvalidValueError(f"it is no XML ({error})") from error
+        raise InvalidValueError(f"it is not XML ({error})") from error
     return root

@@ -1,4 +1,4 @@
-"""What a robot is: an MJCF file, and beside it what MJCF does not say. Nobody asks for a robot by name.
+"""Specification of a robot: an MJCF file, and the values that MJCF does not hold.
 
     arm = RobotSpec(name="my_arm", mjcf=HERE / "my_arm.xml", root="base", groups=(ARM,), mount="flange")
     robot = arm.holding(MY_HAND, pos=(0.0, 0.0, 0.01))
@@ -30,22 +30,22 @@ class JointSpec:
     frictionloss: float  #: Dry friction [N·m].
     armature: float  #: Reflected inertia of the drive [kg·m²].
     effort_limit: float  #: Largest torque of the whole servo [N·m].
-    #: Largest speed [rad/s]. MuJoCo has no such limit: whoever commands the joint keeps it.
+    #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
     velocity_limit: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointGroup:
-    """Joints that are commanded alike, by one driver."""
+    """Joints with the same kind of command and one driver."""
 
-    name: str  #: Such as "arm" or "hand"; agents, logs and drivers are named by it.
-    role: Literal["arm", "hand"]  #: Whether it carries a palm about, or moves the fingers on one.
-    joints: tuple[JointSpec, ...]  #: Its joints from the base to the tips.
-    #: Whether an action is a change of the measured position, or a position in the joint's range.
+    name: str  #: Such as "arm" or "hand"; agents, logs and drivers have the same name.
+    role: Literal["arm", "hand"]  #: Whether it carries a palm, or moves the fingers of one.
+    joints: tuple[JointSpec, ...]  #: Its joints from base to tip.
+    #: Whether an action is a change of the measured position, or a position in the range of the joint.
     command: Literal["relative", "absolute"]
-    gain_range: Range  #: Factors on stiffness and damping that an episode draws.
-    action_noise: float  #: Standard deviation of the noise on each action.
-    action_bias: float  #: Standard deviation of an error of each action that lasts an episode.
+    gain_range: Range  #: Range of the factors on stiffness and damping, drawn for each episode.
+    action_noise: float  #: Standard deviation of the noise on each action, drawn for each step.
+    action_bias: float  #: Standard deviation of the error of each action, drawn for each episode.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,37 +53,37 @@ class FingerSpec:
     """A finger."""
 
     name: str
-    root: str  #: Its first body.
-    tip: str  #: The site in the middle of its tip.
+    root: str  #: Name of its first body.
+    tip: str  #: Name of the site at the centre of its tip.
 
 
 @dataclass(frozen=True, kw_only=True)
 class PalmSpec:
-    """What catches: a palm with fingers."""
+    """A palm with fingers."""
 
     name: str
-    site: str  #: The site on its surface that shall come near the object.
+    site: str  #: Name of the site at the centre of its surface.
     body: str
     fingers: tuple[FingerSpec, ...]
-    #: Corner of a box in the axes of the body that holds palm, fingers and the link that carries them,
-    #: whatever the fingers do [m].
+    #: Lower corner of a box, frame of the body, that contains palm, fingers at every position, and the link
+    #: that carries them [m].
     lower: Vec3
-    upper: Vec3  #: The other corner [m].
-    #: Lower and upper corners of boxes that hold palm and fingers alone, which keep away from their arm [m].
+    upper: Vec3  #: Upper corner of that box [m].
+    #: Lower and upper corners of boxes about palm and fingers alone; the servo keeps them off the arm [m].
     hand: tuple[tuple[Vec3, Vec3], ...] = ()
-    normal: Vec3 = (1.0, 0.0, 0.0)  #: Where the palm looks, in the axes of the site.
+    normal: Vec3 = (1.0, 0.0, 0.0)  #: Direction out of the palm, frame of the site.
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSource:
-    """Where a checkout of the MuJoCo Menagerie has meshes of a robot, which are only seen.
+    """Visual meshes of a robot in a checkout of the MuJoCo Menagerie.
 
-    With all joints at 0 its bodies are where those of the robot are.
+    With all joints at 0 both models have the same pose.
     """
 
-    mjcf: str  #: The model there, below the folder of the checkout.
-    bodies: tuple[tuple[str, str], ...]  #: Its bodies, and those of the robot that they are.
-    pos: Vec3 = (0.0, 0.0, 0.0)  #: Where its root body is in that of the robot, which is parallel [m].
+    mjcf: str  #: Path of the model in the checkout.
+    bodies: tuple[tuple[str, str], ...]  #: Pairs of a body there and the body of the robot.
+    pos: Vec3 = (0.0, 0.0, 0.0)  #: Position of its root body in the robot's root body, parallel axes [m].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,31 +91,31 @@ class RobotSpec:
     """A robot, or a part of one."""
 
     name: str
-    #: Its bodies, joint axes, collision shapes (group 3), what is only seen (group 2) and sites, as MJCF.
-    #: Limits, gains and drives come from `groups`.
+    #: Bodies, joint axes, collision geoms (group 3), visual geoms (group 2) and sites. Limits, gains and
+    #: drives come from `groups`.
     mjcf: Path
-    root: str  #: The body that everything else of it hangs on.
+    root: str  #: Name of its root body.
     groups: tuple[JointGroup, ...] = ()  #: Its joints, in MuJoCo's order.
     palms: tuple[PalmSpec, ...] = ()
-    mount: str = ""  #: The site that carries a tool.
-    tool: "Placed | None" = None  #: What it carries, and where in that site's frame.
-    meshes: MeshSource | None = None  #: Where to find meshes of it, for pictures.
+    mount: str = ""  #: Name of the site that carries a tool.
+    tool: "Placed | None" = None  #: The tool, and its pose in the frame of that site.
+    meshes: MeshSource | None = None  #: Meshes for pictures.
 
     def holding(self, tool: "RobotSpec", pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> "RobotSpec":
-        """The robot with a tool on its mount."""
+        """Return the robot with a tool on its mount."""
         return replace(self, name=f"{self.name}_{tool.name}", tool=Placed(robot=tool, pos=pos, quat=quat))
 
     @property
     def parts(self) -> tuple["RobotSpec", ...]:
-        """The robot and what it carries, from the base to the tip."""
+        """Return the robot and its tools, from base to tip."""
         return (self, *(self.tool.robot.parts if self.tool else ()))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """A robot somewhere."""
+    """A robot with its pose."""
 
     robot: RobotSpec
-    pos: Vec3  #: Where its root is, in the frame of what carries it [m].
-    quat: Quat = IDENTITY  #: How its root is turned there.
-    prefix: str = ""  #: What the names of all its parts begin with, so that there can be several.
+    pos: Vec3  #: Position of its root in the parent frame [m].
+    quat: Quat = IDENTITY  #: Orientation of its root in the parent frame.
+    prefix: str = ""  #: Prefix of all its names, so that a work cell can hold several.

@@ -1,21 +1,29 @@
-"""How far our model of a robot is from its makers': axes, tips, masses, surfaces."""
+"""Differences between the package's model of a robot and makers' models: axes, tips, masses, surfaces.
+
+python benchmarks/maker_difference.py ur5e.urdf allegro_left.urdf
+"""
+
+import sys
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from pixel2catch.robots.maker import Surface, add_maker_bodies, directions, maker_parts
+from pixel2catch.evaluation.report import markdown
+from pixel2catch.robots.maker import Surface, add_maker_bodies, maker_parts
+from pixel2catch.robots.poses import rotation_matrix, sphere_points
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
+from pixel2catch.workcells import find_workcell
 
-NUM_POSES = 200  #: Joint positions that are looked at, within our limits.
-NUM_DIRECTIONS = 2000  #: Directions in which surfaces are compared: 2 to 3° apart.
+NUM_POSES = 200  #: Compared joint positions, drawn within the limits.
+NUM_DIRECTIONS = 2000  #: Directions in which surfaces are compared, 2 to 3° apart.
 
 Rows = list[dict[str, str]]
 
 
 def differences(workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface) -> tuple[Rows, Rows]:
-    """What differs of the whole robot, and of every body that a maker's model has."""
+    """Return rows of differences of the whole robot, and of every body of the makers' models."""
     ours, theirs = _robots(workcell), _robots(workcell, files, surface)
     parts = maker_parts(workcell, files, surface)
     whole = [
@@ -53,7 +61,7 @@ def _robots(
 def _at(
     ours: mujoco.MjModel, theirs: mujoco.MjModel, joint_pos: Float[ndarray, " num_joints"]
 ) -> tuple[float, float, float, float]:
-    """Largest differences of sites [m, rad], of torques [N·m] and shares of inertia of joints."""
+    """Return the largest differences of sites [m, rad], torques [N·m] and relative joint inertias."""
     found = []
     for model in (ours, theirs):
         data = mujoco.MjData(model)
@@ -84,21 +92,20 @@ def _body(ours: mujoco.MjModel, theirs: mujoco.MjModel, name: str) -> dict[str, 
 
 
 def reach(model: mujoco.MjModel, body: int) -> Float[ndarray, " num_directions"]:
-    """How far a body's shapes reach in each direction of its frame [m]; nan if it has none.
+    """Return how far the shapes of a body reach in each direction of its frame [m]; NaN without shapes.
 
-    The largest difference of two bodies is the Hausdorff distance of their convex hulls.
+    The largest difference between two bodies is the Hausdorff distance of their convex hulls.
     """
-    ways = directions(NUM_DIRECTIONS)
+    ways = sphere_points(NUM_DIRECTIONS)
     found = []
     for geom in np.flatnonzero((model.geom_bodyid == body) & (model.geom_contype != 0)).tolist():
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-        found.append(ways @ model.geom_pos[geom] + _support(model, geom, ways @ turn.reshape(3, 3)))
+        turned = ways @ rotation_matrix(model.geom_quat[geom])
+        found.append(ways @ model.geom_pos[geom] + _support(model, geom, turned))
     return np.max(found, axis=0) if found else np.full(len(ways), np.nan)
 
 
 def _support(model: mujoco.MjModel, geom: int, ways: Float[ndarray, "some 3"]) -> Float[ndarray, " some"]:
-    """How far a shape reaches from its middle, in directions of its own frame [m]."""
+    """Return how far a shape reaches from its centre, in directions of its own frame [m]."""
     kinds, (a, b, _) = mujoco.mjtGeom, model.geom_size[geom]
     flat, up = np.hypot(ways[:, 0], ways[:, 1]), np.abs(ways[:, 2])
     match mujoco.mjtGeom(model.geom_type[geom]):
@@ -116,3 +123,8 @@ def _support(model: mujoco.MjModel, geom: int, ways: Float[ndarray, "some 3"]) -
             return np.full(len(ways), a)
         case _:
             return np.linalg.norm(ways * model.geom_size[geom], axis=1)  # an ellipsoid
+
+
+if __name__ == "__main__":
+    for table in differences(find_workcell("ur5e_allegro"), tuple(sys.argv[1:]), "collision"):
+        print(markdown(table, 1))
