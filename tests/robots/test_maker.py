@@ -125,7 +125,9 @@ def test_a_urdf_with_meshes_and_without_masses(tmp_path: Path):
 
 def test_the_other_hand_and_a_second_arm_are_refused(tmp_path: Path, arm: Path):
     in_other_words(allegro("right").mjcf, tmp_path / "right.xml")
-    with pytest.raises(InvalidValueError, match=r"right\.xml is no model.*allegro_left: an axis is off by \d+ mm"):
+    with pytest.raises(
+        InvalidValueError, match=r"right\.xml is no model.*allegro_left: an axis is off by \d+ mm"
+    ):
         build_model(SceneCfg(robot_model=(str(tmp_path / "right.xml"),)))
     with pytest.raises(InvalidValueError, match="is a second model of"):
         build_model(SceneCfg(robot_model=(str(arm), str(arm))))
@@ -149,7 +151,10 @@ def test_commands_take_makers_models(
 ):
     files = ["--robot-model", str(arm), str(hand)]
     assert main(["scene", str(tmp_path / "scene.xml"), *files]) == 0
-    assert "ur5e_allegro_left: axes differ from the package's model by at most 0.00 mm" in capsys.readouterr().out
+    assert (
+        "ur5e_allegro_left: axes differ from the package's model by at most 0.00 mm"
+        in capsys.readouterr().out
+    )
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nu == len(WORKCELL.joints)
     task = TaskOptions(robot_model=(arm, hand)).change(CatchEnvCfg(), "evaluate")
     assert task == replace(CatchEnvCfg(), scene=SceneCfg(robot_model=(str(arm), str(hand))))
