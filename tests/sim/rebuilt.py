@@ -6,9 +6,10 @@ import mujoco
 from jaxtyping import Float
 from numpy import ndarray
 
+from pixel2catch.robots.poses import quaternion
 from pixel2catch.scene.cfg import SOLIMP, contact_solref
 from pixel2catch.sim.engine import EngineCopy, Inputs
-from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld, quat_of
+from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
 
 
 @final
@@ -38,9 +39,11 @@ class RebuiltCopy(EngineCopy):
 
     def _add_body(self, body: Body) -> None:
         parent = self._made[body.parent] if body.parent else self._spec.worldbody
-        made = parent.add_body(name=f"body_{body.number}", pos=body.pose[:3, 3], quat=quat_of(body.pose))
+        made = parent.add_body(
+            name=f"body_{body.number}", pos=body.pose[:3, 3], quat=quaternion(body.pose[:3, :3])
+        )
         made.explicitinertial, made.mass, made.inertia = True, body.mass, body.inertia
-        made.ipos, made.iquat = body.inertial_pose[:3, 3], quat_of(body.inertial_pose)
+        made.ipos, made.iquat = body.inertial_pose[:3, 3], quaternion(body.inertial_pose[:3, :3])
         made.gravcomp = 0.0 if body.has_weight else 1.0
         self._made[body.number] = made
         if body.joint is None:
@@ -72,7 +75,7 @@ class RebuiltCopy(EngineCopy):
             made = body.add_geom(
                 type=geom.type,
                 pos=geom.pose[:3, 3],
-                quat=quat_of(geom.pose),
+                quat=quaternion(geom.pose[:3, :3]),
                 size=geom.size,
                 contype=geom.contype,
                 conaffinity=geom.conaffinity,

@@ -13,13 +13,13 @@ from torch import Tensor
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
 
-BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours; measured with a thousand.
+BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours, measured with 1,000 environments.
 
 SEEN_FIELDS = (
     *("geom_type", "geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound"),
     *("body_pos", "body_quat", "jnt_pos", "jnt_axis"),
 )
-"""Model fields that rays depend on."""
+"""Model fields that affect rays."""
 
 _VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
@@ -32,12 +32,12 @@ class BatchSimulation(Simulation):
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0) -> None:
-        """Create the environments at the model's defaults; 0 threads are those of all processors."""
+        """Create the environments at the model's defaults; 0 threads means one for each processor."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
         _require_memory(num_envs)
         num_threads = num_threads or len(os.sched_getaffinity(0))
         self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)
-        # Rays in the batch itself would make its next step compute positions and contacts once more.
+        # Rays in the first batch would make its next step recompute positions and contacts.
         self._rays = Batch(model, num_envs, min(num_threads, num_envs))
 
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
@@ -76,19 +76,19 @@ class BatchSimulation(Simulation):
 
 
 def _require_memory(num_envs: int) -> None:
-    """Refuse what this machine cannot hold, before the system ends the process without a word."""
+    """Refuse more environments than fit into memory, as the system would kill the process."""
     fits = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / BYTES_PER_ENV)
     if num_envs > fits:
-        raise InvalidValueError(f"num_envs is {num_envs:,}; the memory of this machine holds {fits:,}.")
+        raise InvalidValueError(f"num_envs is {num_envs:,}; at most {fits:,} fit into memory.")
 
 
 def _as_tensor(array: np.ndarray) -> Tensor:
-    """A tensor on the array's memory; outputs, which NumPy marks read-only, included."""
+    """Return a tensor that shares the memory of an array, read-only or not."""
     return torch.from_numpy(np.asarray(_Writable(array)))
 
 
 class _Writable:
-    """An array without its read-only flag, which PyTorch's tensors do not have and warn about."""
+    """An array without its read-only flag, about which PyTorch would warn."""
 
     def __init__(self, array: np.ndarray) -> None:
         address, _ = array.__array_interface__["data"]

@@ -1,8 +1,7 @@
 """Drake: hydroelastic contact, joints with implicit servos, the convex solver SAP.
 
-What Drake has otherwise than MuJoCo: no restitution, since its contacts dissipate what they are given; models
-that ask for one are refused. The object is compliant, all else rigid; what is rigid on both sides touches at
-points.
+Differs from MuJoCo: no restitution, so that models with a restitution are refused. The object is compliant
+and all other bodies are rigid; two rigid bodies touch at points.
 """
 
 import importlib
@@ -17,8 +16,9 @@ from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
+from pixel2catch.robots.poses import Pose, rotation_matrix
 from pixel2catch.sim.engine import EngineCopy, Inputs
-from pixel2catch.sim.rigid_world import Body, Geom, Pose, RigidWorld, rotation_of
+from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
 
 MODULES = {
     "plant": "pydrake.multibody.plant",
@@ -27,15 +27,15 @@ MODULES = {
     "framework": "pydrake.systems.framework",
     "transforms": "pydrake.math",
 }
-"""Parts of Drake that are used."""
+"""Modules of Drake, by the names used here."""
 
 MODULUS = 1e5
-"""Stiffness of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: of one ten times as stiff
-the contact comes and goes from step to step, and a cube slides 30 % less far than by Coulomb's law."""
+"""Hydroelastic modulus of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: at ten times
+this modulus contacts flicker, and a cube slides 30 % less than by Coulomb's law."""
 
-RESOLUTION = 0.01  #: Edges of the triangles of round shapes [m]. Source: ours, a quarter of an object.
-DISSIPATION = 20.0  #: Hunt and Crossley's dissipation [s/m]. Source: ours, as above: 4 % of 1 m/s come back.
-POINT_STIFFNESS = 1e5  #: Of contacts between rigid parts [N/m]. Source: ours.
+RESOLUTION = 0.01  #: Edge length of the mesh of round shapes [m]. Source: ours, a quarter of an object.
+DISSIPATION = 20.0  #: Hunt-Crossley dissipation [s/m]. Source: ours: 4 % of a speed of 1 m/s remain.
+POINT_STIFFNESS = 1e5  #: Stiffness of contacts between rigid bodies [N/m]. Source: ours.
 
 
 @final
@@ -46,13 +46,13 @@ class DrakeCopy(EngineCopy):
         """Build the plant.
 
         Raises:
-            DeviceUnavailableError: If Drake is not installed.
-            InvalidValueError: If there is a restitution, or gravity pulls at some links alone.
+            DeviceUnavailableError: Drake is not installed.
+            InvalidValueError: The object has a restitution, or gravity acts on some links only.
         """
         if world.restitution > 1e-6:
             raise InvalidValueError(
-                f"the object's restitution is {world.restitution:g}; engine 'drake' has none: give "
-                "--restitution 0, or --env.randomization.restitution 0 0"
+                f"the object's restitution is {world.restitution:g}; engine 'drake' supports 0 only: give "
+                "--restitution 0, or --env.randomization.restitution 0 0."
             )
         drake = load_drake()
         builder = drake["framework"].DiagramBuilder()
@@ -86,7 +86,7 @@ class DrakeCopy(EngineCopy):
         for body, first, speed in self._free:
             q[first : first + 4] = qpos[body.qpos + 3 : body.qpos + 7]
             q[first + 4 : first + 7] = qpos[body.qpos : body.qpos + 3]
-            v[speed : speed + 3] = rotation_of(q[first : first + 4]) @ qvel[body.dof + 3 : body.dof + 6]
+            v[speed : speed + 3] = rotation_matrix(q[first : first + 4]) @ qvel[body.dof + 3 : body.dof + 6]
             v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
         plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
 
@@ -97,11 +97,11 @@ class DrakeCopy(EngineCopy):
         force[self._v] = inputs.qfrc_applied[self._dofs]
         if inputs.xfrc_applied[self._links].any():
             raise InvalidValueError(
-                "xfrc_applied pushes a link; engine 'drake' takes it of free bodies alone"
+                "xfrc_applied acts on a link; engine 'drake' supports it on free bodies only."
             )
         positions = self._plant.GetPositions(self._context)
         for body, first, speed in self._free:
-            rotation = rotation_of(positions[first : first + 4])
+            rotation = rotation_matrix(positions[first : first + 4])
             applied, pushed = inputs.qfrc_applied[body.dof : body.dof + 6], inputs.xfrc_applied[body.number]
             arm = rotation @ body.inertial_pose[:3, 3]
             force[speed : speed + 3] = rotation @ applied[3:] + pushed[3:] + np.cross(arm, pushed[:3])
@@ -118,12 +118,12 @@ class DrakeCopy(EngineCopy):
             quat = q[first : first + 4] / np.linalg.norm(q[first : first + 4])
             qpos[body.qpos + 3 : body.qpos + 7] = quat
             qvel[body.dof : body.dof + 3] = v[speed + 3 : speed + 6]
-            qvel[body.dof + 3 : body.dof + 6] = rotation_of(quat).T @ v[speed : speed + 3]
+            qvel[body.dof + 3 : body.dof + 6] = rotation_matrix(quat).T @ v[speed : speed + 3]
 
 
 @final
 class _Builder:
-    """Adds bodies, joints and shapes to a plant, and finalizes it."""
+    """Adds bodies, joints and shapes to a plant and finalizes it."""
 
     def __init__(self, plant: Any, world: RigidWorld) -> None:
         self._plant, self._world, self._drake = plant, world, load_drake()
@@ -139,14 +139,16 @@ class _Builder:
             self._add_body(body)
         has_weight = {body.has_weight for body in world.bodies if body.joint is not None}
         if len(has_weight) > 1:
-            raise InvalidValueError("gravity pulls at some links and not at others, which Drake cannot do")
+            raise InvalidValueError(
+                "gravity acts on some links only, which Drake does not support; use engine 'mujoco'."
+            )
         plant.set_gravity_enabled(self.robots, has_weight == {True})
         plant.set_contact_model(self._drake["plant"].ContactModel.kHydroelasticWithFallback)
-        plant.SetUseSampledOutputPorts(False)  # so that a step is one update of discrete state
+        plant.SetUseSampledOutputPorts(False)  # a step is then one discrete update
         plant.Finalize()
 
     def filter(self, graph: Any) -> None:
-        """Let those shapes collide that do so in MuJoCo."""
+        """Exclude the pairs of shapes that do not collide in MuJoCo."""
         geometry = self._drake["geometry"]
         manager, parents = graph.collision_filter_manager(), {b.number: b.parent for b in self._world.bodies}
         excluded = {frozenset(pair) for pair in self._world.excluded}
@@ -225,12 +227,14 @@ class _Builder:
 
 @cache
 def load_drake() -> dict[str, Any]:
-    """The modules of Drake that are used.
+    """Import the modules of Drake.
 
     Raises:
-        DeviceUnavailableError: If it is not installed.
+        DeviceUnavailableError: It is not installed.
     """
     with needs_extra("drake", "engine 'drake' needs Drake, which cannot be imported", DeviceUnavailableError):
         modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
-    logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
+    logging.getLogger("drake").setLevel(
+        logging.ERROR
+    )  # hides a warning about half-spaces and compliant bodies
     return modules

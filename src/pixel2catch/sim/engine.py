@@ -1,8 +1,8 @@
-"""Other engines behind the interface of simulations: they move what MuJoCo then describes.
+"""Other physics engines behind the interface `Simulation`.
 
-A copy of the model in the engine makes every step. Its positions and speeds are written into MuJoCo, which
-finds frames, distances, rays and touches from them: so that the same judge says in every engine what was
-touched and held, and a difference is one of physics.
+A copy of the model in the engine makes every step. MuJoCo receives its positions and speeds and computes
+frames, distances, rays and contacts from them. The same code thus measures catches in every engine, and a
+difference in success comes from physics.
 """
 
 import copy
@@ -24,31 +24,31 @@ from pixel2catch.sim.rigid_world import RigidWorld, rigid_world
 from pixel2catch.sim.simulation import Simulation
 
 MOST_ENVS = 64
-"""Environments that make sense at once. Source: ours; they step one after the other in one thread."""
+"""Largest number of environments. Source: ours; they step one after the other in one thread."""
 
 TOUCH_DISTANCE = 1e-4
-"""Distance at which geoms touch in MuJoCo's eyes [m]. Source: ours: of the contact points that PhysX presses
-in a closed hand, 99 % are less than a hundredth of a millimetre apart; rigid bodies need not overlap."""
+"""Distance at which MuJoCo reports a contact [m]. Source: ours: rigid bodies need not overlap; of PhysX's
+contact points in a closed hand, 99 % are less than 0.01 mm apart."""
 
 FOLLOWED = (
     *("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_solref"),
     *("body_mass", "body_ipos", "body_iquat", "body_inertia"),
     *("actuator_gainprm", "actuator_biasprm"),
 )
-"""Model fields whose values per environment reach the engine."""
+"""Model fields per environment that the engine uses."""
 
 DERIVED = (
     *("geom_aabb", "geom_rbound", "body_subtreemass", "body_invweight0"),
     *("dof_M0", "dof_length", "dof_invweight0"),
 )
-"""Those that MuJoCo derives from them, and that only MuJoCo needs."""
+"""Model fields that MuJoCo derives from these, and that only MuJoCo uses."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What drives one environment in a step, as in MuJoCo."""
+    """Inputs of one environment in a step, as in MuJoCo."""
 
-    ctrl: Float[ndarray, " nu"]  #: Where the servos aim [rad].
+    ctrl: Float[ndarray, " nu"]  #: Targets of the servos [rad].
     qfrc_applied: Float[ndarray, " nv"]  #: Forces and torques on the joints.
     xfrc_applied: Float[ndarray, "nbody 6"]  #: Forces and torques on the bodies, at their centres of mass.
 
@@ -58,7 +58,7 @@ class EngineCopy(ABC):
 
     @abstractmethod
     def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
-        """Put everything there, in MuJoCo's coordinates."""
+        """Set positions and speeds, in MuJoCo's coordinates."""
 
     @abstractmethod
     def step(self, inputs: Inputs) -> None:
@@ -66,7 +66,7 @@ class EngineCopy(ABC):
 
     @abstractmethod
     def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
-        """Write positions and speeds into these, in MuJoCo's coordinates."""
+        """Write positions and speeds into these arrays, in MuJoCo's coordinates."""
 
 
 @final
@@ -76,15 +76,15 @@ class EngineSimulation(Simulation):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, make_copy: Callable[[RigidWorld], EngineCopy]
     ) -> None:
-        """Begin at the model's defaults; the first step builds the copies.
+        """Create the environments at the model's defaults; the first step builds the copies.
 
         Raises:
-            InvalidValueError: If there are too many, or an engine cannot have what is in the model.
+            InvalidValueError: `num_envs` is too large, or the engine does not support the model.
         """
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
         if num_envs > MOST_ENVS:
             raise InvalidValueError(
-                f"num_envs is {num_envs}; in another engine than MuJoCo it must be at most {MOST_ENVS}"
+                f"num_envs is {num_envs}; it must be at most {MOST_ENVS} in an engine other than MuJoCo."
             )
         self._make_copy = make_copy
         self._scratch = copy.copy(model)
@@ -98,13 +98,13 @@ class EngineSimulation(Simulation):
             self._described.bind(name).numpy() for name in ("ctrl", "qfrc_applied", "xfrc_applied")
         )
         self._fields = {name: self._described.expand(name).numpy() for name in FOLLOWED}
-        self._built = {name: values.copy() for name, values in self._fields.items()}  # in the engine
+        self._built = {name: values.copy() for name, values in self._fields.items()}  # values of the copies
         joints = model.actuator_trnid[:, 0]
         self._reach = model.actuator_ctrlrange.T
         self._driven = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-        rigid_world(model)  # refuses a model before any long work
-        self._copies: list[EngineCopy | None] = [None] * num_envs  # built where they make a step
-        self._known = np.full_like(self._state(), np.nan)  # the state in the engine
+        rigid_world(model)  # raises if the model is not supported
+        self._copies: list[EngineCopy | None] = [None] * num_envs  # built at the first step
+        self._known = np.full_like(self._state(), np.nan)  # state of the copies
         self._torque = np.zeros_like(self._force)
 
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
@@ -116,7 +116,7 @@ class EngineSimulation(Simulation):
         return self._described.expand(field)
 
     def can_expand(self, field: str) -> bool:
-        """Whether the engine follows a field, or needs it not; others would be ignored silently."""
+        """Return whether the engine uses a field or does not need it; it would ignore any other field."""
         return field in FOLLOWED or field in DERIVED
 
     def step(self) -> None:  # noqa: D102
@@ -149,7 +149,7 @@ class EngineSimulation(Simulation):
         """Raise if the engine diverged.
 
         Raises:
-            NonFiniteError: Naming how many environments did.
+            NonFiniteError: With the number of environments that did.
         """
         if lost := int((~np.isfinite(self._state())).any(axis=1).sum()):
             raise NonFiniteError(
@@ -164,7 +164,7 @@ class EngineSimulation(Simulation):
         return np.concatenate((self._qpos, self._qvel), axis=1)
 
     def _servo_torque(self) -> Float[ndarray, "num_envs nu"]:
-        """Torques of the servos in the present state, as MuJoCo has them [N·m]."""
+        """Return the torques of the servos in the present state, by MuJoCo's law [N·m]."""
         positions, speeds = self._driven
         gain, bias = self._fields["actuator_gainprm"], self._fields["actuator_biasprm"]
         torque = gain[..., 0] * np.clip(self._inputs[0], *self._reach)
@@ -172,14 +172,14 @@ class EngineSimulation(Simulation):
         return np.clip(torque, *self.model.actuator_forcerange.T)
 
     def _push_state(self) -> None:
-        """Tell the engine what was written since its last step."""
+        """Copy states that were written since the last step to the engine."""
         is_written = (self._state() != self._known).any(axis=1)
         for i in np.flatnonzero(is_written).tolist():
             if (copied := self._copies[i]) is not None:
                 copied.set_state(self._qpos[i], self._qvel[i])
 
     def _rebuild(self) -> None:
-        """Build those copies that are not there, or whose model fields were written."""
+        """Build missing copies, and copies whose model fields were written."""
         is_stale = np.array([each is None for each in self._copies])
         for name, values in self._fields.items():
             if not np.array_equal(values, self._built[name]):

@@ -1,4 +1,4 @@
-"""The back end for a device and an engine."""
+"""Choice of the back end for a device and an engine."""
 
 import mujoco
 import torch
@@ -7,10 +7,10 @@ from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, Unknow
 from pixel2catch.sim.simulation import Simulation
 
 ENGINES = ("mujoco", "physx", "drake")
-"""Physics that there is: MuJoCo's, on a CPU or a GPU, and others to judge policies by, on a CPU."""
+"""Physics engines: MuJoCo on CPU and GPU; the others evaluate policies on the CPU."""
 
 INELASTIC = ("drake",)
-"""Those in which nothing bounces."""
+"""Engines without restitution."""
 
 
 def make_simulation(
@@ -18,12 +18,12 @@ def make_simulation(
 ) -> Simulation:
     """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
 
-    Another engine than MuJoCo has the CPU alone. Nothing else asks which device or engine it is.
+    Engines other than MuJoCo need the CPU.
 
     Raises:
-        DeviceUnavailableError: If CUDA is asked for and absent, or the engine is not installed.
-        InvalidValueError: If an engine is asked for CUDA, or it cannot have what is in the model.
-        UnknownNameError: If the device is of another type, or there is no such engine.
+        DeviceUnavailableError: CUDA is absent, or the engine is not installed.
+        InvalidValueError: The engine does not support CUDA or the model.
+        UnknownNameError: There is no such kind of device, or no such engine.
     """
     kind = device.split(":")[0]
     if kind not in ("cpu", "cuda"):
@@ -31,7 +31,7 @@ def make_simulation(
     require_engine(engine)
     if engine != ENGINES[0]:
         if kind != "cpu":
-            raise InvalidValueError(f"engine '{engine}' was asked for on a CUDA device; give --device cpu")
+            raise InvalidValueError(f"engine '{engine}' does not support CUDA; give --device cpu.")
         from pixel2catch.sim.drake import DrakeCopy
         from pixel2catch.sim.engine import EngineSimulation
         from pixel2catch.sim.physx import PhysxCopy
@@ -48,11 +48,11 @@ def make_simulation(
 
 
 def require_engine(engine: str) -> None:
-    """Raise if there is no such engine, or it is not installed.
+    """Raise if an engine is unknown or not installed.
 
     Raises:
-        DeviceUnavailableError: With the command that installs it.
-        UnknownNameError: With the engines that there are.
+        DeviceUnavailableError: It is not installed; the message has the command that installs it.
+        UnknownNameError: There is no such engine.
     """
     if engine not in ENGINES:
         raise UnknownNameError("engine", engine, ENGINES)
@@ -67,15 +67,19 @@ def require_engine(engine: str) -> None:
 
 
 def require_cuda(device: str) -> None:
-    """Raise if PyTorch does not see the CUDA device.
+    """Raise if PyTorch does not find a CUDA device.
 
     Raises:
-        DeviceUnavailableError: With what is there and what to do.
+        DeviceUnavailableError: With the number of devices and the fix.
     """
     count = torch.cuda.device_count()
     index = torch.device(device).index or 0
     if index >= count:
         raise DeviceUnavailableError(
-            f"device '{device}' was asked for, but PyTorch {torch.__version__} sees {count} CUDA devices; "
-            "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports"
+            f"device '{device}' was given, but PyTorch {torch.__version__} finds {count} CUDA devices; "
+            + (
+                f"use cuda:0 to cuda:{count - 1}."
+                if count
+                else "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports."
+            )
         )

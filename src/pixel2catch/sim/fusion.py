@@ -1,4 +1,4 @@
-"""torch.compile for functions that step a simulation: what they compute on tensors becomes fewer kernels."""
+"""torch.compile for functions that step a simulation: their tensor operations become fewer kernels."""
 
 import warnings
 from collections.abc import Callable
@@ -15,27 +15,27 @@ Result = TypeVar("Result")
 def fused(
     function: Callable[..., Result], simulation: Simulation, backend: str = "inductor"
 ) -> Callable[..., Result]:
-    """The function with its tensor work fused between the steps of the simulation, which stay as they are.
+    """Return the function with fused tensor operations; the steps of the simulation are not compiled.
 
-    The first call compiles it, which takes about a minute. `backend` is one of torch.compile's.
+    The first call compiles for about a minute. `backend` is a back end of torch.compile.
 
     Raises:
-        DeviceUnavailableError: If there is no C++ compiler, which a CPU's kernels need.
+        DeviceUnavailableError: The device is a CPU and there is no C++ compiler.
     """
     if simulation.device.type == "cpu" and backend == "inductor":
         require_compiler()
     for name in ("step", "forward", "ray"):
         setattr(simulation, name, torch.compiler.disable(getattr(simulation, name)))
-    # The values of these functions are constants to the compiler, so that their caches do not matter.
+    # Dynamo treats results of cached functions as constants.
     warnings.filterwarnings("ignore", "Dynamo detected a call to a `functools.lru_cache`", UserWarning)
     return torch.compile(function, dynamic=False, backend=backend)
 
 
 def require_compiler() -> None:
-    """See that torch.compile finds the C++ compiler that it needs for a CPU.
+    """Require the C++ compiler that torch.compile needs for a CPU.
 
     Raises:
-        DeviceUnavailableError: If it does not.
+        DeviceUnavailableError: There is none.
     """
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.exc import InvalidCxxCompiler
@@ -44,6 +44,6 @@ def require_compiler() -> None:
         get_cpp_compiler()
     except InvalidCxxCompiler as error:
         raise DeviceUnavailableError(
-            "kernels of a CPU are fused by a C++ compiler, and none works here: install g++ (on Ubuntu: apt "
-            "install g++), name another one in the environment variable CXX, or leave out --fuse."
+            "--fuse on a CPU needs a C++ compiler and none works: install g++ (on Ubuntu: apt install g++), "
+            "name a compiler in the environment variable CXX, or leave out --fuse."
         ) from error

@@ -1,4 +1,4 @@
-"""CUDA graphs: a function of tensors is recorded once and then replayed with a single launch."""
+"""CUDA graphs: record a function of tensors once and replay it with one launch."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -14,13 +14,12 @@ Result = TypeVar("Result")
 
 
 class GraphedFunction(Generic[Result]):
-    """A function on a CUDA device whose first calls run as they are and whose later ones are replayed.
+    """A function on a CUDA device: its first calls run eagerly, later calls replay a recording.
 
-    It owns whatever a recording reads and writes: the function with all that it refers to, copies of its
-    arguments, the constants that it asks for, its result, and unless it shares memory, the stream of the
-    recording: cuBLAS has one workspace for a stream, so that recordings of the same stream must not be
-    replayed side by side (PyTorch, issue 193402). Tensors that the function reads besides its arguments must
-    be changed in place.
+    The object owns all memory of the recording: the function, copies of its arguments, device constants, the
+    result and, unless a pool is shared, the stream. cuBLAS has one workspace per stream, so recordings of one
+    stream must not be replayed concurrently (PyTorch issue 193402). Change other tensors that the function
+    reads in place only.
     """
 
     def __init__(
@@ -34,18 +33,17 @@ class GraphedFunction(Generic[Result]):
         generator: torch.Generator | None = None,
         around: Callable[[], AbstractContextManager[Any]] = nullcontext,
     ) -> None:
-        """Take the function; nothing runs yet.
+        """Store the function; nothing runs yet.
 
         Args:
-            function: Takes tensors of the same shapes in every call, and never waits for the device.
-            device: Where it works, and all arguments are.
-            num_eager_calls: Calls before it is recorded: in the first, libraries set themselves up
-                and constants are made.
-            is_aside: Whether those run on a stream of their own, as gradients require; not where another
-                library works on the current stream.
-            pool: Memory that several recordings share, a `torch.cuda.graph_pool_handle`; its own if absent.
-            generator: Random generator that the function draws from, if not torch's own.
-            around: Entered around the recorded call, such as a capture by another library.
+            function: Takes tensors of the same shapes in every call; never waits for the device.
+            device: Device of the function and of all arguments.
+            num_eager_calls: Calls before the recording, in which libraries initialise and constants are made.
+            is_aside: Whether eager calls use a separate stream, as gradients require; False if another
+                library uses the current stream.
+            pool: Memory shared by several recordings, a `torch.cuda.graph_pool_handle`. Default: its own.
+            generator: Random generator of the function, if it is not torch's default.
+            around: Context of the recorded call, such as the capture of another library.
         """
         self._function, self._device = function, device
         self._num_eager_calls, self._is_aside = num_eager_calls, is_aside
@@ -54,7 +52,7 @@ class GraphedFunction(Generic[Result]):
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self, *arguments: Tensor) -> Result:
-        """Return what the function returns; a later call overwrites the tensors in it."""
+        """Return the result of the function; a later call overwrites its tensors."""
         if self._num_eager_calls > 0:
             self._num_eager_calls -= 1
             with keeping(self._constants):
@@ -83,8 +81,8 @@ class GraphedFunction(Generic[Result]):
         graph = torch.cuda.CUDAGraph()
         if self._generator is not None:
             graph.register_generator_state(self._generator)
-        stream = self._stream if self._pool is None else None  # of one stream, memory can be shared
-        # Other threads may use the device meanwhile (NCCL's do), which "global" would forbid.
+        stream = self._stream if self._pool is None else None  # one stream is needed to share memory
+        # "thread_local" lets other threads, such as NCCL's, use the device during the capture.
         with (
             keeping(self._constants),
             torch.cuda.device(self._device),
@@ -92,7 +90,7 @@ class GraphedFunction(Generic[Result]):
             self._around(),
         ):
             self._result = self._function(*self._arguments)
-        # PyTorch begins a capture by writing the generator's state on the stream of the capture; the first
-        # replay writes it anew, on this stream, and must come later.
+        # A capture begins by writing the generator's state on the capture stream. The first replay writes it
+        # again on this stream and must come later.
         torch.cuda.synchronize(self._device)
         return graph

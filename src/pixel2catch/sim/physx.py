@@ -1,7 +1,7 @@
-"""PhysX, by SAPIEN: reduced coordinates, implicit servos, rigid contacts with an explicit restitution.
+"""PhysX through SAPIEN: reduced coordinates, implicit servos, rigid contacts with an explicit restitution.
 
-What PhysX has otherwise than MuJoCo: every surface of a copy has the friction and restitution of the thrown
-object, since PhysX mixes two surfaces by their mean; contacts have no softness.
+Differs from MuJoCo: every surface has the friction and restitution of the thrown object, as PhysX uses the
+mean of two surfaces; contacts are rigid.
 """
 
 import importlib
@@ -17,33 +17,35 @@ from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
+from pixel2catch.robots.poses import Pose, quaternion, rotation_matrix
 from pixel2catch.sim.engine import EngineCopy, Inputs
-from pixel2catch.sim.rigid_world import Body, Geom, Joint, Pose, RigidWorld, quat_of, rotation_of, turned_onto
+from pixel2catch.sim.rigid_world import Body, Geom, Joint, RigidWorld, turned_onto
 
-MOST_EXCLUDED = 32  #: Pairs that do not collide; SAPIEN has that many bits.
-COLLISION_ID = 1  #: Pairs are left out among shapes of the same number.
+MOST_EXCLUDED = 32  #: Largest number of pairs that do not collide: bits of SAPIEN's collision group.
+COLLISION_ID = 1  #: Collision exclusions hold among shapes with this identifier.
 
 Component = Any
-"""A body of SAPIEN, which has no types."""
+"""A body of SAPIEN, which has no type stubs."""
 
 ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
-"""MuJoCo's capsules, cylinders and planes have their axis along z, PhysX's along x."""
+"""Rotation from MuJoCo's capsules, cylinders and planes (axis z) to those of PhysX (axis x)."""
 
 UNTURNED = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_MESH)
-"""Shapes that are alike in both."""
+"""Shapes with the same axes in both engines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhysxCfg:
-    """What PhysX leaves to its user. Source: ours, `benchmarks/engine_calibration.py`."""
+    """Solver settings of PhysX. Source: ours, `benchmarks/engine_calibration.py`."""
 
-    #: Whether the solver has substeps (TGS, SAPIEN's default; else PGS). It then pulls back along a surface
-    #: what moved there in the step before an impact: a ball comes away with up to three times its spin.
+    #: Whether the solver uses substeps (TGS, SAPIEN's default) instead of PGS. With substeps a ball leaves an
+    #: impact with up to three times its spin.
     has_substeps: bool = False
-    #: Whether contacts are kept from step to step (PCM, likewise). Some overlaps are then noticed at 8 mm.
+    #: Whether contacts persist from step to step (PCM, SAPIEN's default). With PCM some overlaps are detected
+    #: only at 8 mm.
     keeps_contacts: bool = False
     contact_offset: float = 1e-3  #: Distance from a surface at which contacts begin [m].
-    #: Below this speed nothing bounces [m/s]; at 120 Hz a step of free fall is 0.08.
+    #: Smallest impact speed with a bounce [m/s]; free fall adds 0.08 in a step at 120 Hz.
     bounce_speed: float = 0.1
     position_iterations: int = 16  #: Iterations of the solver for positions.
     velocity_iterations: int = 1  #: Iterations of the solver for speeds.
@@ -54,15 +56,16 @@ class PhysxCopy(EngineCopy):
     """A PhysX scene on the CPU."""
 
     def __init__(self, world: RigidWorld, cfg: PhysxCfg = PhysxCfg()) -> None:
-        """Build articulations for what hangs on joints, and free bodies.
+        """Build articulations and free bodies.
 
         Raises:
-            DeviceUnavailableError: If SAPIEN is not installed.
-            InvalidValueError: If too many pairs of bodies are excluded from collision.
+            DeviceUnavailableError: SAPIEN is not installed.
+            InvalidValueError: Too many pairs of bodies are excluded from collision.
         """
         if len(world.excluded) > MOST_EXCLUDED:
             raise InvalidValueError(
-                f"{len(world.excluded)} pairs of bodies do not collide; PhysX has room for {MOST_EXCLUDED}"
+                f"{len(world.excluded)} pairs of bodies are excluded from collision; PhysX supports at most "
+                f"{MOST_EXCLUDED}: use engine 'mujoco'."
             )
         sapien, physx = load_sapien(), load_sapien().physx
         physx.set_scene_config(
@@ -96,7 +99,7 @@ class PhysxCopy(EngineCopy):
             tree.articulation.set_qvel(qvel[tree.dofs])
         for body, component in self._free:
             pos, quat = qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7]
-            rotation = rotation_of(quat)
+            rotation = rotation_matrix(quat)
             angular = rotation @ qvel[body.dof + 3 : body.dof + 6]
             arm = rotation @ body.inertial_pose[:3, 3]
             component.entity.set_pose(load_sapien().Pose(pos, quat))
@@ -127,7 +130,7 @@ class PhysxCopy(EngineCopy):
         for body, component in self._free:
             pose = component.entity.pose
             qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7] = pose.p, pose.q
-            rotation = rotation_of(qpos[body.qpos + 3 : body.qpos + 7])
+            rotation = rotation_matrix(qpos[body.qpos + 3 : body.qpos + 7])
             angular = np.array(component.angular_velocity, dtype=float)
             arm = rotation @ body.inertial_pose[:3, 3]
             qvel[body.dof : body.dof + 3] = component.linear_velocity - _cross(angular, arm)
@@ -141,7 +144,7 @@ class PhysxCopy(EngineCopy):
 
 @dataclass(frozen=True, kw_only=True)
 class _Tree:
-    """An articulation, and where its joints are in MuJoCo's arrays, in PhysX's order."""
+    """An articulation, and the indices of its joints in MuJoCo's arrays, in PhysX's order."""
 
     articulation: Any
     joints: list[Any]
@@ -151,7 +154,7 @@ class _Tree:
 
 
 def _trees(bodies: dict[int, tuple[Body, Joint]], components: dict[int, Component]) -> list[_Tree]:
-    """The articulations of bodies on joints, by number."""
+    """Return the articulations of the bodies with joints."""
     articulations = {id(a): a for a in (components[number].articulation for number in bodies)}
     trees = []
     for articulation in articulations.values():
@@ -170,7 +173,7 @@ def _trees(bodies: dict[int, tuple[Body, Joint]], components: dict[int, Componen
 
 
 def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
-    """Links and free bodies by number, links with their joints."""
+    """Create links with their joints, and free bodies, by number."""
     physx = load_sapien().physx
     roots = {}
     for number in world.fixed.keys() - {0}:
@@ -196,7 +199,7 @@ def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
 
 
 def _set_joint(made: Any, body: Body, joint: Joint) -> None:
-    """Make a link's joint a hinge with a servo."""
+    """Configure the joint of a link as a hinge with a servo."""
     made.name, made.type = str(body.number), "revolute_unwrapped"
     frame = turned_onto(joint.axis)
     frame[:3, 3] = joint.pos
@@ -209,7 +212,7 @@ def _set_joint(made: Any, body: Body, joint: Joint) -> None:
 
 @final
 class _Shapes:
-    """Makes shapes of one surface, with the collision filters of their bodies."""
+    """Creates shapes of one material, with the collision filters of their bodies."""
 
     def __init__(self, world: RigidWorld, offset: float) -> None:
         physx = load_sapien().physx
@@ -218,11 +221,11 @@ class _Shapes:
         self._excluded = world.excluded
 
     def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
-        """The component with these shapes; the number of its body says with which it does not collide."""
+        """Attach shapes to a component; the number of its body selects its collision exclusions."""
         for geom in geoms:
             shape = self._shape(geom)
-            left_out = sum(1 << i for i, pair in enumerate(self._excluded) if number in pair)
-            shape.set_collision_groups([geom.contype, geom.conaffinity, left_out, COLLISION_ID])
+            excluded = sum(1 << i for i, pair in enumerate(self._excluded) if number in pair)
+            shape.set_collision_groups([geom.contype, geom.conaffinity, excluded, COLLISION_ID])
             shape.contact_offset, shape.rest_offset = self._offset, 0.0
             component.attach(shape)
         return component
@@ -245,11 +248,11 @@ class _Shapes:
 
 
 def _pose(matrix: Pose) -> Any:
-    return load_sapien().Pose(matrix[:3, 3], quat_of(matrix))
+    return load_sapien().Pose(matrix[:3, 3], quaternion(matrix[:3, :3]))
 
 
 def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """The cross product, at a twentieth of the time of NumPy's."""
+    """Return the cross product; NumPy takes twenty times as long for one pair."""
     result = np.empty(3)
     mujoco.mju_cross(result, np.asarray(first, dtype=float), np.asarray(second, dtype=float))
     return result
@@ -257,13 +260,13 @@ def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[nda
 
 @cache
 def load_sapien() -> Any:
-    """The package, of which a renderer is no part that is needed here.
+    """Import SAPIEN.
 
     Raises:
-        DeviceUnavailableError: If it is not installed.
+        DeviceUnavailableError: It is not installed.
     """
     with (
         needs_extra("physx", "engine 'physx' needs SAPIEN, which cannot be imported", DeviceUnavailableError),
-        warnings.catch_warnings(action="ignore"),  # that there is no graphics driver
+        warnings.catch_warnings(action="ignore"),  # a missing graphics driver; nothing is rendered
     ):
         return importlib.import_module("sapien")

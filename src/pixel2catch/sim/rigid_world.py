@@ -1,7 +1,7 @@
-"""A MuJoCo model as rigid bodies, joints and shapes: what every other engine is built from.
+"""A MuJoCo model as rigid bodies, joints and shapes, from which other engines are built.
 
-Bodies without a joint belong to the body that they are fixed to. What of a model has no counterpart here is
-refused by name, so that no engine leaves it out silently.
+Bodies without a joint belong to the body that they are fixed to. A model element without a counterpart here
+is refused by name, so that no engine ignores it silently.
 """
 
 from dataclasses import dataclass
@@ -12,29 +12,26 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.maker import directions
+from pixel2catch.robots.poses import Inertial, Pose, combined, pose_of, principal_axes, sphere_points
 from pixel2catch.scene.cfg import restitution_of
 
-Pose = Float[ndarray, "4 4"]
-"""A frame in another one: rotation and position [m] as a homogeneous matrix."""
-
 ELLIPSOID_POINTS = 200
-"""Points of the convex hull that takes the place of an ellipsoid. Source: ours; PhysX takes at most 255."""
+"""Points of the convex hull that replaces an ellipsoid. Source: ours; PhysX accepts at most 255."""
 
 REFUSED = ("neq", "ntendon", "nflex", "nhfield", "npair", "nmocap")
-"""Counts of what no engine here is given."""
+"""Counts in a model that must be 0: elements without a counterpart in other engines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geom:
-    """A shape that collides."""
+    """A collision shape."""
 
     type: mujoco.mjtGeom  #: Plane, box, sphere, capsule, cylinder, or mesh for a convex hull.
     size: Float[ndarray, "3"]  #: As in MuJoCo [m].
-    vertices: Float[ndarray, "num_vertices 3"]  #: Of a convex hull [m]; of others none.
-    pose: Pose  #: Where it is in its body.
+    vertices: Float[ndarray, "num_vertices 3"]  #: Of a convex hull [m]; empty for other shapes.
+    pose: Pose  #: In the frame of its body.
     contype: int  #: Contact bits.
-    conaffinity: int  #: What of others' contact bits it collides with.
+    conaffinity: int  #: Contact bits of other shapes with which it collides.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,53 +39,53 @@ class Joint:
     """A hinge between a body and its parent."""
 
     axis: Float[ndarray, "3"]  #: In the frame of the body, of length 1.
-    pos: Float[ndarray, "3"]  #: A point of the axis in that frame [m].
+    pos: Float[ndarray, "3"]  #: A point on the axis in that frame [m].
     limits: tuple[float, float]  #: Smallest and largest angle [rad].
     armature: float  #: Reflected inertia [kg·m²].
-    actuator: int  #: Row of its servo in `ctrl`.
-    stiffness: float  #: Of its servo [N·m/rad].
-    damping: float  #: Of its servo [N·m·s/rad].
+    actuator: int  #: Index of its servo in `ctrl`.
+    stiffness: float  #: Stiffness of its servo [N·m/rad].
+    damping: float  #: Damping of its servo [N·m·s/rad].
     effort_limit: float  #: Largest torque [N·m].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """A rigid body: those of the model that are fixed to each other."""
+    """A rigid body: bodies of the model that are fixed to each other."""
 
-    number: int  #: Of its first body in the model.
-    parent: int  #: Number of the body that carries it; 0 is the world.
-    pose: Pose  #: Where it is in its parent at the model's reference position.
-    joint: Joint | None  #: How it turns; a body without moves freely.
-    qpos: int  #: Where its angle, or its position and quaternion, begins in `qpos`.
-    dof: int  #: Where its speed begins in `qvel`.
-    mass: float  #: [kg].
-    inertial_pose: Pose  #: Its principal axes of inertia.
-    inertia: Float[ndarray, "3"]  #: About these [kg·m²].
-    has_weight: bool  #: Whether gravity pulls at it.
+    number: int  #: Number of its first body in the model.
+    parent: int  #: Number of its parent body; 0 is the world.
+    pose: Pose  #: In the frame of its parent, at the model's reference position.
+    joint: Joint | None  #: Its hinge; None for a body that moves freely.
+    qpos: int  #: Index of its angle, or of its position and quaternion, in `qpos`.
+    dof: int  #: Index of its speed in `qvel`.
+    mass: float  #: Mass [kg].
+    inertial_pose: Pose  #: Frame of its principal axes of inertia.
+    inertia: Float[ndarray, "3"]  #: Principal moments of inertia [kg·m²].
+    has_weight: bool  #: Whether gravity acts on it.
     geoms: tuple[Geom, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigidWorld:
-    """Everything that an engine simulates."""
+    """Bodies, shapes and contact parameters of a simulation."""
 
-    bodies: tuple[Body, ...]  #: Those that move, parents first.
-    #: What stands still, by the number of the body that moves on it; 0 is under nothing.
+    bodies: tuple[Body, ...]  #: The moving bodies, parents first.
+    #: Fixed shapes by the number of the first moving body on them; 0 for all others.
     fixed: dict[int, tuple[Geom, ...]]
     excluded: tuple[tuple[int, int], ...]  #: Pairs of bodies that do not collide, by number.
-    gravity: Float[ndarray, "3"]  #: [m/s²].
-    timestep: float  #: [s].
-    friction: float  #: Sliding friction of the surfaces that decide a contact.
-    restitution: float  #: Speed after over speed before an impact of theirs.
+    gravity: Float[ndarray, "3"]  #: Gravity [m/s²].
+    timestep: float  #: Physics time step [s].
+    friction: float  #: Sliding friction of the geoms with the highest priority.
+    restitution: float  #: Speed after over speed before an impact of these geoms.
 
 
 def rigid_world(model: mujoco.MjModel) -> RigidWorld:
     """Read the rigid bodies of a compiled model.
 
-    The surfaces are those of the geoms of highest priority, which decide every contact of theirs.
+    Friction and restitution are those of the geoms with the highest priority, as in their MuJoCo contacts.
 
     Raises:
-        InvalidValueError: If there is something in the model that has no counterpart.
+        InvalidValueError: An element of the model has no counterpart.
     """
     _refuse(model)
     data = mujoco.MjData(model)
@@ -108,29 +105,8 @@ def rigid_world(model: mujoco.MjModel) -> RigidWorld:
     )
 
 
-def pose_of(pos: ndarray, rotation: ndarray) -> Pose:
-    """The homogeneous matrix of a position [m] and a rotation matrix, of which rows may be flat."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), pos
-    return pose
-
-
-def quat_of(pose: Pose) -> Float[ndarray, "4"]:
-    """The quaternion (w, x, y, z) of a pose."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
-    return quat
-
-
-def rotation_of(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
-    """The rotation matrix of a quaternion (w, x, y, z)."""
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, np.ascontiguousarray(quat))
-    return rotation.reshape(3, 3)
-
-
 def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
-    """A frame at the origin whose x axis lies along this axis, of length 1."""
+    """Return a frame at the origin whose x axis is a given axis of length 1."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
     second = np.cross(axis, other)
     second /= np.linalg.norm(second)
@@ -166,19 +142,18 @@ def _refuse(model: mujoco.MjModel) -> None:
         found.append("a reference angle other than 0")
     if found:
         raise InvalidValueError(
-            f"the model has {', '.join(found)}, which other engines are not given; use engine 'mujoco'."
+            f"the model has {', '.join(found)}, which other engines do not support; use engine 'mujoco'."
         )
 
 
 def _body(model: mujoco.MjModel, data: mujoco.MjData, number: int) -> Body:
-    """The rigid body that begins with a body of the model."""
+    """Return the rigid body that begins with a body of the model."""
     members = np.flatnonzero(model.body_weldid == number)
     origin = pose_of(data.xpos[number], data.xmat[number])
     parent = int(model.body_weldid[model.body_parentid[number]])
     carrier = pose_of(data.xpos[parent], data.xmat[parent])
-    mass, center, inertia = _inertia(model, data, members, origin)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    mass, center, inertia = combined([_inertial(model, data, member, origin) for member in members.tolist()])
+    moments, axes = principal_axes(inertia)
     joint = int(model.body_jntadr[number])
     is_free = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE)
     return Body(
@@ -196,19 +171,11 @@ def _body(model: mujoco.MjModel, data: mujoco.MjData, number: int) -> Body:
     )
 
 
-def _inertia(
-    model: mujoco.MjModel, data: mujoco.MjData, members: ndarray, origin: Pose
-) -> tuple[float, Float[ndarray, "3"], Float[ndarray, "3 3"]]:
-    """Mass [kg], centre [m] and inertia about it [kg·m²] of bodies together, in a frame."""
-    mass = model.body_mass[members]
-    center = mass @ data.xipos[members] / mass.sum()
-    total = np.zeros((3, 3))
-    for body, share in zip(members, mass, strict=True):
-        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - center
-        total += axes @ np.diag(model.body_inertia[body]) @ axes.T
-        total += share * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    rotation = origin[:3, :3]
-    return float(mass.sum()), rotation.T @ (center - origin[:3, 3]), rotation.T @ total @ rotation
+def _inertial(model: mujoco.MjModel, data: mujoco.MjData, body: int, origin: Pose) -> Inertial:
+    """Return the mass properties of a body in a frame."""
+    axes = origin[:3, :3].T @ data.ximat[body].reshape(3, 3)
+    center = origin[:3, :3].T @ (data.xipos[body] - origin[:3, 3])
+    return float(model.body_mass[body]), center, axes @ np.diag(model.body_inertia[body]) @ axes.T
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> Joint:
@@ -227,7 +194,7 @@ def _joint(model: mujoco.MjModel, joint: int) -> Joint:
 
 
 def _geoms(model: mujoco.MjModel, data: mujoco.MjData, bodies: ndarray, origin: Pose) -> tuple[Geom, ...]:
-    """The shapes of bodies that collide, in a frame."""
+    """Return the collision shapes of bodies, in a frame."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     return tuple(
         _geom(model, geom, np.linalg.inv(origin) @ pose_of(data.geom_xpos[geom], data.geom_xmat[geom]))
@@ -243,7 +210,7 @@ def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
         first = model.mesh_vertadr[mesh]
         vertices = np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], dtype=float)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * directions(ELLIPSOID_POINTS)
+        kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * sphere_points(ELLIPSOID_POINTS)
     return Geom(
         type=kind,
         size=size,
@@ -257,7 +224,7 @@ def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
 def _fixed(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: tuple[Body, ...]
 ) -> dict[int, tuple[Geom, ...]]:
-    """What stands still: of each robot under its first body that moves, and the rest."""
+    """Return the fixed shapes: those of each robot by its first moving body, and the rest."""
     still = set(np.flatnonzero(model.body_weldid == 0).tolist())
     fixed = {}
     for body in bodies:
@@ -272,7 +239,7 @@ def _fixed(
 
 
 def _excluded(model: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
-    """Pairs that the model names, apart from those of neighbours and of what does not move."""
+    """Return the excluded pairs of moving bodies."""
     pairs = [(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature]
     welded = [tuple(int(model.body_weldid[body]) for body in pair) for pair in pairs]
     return tuple((one, other) for one, other in welded if one and other)

@@ -1,13 +1,13 @@
 """The GPU back end: MuJoCo Warp, float32, each physics step one CUDA graph.
 
-Nothing here copies to the host inside a step. PyTorch and Warp work on the same stream, so that tensors
-written by one are read by the other in order.
+A step copies nothing to the host. PyTorch and Warp use the same stream, so that each reads what the other has
+written.
 """
 
 import copy
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, final
+from typing import Any, final, no_type_check
 
 import mujoco
 import mujoco_warp as mjw
@@ -15,43 +15,42 @@ import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Shaped
+from mujoco_warp._src.ray import _ray_geom_mesh
+from mujoco_warp._src.types import vec6
 from torch import Tensor
 
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.sim import warp_rays
 from pixel2catch.sim.graphs import GraphedFunction
-from pixel2catch.sim.simulation import Result, Simulation
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 CONTACTS_PER_DOF = 1.6
-"""Contacts to allocate per environment and degree of freedom, shared by all environments (ours: 8,192 random
-robots of one arm and one hand, 25 degrees of freedom with the object, used 3.4 an environment)."""
+"""Contacts to allocate per environment and degree of freedom, in one pool for all environments. Source: ours;
+8,192 robots with random actions and 25 degrees of freedom used 3.4 per environment."""
 
 CONSTRAINTS_PER_DOF = 8.0
-"""Constraint rows to allocate per environment and degree of freedom (ours: 8,192 random robots of one arm and
-one hand used 45 at the most, 120 with an object of 28 cm in the hand; two arms and two hands that learn once
-needed more than 160)."""
+"""Constraint rows to allocate per environment and degree of freedom. Source: ours; 8,192 robots with random
+actions used at most 45, 120 with an object of 28 cm in the hand, two robots in training more than 160."""
 
 CONTACTS_PER_SENSOR = 32
-"""Contacts that a contact sensor chooses from. Source: ours: 8,192 random robots had 15 contacts at the most
-in all; sorting MuJoCo Warp's 64 took 1.1 of 11 ms of kernels in a control step of theirs (H100)."""
+"""Contacts among which a contact sensor selects. Source: ours; 8,192 robots with random actions had at most
+15 contacts each. MuJoCo Warp's default of 64 costs a tenth of a control step in sorting."""
 
 SORT_BLOCK = 32
-"""Threads that sort the contacts of a sensor. Source: ours: with MuJoCo Warp's 64 they take 1.16 instead of
-0.58 ms of a control step of 8,192 environments (H100)."""
+"""Threads that sort the contacts of a sensor. Source: ours; Warp's default, 64, takes twice as long."""
 
 _HARMLESS = int(
     mjw.OverflowType.ITERATIONS
     | mjw.OverflowType.LS_ITERATIONS
-    | mjw.OverflowType.CONTACT_MATCH  # a sensor misses nothing else
+    | mjw.OverflowType.CONTACT_MATCH  # affects the choice of a sensor only
 )
 
 
 @final
 class WarpSimulation(Simulation):
-    """MuJoCo Warp on one CUDA device (or on Warp's CPU device, which is slow and serves in tests)."""
+    """MuJoCo Warp on one CUDA device, or for tests on Warp's CPU device, which is slow."""
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, device: str) -> None:
-        """Put the model on the device and create the environments at its defaults."""
+        """Copy the model to the device and create the environments at its defaults."""
         kind, _, index = device.partition(":")
         super().__init__(model, num_envs, torch.device(kind, int(index or 0)), torch.float32)
         wp.config.log_level = wp.LOG_WARNING
@@ -82,7 +81,7 @@ class WarpSimulation(Simulation):
             rows = np.repeat(array.numpy(), self.num_envs, axis=0)
             array = wp.array(rows, dtype=array.dtype, device=self._device)
             setattr(self._model, field, array)
-            self._recorded_step = self._recorded(self._step)  # it held the address of the shared values
+            self._recorded_step = self._recorded(self._step)  # the old recording has the old address
         return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
 
     def can_expand(self, field: str) -> bool:  # noqa: D102
@@ -95,10 +94,10 @@ class WarpSimulation(Simulation):
             self._recorded_step()
 
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Make bound fields current; for every environment, since that is what one launch computes.
+        """Update the bound fields of every environment.
 
-        Where a mask is given, contacts are not looked for: those of others are known, and those of the masked
-        environments, a tenth of the work of a control step, are found in the next physics step.
+        With a mask, collision detection, a tenth of a control step, is skipped: contacts of other
+        environments are current, and those of the masked ones are found in the next physics step.
         """
         with wp.ScopedDevice(self._device):
             if mask is not None:
@@ -117,26 +116,26 @@ class WarpSimulation(Simulation):
         mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
         with wp.ScopedDevice(self._device):
-            return warp_rays.cast(self._model, self._data, origin, directions, groups)
+            return _cast_rays(self._model, self._data, origin, directions, groups)
 
     def record(
         self, function: Callable[[Tensor], Result], generator: torch.Generator
     ) -> Callable[[Tensor], Result]:
-        """A CUDA graph of the function, captured at the second call; the first compiles its kernels."""
+        """Return a CUDA graph of the function, captured after two calls that compile its kernels."""
         return self._recorded(function, generator) if self._device.is_cuda else function
 
     def check(self) -> None:
         """Raise if an environment overflowed its contact or constraint buffers.
 
         Raises:
-            NonFiniteError: Naming what overflowed, and how many environments lost it.
+            NonFiniteError: With the kind of overflow and the number of environments.
         """
         overflow = wp.to_torch(self._data.overflow) & ~_HARMLESS
         flags = int(torch.unique(overflow).sum().item()) if bool(overflow.any()) else 0
         if flags:
             raise NonFiniteError(
                 f"MuJoCo Warp dropped contacts or constraints ({mjw.OverflowType(flags)!r}) in "
-                f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_DOF or CONSTRAINTS_PER_DOF"
+                f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_DOF or CONSTRAINTS_PER_DOF."
             )
 
     def close(self) -> None:  # noqa: D102
@@ -145,11 +144,11 @@ class WarpSimulation(Simulation):
     def _recorded(
         self, function: Callable[..., Any], generator: torch.Generator | None = None
     ) -> GraphedFunction[Any]:
-        """A CUDA graph of PyTorch's and Warp's work."""
+        """Return a CUDA graph of PyTorch's and Warp's operations."""
         return GraphedFunction(
             function,
             device=self.device,
-            num_eager_calls=2,  # the first compiles kernels, the second finds all that it needs
+            num_eager_calls=2,  # the first compiles kernels, the second allocates
             is_aside=False,
             generator=generator,
             around=self._captured_by_warp,
@@ -157,20 +156,88 @@ class WarpSimulation(Simulation):
 
     @contextmanager
     def _captured_by_warp(self) -> Iterator[None]:
-        """Let Warp take part in a capture that PyTorch has begun on its current stream."""
+        """Add Warp to a capture that PyTorch has begun on its current stream."""
         stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
         with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream, external=True):
             yield
 
     def _step(self) -> None:
-        """Second half of this step, first half of the next: positions and sensors are then current."""
+        """Run the second half of this step and the first half of the next, which updates the sensors."""
         with wp.ScopedDevice(self._device):
             mjw.step2(self._model, self._data)
             mjw.step1(self._model, self._data)
 
 
 def _without_cpu_flags(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The model without options that only say how the CPU finds contacts."""
+    """Return the model without options that affect collision detection on the CPU only."""
     model = copy.copy(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return model
+
+
+_Vec3: Any = wp.vec3
+
+
+# fmt: off
+@wp.kernel(enable_backward=False)
+@no_type_check  # Warp reads the annotations
+def _nearest(
+    num_geoms: int,
+    nmeshface: int, body_weldid: wp.array[int], geom_type: wp.array[int], geom_bodyid: wp.array[int],
+    geom_dataid: wp.array2d[int], geom_matid: wp.array2d[int], geom_group: wp.array[int],
+    geom_size: wp.array2d[wp.vec3], geom_rgba: wp.array2d[wp.vec4],
+    mesh_vertadr: wp.array[int], mesh_faceadr: wp.array[int],
+    mesh_vert: wp.array[wp.vec3], mesh_face: wp.array[wp.vec3i],
+    hfield_size: wp.array[wp.vec4], hfield_nrow: wp.array[int], hfield_ncol: wp.array[int],
+    hfield_adr: wp.array[int], hfield_data: wp.array[float], mat_rgba: wp.array2d[wp.vec4],
+    geom_xpos: wp.array2d[wp.vec3], geom_xmat: wp.array2d[wp.mat33],
+    groups: vec6,
+    origin: wp.array[wp.vec3],
+    directions: wp.array2d[wp.vec3],
+    distance: wp.array2d[float],
+):
+    env, ray = wp.tid()
+    nearest = float(-1.0)  # noqa: UP018 (a variable, to Warp)
+    for geom in range(num_geoms):
+        hit, _ = _ray_geom_mesh(
+            nmeshface, body_weldid, geom_type, geom_bodyid, geom_dataid, geom_matid, geom_group, geom_size,
+            geom_rgba, mesh_vertadr, mesh_faceadr, mesh_vert, mesh_face, hfield_size, hfield_nrow,
+            hfield_ncol, hfield_adr, hfield_data, mat_rgba, geom_xpos, geom_xmat,
+            env, origin[0], directions[env, ray], groups, True, -1, geom,
+        )
+        if hit >= 0.0 and (nearest < 0.0 or hit < nearest):
+            nearest = hit
+    distance[env, ray] = nearest
+# fmt: on
+
+
+def _cast_rays(
+    model: mjw.Model,
+    data: mjw.Data,
+    origin: Float[Tensor, "3"],
+    directions: Float[Tensor, "num_envs num_rays 3"],
+    groups: tuple[int, ...],
+) -> Float[Tensor, "num_envs num_rays"]:
+    """Cast rays with one thread each; MuJoCo Warp's own function takes a block of threads for a ray."""
+    num_envs, num_rays, _ = directions.shape
+    distance = torch.empty(num_envs, num_rays, device=directions.device)
+    fields = (
+        *("nmeshface", "body_weldid", "geom_type", "geom_bodyid", "geom_dataid", "geom_matid", "geom_group"),
+        *("geom_size", "geom_rgba", "mesh_vertadr", "mesh_faceadr", "mesh_vert", "mesh_face", "hfield_size"),
+        *("hfield_nrow", "hfield_ncol", "hfield_adr", "hfield_data", "mat_rgba"),
+    )
+    wp.launch(
+        _nearest,
+        dim=(num_envs, num_rays),
+        inputs=[
+            model.ngeom,
+            *(getattr(model, name) for name in fields),
+            data.geom_xpos,
+            data.geom_xmat,
+            vec6(*(float(group in groups) for group in range(MAX_GEOM_GROUPS))),
+            wp.from_torch(origin.to(directions).view(1, 3), dtype=_Vec3),
+            wp.from_torch(directions.contiguous(), dtype=_Vec3),
+        ],
+        outputs=[wp.from_torch(distance)],
+    )
+    return distance
