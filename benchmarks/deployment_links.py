@@ -23,7 +23,7 @@ from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.files import write_atomically
 from pixel2catch.scene.objects import select_objects
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.stepped import rehearse_stepped
 from pixel2catch.workcells import find_workcell
 

@@ -176,8 +176,6 @@ Seed = Annotated[int, Within(0, 2**32 - 1)]
 """Seed of a random generator."""
 Port = Annotated[int, Within(1, 65_535)]
 """Number of a TCP port."""
-Domain = Annotated[int, Within(0, 232)]
-"""Number of a DDS domain."""
 Share = Annotated[float, Within(0.0, 1.0)]
 """A part of something."""
 Positive = Annotated[float, Above(0.0)]

@@ -58,8 +58,6 @@ BAD = [
     ("stress --device tpu", "device is 'tpu'"),
     ("reproduce --evaluation-device cpu gpu", "evaluation_device is 'gpu'"),
     ("twin --web --port 99999", "port is 99999; it must be from 1 to 65535"),
-    ("twin --web --domain 500", "domain is 500; it must be from 0 to 232"),
-    ("rehearse --domain -1", "domain is -1"),
     ("twin --clock 2", "clock is 2; it must be greater than 0, and at most 1"),
     ("deploy --speed 0", "speed is 0"),
     ("replay {empty} --out {new} --perception-ms nan", "perception_ms is nan"),

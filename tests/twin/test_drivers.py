@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
-from pixel2catch.twin.drivers import ArmDriver, HandDriver, Motion
+from pixel2catch.twin.drivers import ArmDriver, HandDriver
+from pixel2catch.twin.simulated_lab import JointState
 
 HOME = np.array((0.5, -1.0))
 AHEAD = np.array((0.039, -0.039))
 LAG = np.array((0.1, 0.2))
-REST = Motion(position=HOME, velocity=np.zeros(2))
+REST = JointState(position=HOME, velocity=np.zeros(2))
 
 
 @pytest.fixture
@@ -63,7 +64,7 @@ def test_a_silence_of_40_ms_in_a_motion_halts_the_program(arm: ArmDriver):
 
 def test_a_halted_arm_slows_down_by_4_rad_per_second_squared(arm: ArmDriver):
     arm.protective_stop()
-    moving = Motion(position=HOME, velocity=np.array((2.0, -0.4)))
+    moving = JointState(position=HOME, velocity=np.array((2.0, -0.4)))
     aims = np.array([arm.cycle(None, moving) for _ in range(260)])
     assert arm.safety_mode == PROTECTIVE_STOP
     # 2 rad/s end after 0.5 s and 0.5 rad, 0.4 rad/s after 0.1 s and 0.02 rad.

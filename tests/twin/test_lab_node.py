@@ -117,7 +117,7 @@ def test_when_commands_cease_the_arm_brakes_and_the_program_halts(bench: Bench):
     bench.cycle(21)
     before = bench.lab.joints
     assert before.velocity[1] == pytest.approx(0.8, abs=0.2)  # the target has stood still for 40 ms
-    assert not bench.lab_node.arms.is_running
+    assert not bench.lab_node.is_running
     bench.cycle(round(before.velocity[1] / 4.0 / CYCLE) + 100)
     way = bench.lab.joints.position[1] - before.position[1]
     assert way == pytest.approx(before.velocity[1] ** 2 / (2 * 4.0), rel=0.2)
@@ -148,7 +148,7 @@ def test_a_command_of_a_wrong_length_is_no_command(bench: Bench):
     bench.cycle(20)
     assert bench.lab.joints.position == pytest.approx(start, abs=1e-6)
     assert bench.states()[-1]["ignored"] == 2
-    assert bench.lab_node.arms.is_running  # no command was taken, so nobody is silent
+    assert bench.lab_node.is_running  # no command was taken, so nobody is silent
 
 
 @pytest.mark.parametrize(

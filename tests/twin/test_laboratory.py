@@ -31,7 +31,7 @@ from pixel2catch.ros2.profile import DriverJoint, Profile
 from pixel2catch.ros2.transport import RealClock, Topic
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.twin.drivers import Camera
+from pixel2catch.twin.drivers import CameraDriver
 from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
@@ -52,7 +52,7 @@ class Laboratory:
         self.picture: Callable[[int], np.ndarray] = lambda _: GREY
         self._number = 0
         node = self.broker.node(self.clock)
-        self._lab_node = LabNode(self.lab, PROFILE, node, Camera(self._draw))
+        self._lab_node = LabNode(self.lab, PROFILE, node, CameraDriver(self._draw))
 
     def _draw(self, _: object) -> "Future[np.ndarray]":
         self._number += 1

@@ -28,7 +28,7 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.shipped import policy_folder
-from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.rehearsal import run_trial
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab

@@ -7,7 +7,7 @@ import pytest
 
 from pixel2catch.camera.image import Pixels
 from pixel2catch.rendering.camera import Exposure, Moment
-from pixel2catch.twin.drivers import Camera
+from pixel2catch.twin.drivers import CameraDriver
 
 
 class SlowDrawing:
@@ -29,13 +29,13 @@ def exposure(time: float) -> Exposure:
     return Exposure(moment=moment, object_name=None, thrower=lambda _: np.zeros(6))
 
 
-def developed(camera: Camera, now: float) -> list[tuple[float, int]]:
-    return [(image.stamp, int(image.pixels[0, 0, 0])) for image in camera.developed(now)]
+def developed(camera: CameraDriver, now: float) -> list[tuple[float, int]]:
+    return [(image.stamp, int(image.pixels[0, 0, 0])) for image in camera.take(now)]
 
 
 def test_an_image_comes_when_it_is_due_and_not_before():
     drawing = SlowDrawing()
-    camera = Camera(drawing)
+    camera = CameraDriver(drawing)
     camera.expose(exposure(0.1))
     drawing.finish(0)
     assert developed(camera, 0.114) == []
@@ -46,7 +46,7 @@ def test_an_image_comes_when_it_is_due_and_not_before():
 
 def test_a_clock_that_is_late_makes_images_older_and_no_later():
     drawing = SlowDrawing()
-    camera = Camera(drawing, clock_error=0.02)
+    camera = CameraDriver(drawing, clock_error=0.02)
     camera.expose(exposure(0.1))
     drawing.finish(0)
     assert developed(camera, 0.114) == []
@@ -55,7 +55,7 @@ def test_a_clock_that_is_late_makes_images_older_and_no_later():
 
 def test_a_late_image_keeps_its_time_and_is_counted():
     drawing = SlowDrawing()
-    camera = Camera(drawing)
+    camera = CameraDriver(drawing)
     camera.expose(exposure(0.1))
     camera.expose(exposure(0.2))
     assert developed(camera, 0.13) == []
@@ -68,7 +68,7 @@ def test_a_late_image_keeps_its_time_and_is_counted():
 
 def test_an_image_is_lost_while_two_are_in_work():
     drawing = SlowDrawing()
-    camera = Camera(drawing)
+    camera = CameraDriver(drawing)
     for i in range(4):
         camera.expose(exposure(0.1 * i))
     assert (len(drawing.begun), camera.num_lost) == (2, 2)
@@ -80,8 +80,8 @@ def test_an_image_is_lost_while_two_are_in_work():
 
 def test_what_goes_wrong_in_drawing_is_not_swallowed():
     drawing = SlowDrawing()
-    camera = Camera(drawing)
+    camera = CameraDriver(drawing)
     camera.expose(exposure(0.1))
     drawing.begun[0].set_exception(OSError("no drawing"))
     with pytest.raises(OSError, match="no drawing"):
-        list(camera.developed(1.0))
+        list(camera.take(1.0))

@@ -22,7 +22,7 @@ from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robots.geometry import bare_model, first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
-from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.twin.stepped import in_step
 from pixel2catch.viewer.config import PageCfg

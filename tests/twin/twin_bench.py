@@ -1,4 +1,4 @@
-"""The twin on a bench: its topics in memory, its cycles one by one, its camera covered."""
+"""The twin with its topics in memory, cycle by cycle, with black images."""
 
 import json
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
-from pixel2catch.twin.drivers import Camera
+from pixel2catch.twin.drivers import CameraDriver
 from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
 
@@ -36,7 +36,7 @@ class Bench:
     def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Pixels]"] = draw_black) -> None:
         self.broker, clock = Broker(), RealClock()
         self.lab, self.node = SimulatedLab(task, seed=0), self.broker.node(clock)
-        self.camera = Camera(draw)
+        self.camera = CameraDriver(draw)
         topics = {
             "joints": PROFILE.robots[0].state_topic,
             "image": PROFILE.camera.image,

@@ -22,7 +22,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.stepped import in_step
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image

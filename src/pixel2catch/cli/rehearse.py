@@ -1,4 +1,4 @@
-"""`pixel2catch rehearse`: the whole deployment against its digital twin, throw after throw."""
+"""`pixel2catch rehearse`: throws with the whole deployment against its digital twin."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,36 +13,39 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
-from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg
 
 if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome
 
-REPORT = "report.json"  #: The report's file in the folder that it writes; the processes' words lie beside it.
+REPORT = "report.json"  #: The report's file in the output folder; the output of both processes is beside it.
+LOCKSTEP_ONLY = ("perception_jitter_ms", "clock_error_ms", "plain")  #: Fields that need `lockstep`.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rehearse:
-    """Start the twin and `deploy`, arm, throw, and report how often it was caught and how fast it was.
+    """Start the twin and `deploy`, arm, throw, and report how many objects were caught, and all times.
 
-    Both are processes of their own, which know of each other what is on the network (DDS, on this machine
-    only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both. With
-    --lockstep there is one process, no network, and no real time: the same seed gives the same throws on a
-    slow or busy machine, and times are those that are stated.
+    Both are processes on DDS, on this machine only, in the domain ROS_DOMAIN_ID (default 77). Images are
+    rendered; two cores need a slower clock for that, such as --clock 0.5. With --lockstep there is one
+    process without network and real time: a seed gives the same throws and times on any machine.
     """
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
     rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
     out: NewFolder = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
-    json: bool = False  #: Print the report as one JSON object.
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
+        from pixel2catch.rendering.renderer import find_gl_backend
+
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
-        _refuse_nonsense(cfg)
+        _require_one_kind(cfg)
+        if not cfg.plain:
+            find_gl_backend()
         self.out.mkdir(parents=True, exist_ok=True)
 
         def show(outcome: "Outcome") -> None:
@@ -59,26 +62,22 @@ class Rehearse:
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             report = rehearse(cfg, self.policy and str(self.policy), self.out, show)
-        print(json_text(report) if self.json else "\n".join([*_lines(report), ""]), end="", flush=True)
+        print("\n".join(_lines(report)), flush=True)
         write_atomically({self.out / REPORT: json_text(report).encode()})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
 
 
-def _refuse_nonsense(cfg: RehearsalCfg) -> None:
-    from pixel2catch.rendering.renderer import find_gl_backend
-
-    if (cfg.perception_jitter_ms or cfg.clock_error_ms) and not cfg.lockstep:
-        raise InvalidValueError("--perception-jitter-ms and --clock-error-ms go with --lockstep: add it")
+def _require_one_kind(cfg: RehearsalCfg) -> None:
+    """Refuse options of one kind of rehearsal in the other."""
+    given = [f"--{name.replace('_', '-')}" for name in LOCKSTEP_ONLY if getattr(cfg, name)]
+    if given and not cfg.lockstep:
+        raise InvalidValueError(f"{', '.join(given)} needs --lockstep: add it")
     if cfg.lockstep and cfg.clock != 1.0:
-        raise InvalidValueError("--clock is for real time; leave it out, or --lockstep")
-    if cfg.plain and not cfg.lockstep:
-        raise InvalidValueError("--plain goes with --lockstep: add it")
-    if not cfg.plain:
-        find_gl_backend()
+        raise InvalidValueError("--clock is for real time: leave out --clock or --lockstep")
 
 
 def in_words(outcome: "Outcome") -> str:
-    """How a throw ended."""
+    """Return the outcome of a throw in words."""
     ended = "caught" if outcome.is_success else "reached, not caught" if outcome.is_tracked else "missed"
     words = [f"{outcome.object} {ended}" if outcome.object else "not thrown"]
     words += [f"the robot stopped: {stop}" for stop in outcome.stops]
@@ -98,6 +97,6 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         times = f"{least:g} to {least + jitter:g}" if jitter else f"{least:g}"
         error = f", clock error {1e3 * report['clock_error']:g} ms" if report["clock_error"] else ""
         yield f"{report['num_throws']} throws in lockstep, perception {times} ms{error}"
-    yield from (f"stopped by itself: {reason}: {count}" for reason, count in report["stops"].items())
+    yield from (f"stopped without a request: {reason}: {count}" for reason, count in report["stops"].items())
     yield from lines(report["deploy"])
     yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

@@ -1,6 +1,49 @@
-"""The digital twin of the lab: on the wire it is robot, hand, camera and thrower; behind it is the simulator.
+"""The digital twin of the laboratory: simulated robot, hand, camera and thrower on the topics of real ones.
 
-`SimulatedLab` is physics and throws, `ArmDriver` and `HandDriver` are what the drivers do with commands,
-`RoomCamera` draws what the camera sees, `LabNode` puts all of it on the topics of a profile. What training
-adds to actions, noise and bias, is left out: a robot does what it is told.
+`SimulatedLab` is physics, throws and scores. `ArmDriver`, `HandDriver` and `CameraDriver` are the drivers.
+`LabNode` connects both to the topics of a profile. A rehearsal runs a deployment on it: `rehearsal` as
+processes in real time, `stepped` in one process without real time. Here is what a rehearsal takes.
 """
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from pixel2catch.checks import AtMostFull, Count, DynamicsPath, NewFolder, NotNegative, Seed
+
+if TYPE_CHECKING:
+    from pixel2catch.envs.cfg import CatchEnvCfg
+    from pixel2catch.policy import LoadedPolicy
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskArgs:
+    """What is thrown at which robot."""
+
+    dynamics: DynamicsPath | None = None  #: Dynamics file of the simulated robot. Default: the nominal robot.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
+    objects: tuple[str, ...] = ("seen",)
+
+    def make(self, policy: "LoadedPolicy") -> "CatchEnvCfg":
+        """Return the task of a policy with this robot and these objects."""
+        from pixel2catch.evaluation.loading import task_of
+        from pixel2catch.scene.objects import select_objects
+
+        return replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RehearsalCfg:
+    """What is rehearsed, and in what time."""
+
+    throws: Count = 10  #: Number of throws.
+    task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
+    seed: Seed = 0  #: Seed of the first throw; the next throw has the next seed.
+    clock: AtMostFull = 1.0  #: Seconds of twin and deployment in a real second, at most 1.
+    lockstep: bool = False  #: One process with simulated time, instead of several in real time.
+    perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
+    perception_jitter_ms: NotNegative = 0.0  #: With --lockstep: largest random time on top, for each image.
+    clock_error_ms: float = 0.0  #: With --lockstep: time by which the stamps of images are too early.
+    held_seconds: NotNegative = 0.0  #: Time for which the thrower holds the object while the policy runs [s].
+    plain: bool = False  #: With --lockstep: images of a red box instead of rendered ones; needs no OpenGL.
+    #: New folder for a rosbag2 (MCAP) of what `deploy` received, decided and commanded.
+    record: NewFolder | None = None

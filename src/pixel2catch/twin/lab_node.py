@@ -1,52 +1,71 @@
-"""The lab on the wire: topics of a robot profile, at the rates of the drivers."""
+"""The simulated laboratory on the topics of a robot profile; `serve` runs it in real time on DDS."""
 
+import gc
 import json
+import signal
 from collections import deque
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from typing import Any, final
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 
+from pixel2catch.camera.image import Pixels
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
+from pixel2catch.interruption import end_with_parent
+from pixel2catch.rendering.camera import Exposure, RoomCamera
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
-from pixel2catch.ros2.transport import Topic, Transport
-from pixel2catch.twin.drivers import CYCLE, ArmDriver, ArmDrivers, Camera, Driver, HandDriver, Motion
-from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.servo.link import set_niceness
+from pixel2catch.twin.drivers import CYCLE, ArmDriver, CameraDriver, Driver, HandDriver
+from pixel2catch.twin.simulated_lab import JointState, Phase, SimulatedLab
+from pixel2catch.workcells import find_workcell
 
-COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: What the operator asks the twin for.
+COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: Requests of the operator.
 
 REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_stop"}, {"do": "resume"}'
-"""What can be asked for; a protective stop is as after a collision, and `resume` ends every halt."""
+"""Valid requests. A protective stop is as after a collision, and `resume` ends every halt."""
 
-STATE = Topic(name="/twin/state", type=messages.TEXT)  #: What is true in the twin, 30 times a second.
-DEPTH = 64  #: Commands that wait while the twin is late.
-ROUNDING = 1e-9  #: Difference of two times that is none [s].
-
-Joints = Float[np.ndarray, " num_joints"]
+STATE = Topic(name="/twin/state", type=messages.TEXT)  #: True state of robot and throw, 30 times a second.
+DEPTH = 64  #: Length of the queue of commands while the twin is late.
+ROUNDING = 1e-9  #: Times that differ by less are equal [s].
 
 PROFILE = "ur5e_allegro_v4"
-"""Robot profile that the twin speaks, and whose drivers are the pattern of those of other robots."""
+"""Robot profile of the twin; drivers of other robots are like its drivers."""
 
 STATUS_CYCLES = 5  #: Cycles between two messages of the speed scaling: 100 Hz. Source: ours.
+FIRST, SECOND = -10, -5  #: Niceness of the physics with its topics, and of the camera. Source: ours.
+
+LATE = 0.01
+"""Lateness from which a cycle is counted as late [s]. Source: ours, half of what the servo lets joint states
+age."""
 
 
 def twin_profile(workcell: WorkcellSpec) -> Profile:
-    """The profile that the twin of a work cell speaks.
+    """Return the profile of the twin of a work cell.
 
-    Where joints are called otherwise than in `PROFILE`, each joint group has a driver like the one of its
-    role there, with the spec's names and order.
+    If its joints have other names than in `PROFILE`, each joint group has a driver like that of its role
+    there, with the names and the order of the work cell.
     """
     profile = Profile.load(PROFILE)
-    theirs = {joint for part in profile.robots for joint in part.joints}
-    if theirs == {joint.name for joint in workcell.joints}:
+    names = {joint for part in profile.robots for joint in part.joints}
+    if names == {joint.name for joint in workcell.joints}:
         return replace(profile, workcell=workcell.name)
-    likes = {part.name: part for part in profile.robots}
+    by_role = {part.name: part for part in profile.robots}
     parts = [
         replace(
-            likes[group.role],
+            by_role[group.role],
             name=group.name,
             joints={
                 joint.name: DriverJoint(name_in_state=joint.name, index_in_command=place)
@@ -63,46 +82,45 @@ def twin_profile(workcell: WorkcellSpec) -> Profile:
 
 
 class PartTopics:
-    """Joint states and commands of one part."""
+    """Joint states and commands of one part of the robot."""
 
     def __init__(self, part: RobotPart, driver: Driver, transport: Transport) -> None:
-        """Announce and listen."""
+        """Create publisher and subscription."""
         self._part, self.driver = part, driver
         self.ids: Int[np.ndarray, " part_joints"] = part.ids  #: Its joints, in the robot's joint order.
         self._states = transport.publisher(part.state_topic)
         self._commands = transport.subscription(part.command_topic, DEPTH)
         self._waiting: deque[bytes] = deque(maxlen=DEPTH)
-        self._places = [theirs.index_in_command for theirs in part.joints.values()]
+        self._places = [joint.index_in_command for joint in part.joints.values()]
         self._cycles = max(round(1.0 / (part.rate_hz * CYCLE)), 1)
-        names = [theirs.name_in_state for theirs in part.joints.values()]
+        names = [joint.name_in_state for joint in part.joints.values()]
         held = {joint.name_in_state: joint.angle for joint in part.held.values() if joint.name_in_state}
         self._order = np.argsort([*names, *held])  # a state's order is not a command's
         self._names = [[*names, *held][i] for i in self._order]
         self._held = np.array([*held.values()])
         self.num_refused = 0  #: Commands of a wrong length or type.
 
-    def publish(self, number: int, encoders: Motion, stamp: float) -> None:
-        """Send the joint states of a cycle, at the rate of the driver."""
+    def publish(self, number: int, encoders: JointState, stamp: float) -> None:
+        """Publish the joint states of a cycle, at the rate of the driver."""
         if number % self._cycles:
             return
         position = np.concatenate((encoders.position[self.ids], self._held))[self._order]
         velocity = np.concatenate((encoders.velocity[self.ids], np.zeros(len(self._held))))[self._order]
         self._states.publish(messages.joint_state(self._names, position, stamp, velocity))
 
-    def cycle(self, joints: Motion, num_late: int) -> Float[np.ndarray, " part_joints"]:
-        """What the servos of this part aim at until the next cycle [rad].
+    def cycle(self, joints: JointState, num_late: int) -> Float[np.ndarray, " part_joints"]:
+        """Return the servo targets of this part until the next cycle [rad].
 
-        So many cycles are overdue besides this one; as many commands are left to them.
+        As many commands are left in the queue as further cycles are overdue.
         """
         self._waiting.extend(message.data for message in self._commands.take())
         newest = None
         while len(self._waiting) > num_late:
             newest = self._waiting.popleft()
-        own = Motion(position=joints.position[self.ids], velocity=joints.velocity[self.ids])
+        own = JointState(position=joints.position[self.ids], velocity=joints.velocity[self.ids])
         return self.driver.cycle(None if newest is None else self._read(newest), own)
 
     def _read(self, data: bytes) -> Float[np.ndarray, " part_joints"] | None:
-        """The targets in a command; none if it is not one."""
         try:
             values = messages.read_float_array(data)
         except DeploymentError:
@@ -114,10 +132,10 @@ class PartTopics:
 
 
 class StatusPublisher:
-    """What the drivers say of themselves; latched topics are sent when they change."""
+    """Publishes the status of the drivers; latched topics when they change."""
 
     def __init__(self, profile: Profile, transport: Transport) -> None:
-        """Announce those topics that the profile has, with all of its controllers active."""
+        """Create publishers of the topics that the profile has, with all of its controllers active."""
         topics = vars(profile.status)
         self._publishers = {name: transport.publisher(topic) for name, topic in topics.items() if topic}
         controllers = [part.controller for part in profile.robots if part.controller]
@@ -126,34 +144,34 @@ class StatusPublisher:
             transport.publisher(topic).publish(messages.activity(active, 0.0))
         self._last: tuple[int, bool] | None = None
 
-    def publish(self, number: int, arms: ArmDrivers) -> None:
-        """Send the status of a cycle."""
+    def publish(self, number: int, safety_mode: int, is_running: bool) -> None:
+        """Publish the status of a cycle."""
         if number % STATUS_CYCLES == 0:
-            self._send("speed_scaling", messages.number(100.0 if arms.is_running else 0.0))
-        status = (arms.safety_mode, arms.is_running)
-        if status != self._last:
-            self._send("safety_mode", messages.safety_mode(arms.safety_mode))
+            self._send("speed_scaling", messages.number(100.0 if is_running else 0.0))
+        if (safety_mode, is_running) != self._last:
+            self._send("safety_mode", messages.safety_mode(safety_mode))
             self._send("robot_mode", messages.robot_mode(messages.RUNNING_ROBOT_MODE))
-            self._send("program_running", messages.boolean(arms.is_running))
-        self._last = status
+            self._send("program_running", messages.boolean(is_running))
+        self._last = (safety_mode, is_running)
 
     def _send(self, name: str, data: bytes) -> None:
-        """Send, if the profile has the topic."""
         if name in self._publishers:
             self._publishers[name].publish(data)
 
 
 @final
 class LabNode:
-    """The whole lab, one cycle of its drivers after the other; nothing here waits."""
+    """The laboratory as a node, one cycle of its drivers after the other, without waiting."""
 
-    def __init__(self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: Camera) -> None:
-        """Announce and listen.
+    def __init__(
+        self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: CameraDriver
+    ) -> None:
+        """Create all publishers and subscriptions.
 
         Raises:
-            DeploymentError: The profile is not of this lab's drivers.
+            DeploymentError: The profile has commands of another type.
         """
-        self.lab, self.camera, self._lens = lab, camera, lab.camera
+        self.lab, self.camera = lab, camera
         roles: dict[str, str] = {group.name: group.role for group in lab.workcell.groups}
         if any(part.command_topic.type != messages.FLOAT_ARRAY for part in profile.robots):
             raise DeploymentError(
@@ -167,7 +185,8 @@ class LabNode:
             else HandDriver(position[part.ids])
             for part in profile.robots
         ]
-        self.arms = ArmDrivers(driver for driver in drivers if isinstance(driver, ArmDriver))
+        #: Drivers of all arms, which stop together, as behind one safety circuit.
+        self.arms = [driver for driver in drivers if isinstance(driver, ArmDriver)]
         self._parts = [
             PartTopics(part, driver, transport) for part, driver in zip(profile.robots, drivers, strict=True)
         ]
@@ -182,45 +201,53 @@ class LabNode:
 
     @property
     def time(self) -> float:
-        """When the next cycle begins [s]."""
+        """Start of the next cycle [s]."""
         return self.num_cycles * CYCLE
 
-    def cycle(self, start: float, num_late: int = 0) -> None:
-        """Publish, take commands, and simulate until the next cycle; so many are overdue besides this one.
+    @property
+    def is_running(self) -> bool:
+        """Whether the programs of all arms run."""
+        return all(arm.is_running for arm in self.arms)
 
-        The start is the stamp of the beginning of the twin's time [s].
+    @property
+    def safety_mode(self) -> int:
+        """The highest of all arms, which is normal if none stopped."""
+        return max(arm.safety_mode for arm in self.arms)
+
+    def cycle(self, start: float, num_late: int = 0) -> None:
+        """Publish, take commands, and simulate until the next cycle.
+
+        Args:
+            start: Stamp of the beginning of the twin's time [s].
+            num_late: Number of further cycles that are overdue.
         """
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)
-        self._status.publish(self.num_cycles, self.arms)
-        for image in self.camera.developed(self.time):
+        self._status.publish(self.num_cycles, self.safety_mode, self.is_running)
+        for image in self.camera.take(self.time):
             self._image.publish(messages.image(image.pixels, start + image.stamp))
             if self._info:
-                self._info.publish(messages.camera_info(self._lens, start + image.stamp))
+                self._info.publish(messages.camera_info(self.lab.camera, start + image.stamp))
         for message in self._requests.take():
-            self._heed(message.data)
-        joints, aim = self.lab.joints, np.empty(self._num_joints)
+            self._handle(message.data)
+        joints, targets = self.lab.joints, np.empty(self._num_joints)
         for part in self._parts:
-            aim[part.ids] = part.cycle(joints, num_late)
-        self._simulate(aim)
-        self.num_cycles += 1
-
-    def _simulate(self, aim: Joints) -> None:
-        """Simulate the physics steps that end in this cycle, with servos that aim here [rad]."""
+            targets[part.ids] = part.cycle(joints, num_late)
         end = self.time + CYCLE
         while self.lab.time + self.lab.physics_dt <= end + ROUNDING:
-            if self.lab.step(aim):
+            if self.lab.step(targets):
                 self.camera.expose(self.lab.exposure())
                 self._state.publish(messages.text(json.dumps(self.state())))
+        self.num_cycles += 1
 
     def state(self) -> dict[str, Any]:
-        """What is true of robot and throw, and what the operator asked for in vain."""
+        """Return the true state of robot and throw, and why the last request was refused."""
         return {
             **self.lab.truth(),
             "outcome": self.lab.outcome,
-            "halted": not self.arms.is_running,
-            "safety_mode": self.arms.safety_mode,
+            "halted": not self.is_running,
+            "safety_mode": self.safety_mode,
             "halts": sum(arm.num_halts for arm in self.arms),
             "ignored": sum(part.driver.num_ignored + part.num_refused for part in self._parts),
             "late_images": self.camera.num_late,
@@ -229,15 +256,15 @@ class LabNode:
         }
 
     def summary(self) -> str:
-        """What changes when something happens, in a line."""
-        lab, arms = self.lab, self.arms
-        robot = "program runs" if arms.is_running else f"program halted, safety mode {arms.safety_mode}"
+        """Return one line that changes with every event."""
+        lab = self.lab
+        robot = "program runs" if self.is_running else f"program halted, safety mode {self.safety_mode}"
         thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
         refused = f", refused: {self._refused}" if self._refused else ""
         return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
 
-    def _heed(self, data: bytes) -> None:
-        """Do what the operator asks for, or remember why not."""
+    def _handle(self, data: bytes) -> None:
+        """Do what the operator requests, or keep the reason why not."""
         try:
             match messages.read_json(data):
                 case {"do": "prepare", "seed": int(seed)} if 0 <= seed < 2**63:
@@ -246,17 +273,90 @@ class LabNode:
                 case {"do": "throw"}:
                     self.lab.throw()
                 case {"do": "protective_stop"}:
-                    self.arms.protective_stop()
+                    for arm in self.arms:
+                        arm.protective_stop()
                 case {"do": "resume"}:
                     self._hold()
                 case other:
-                    raise DeploymentError(f"{other} is none of {REQUESTS}")
+                    raise DeploymentError(f"{other} is no request; valid: {REQUESTS}")
             self._refused = ""
         except DeploymentError as error:
             self._refused = str(error)
 
     def _hold(self) -> None:
-        """Let the drivers hold the robot where it is, and the program run again."""
+        """Let the drivers hold the present joint positions, with running programs."""
         position = self.lab.joints.position
         for part in self._parts:
             part.driver.reset(position[part.ids])
+
+
+_CAMERAS: list[RoomCamera] = []  #: The camera of a drawing process.
+
+
+@contextmanager
+def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Pixels]"]]:
+    """Yield a function that begins to draw an image in another process.
+
+    The seed is of the room's looks and the sensor's noise.
+
+    Raises:
+        DeviceUnavailableError: No OpenGL back end works.
+    """
+    find_gl_backend()
+    with ProcessPoolExecutor(1, get_context("spawn"), _open_camera, (scene, seed)) as process:
+        process.submit(bool).result()  # the camera is open
+        yield lambda exposure: process.submit(_draw, exposure)
+
+
+def _open_camera(scene: SceneCfg, seed: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    set_niceness(SECOND)
+    end_with_parent()
+    torch.set_num_threads(1)
+    _CAMERAS.append(RoomCamera(scene, seed))
+
+
+def _draw(exposure: Exposure) -> Pixels:
+    return _CAMERAS[0].image(exposure)
+
+
+@dataclass(kw_only=True)
+class CycleCounts:
+    """How many cycles ran, and how late they began."""
+
+    num_cycles: int = 0
+    num_late: int = 0  #: Cycles that began more than `LATE` after their time; none is left out.
+    worst: float = 0.0  #: Largest lateness [s].
+
+
+def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode], bool]) -> CycleCounts:
+    """Run the laboratory of a task on this machine's DDS network until `on_cycle` returns false.
+
+    Late cycles are made up for. The seed is of room and noise; the rate is that of the clock, at most 1.
+
+    Raises:
+        DeviceUnavailableError: No OpenGL back end works.
+        DeploymentError: DDS cannot be started.
+    """
+    clock, counts = RealClock(rate), CycleCounts()
+    profile = twin_profile(find_workcell(task.scene.workcell))
+    set_niceness(FIRST)
+    with (
+        drawing_process(task.scene, seed) as draw,
+        make_transport("dds", "pixel2catch_twin", LOOPBACK, clock) as transport,
+        closing(SimulatedLab(task, seed)) as lab,
+    ):
+        node = LabNode(lab, profile, transport, CameraDriver(draw))
+        gc.collect()
+        gc.freeze()  # objects that exist now are not collected later
+        begin, start = clock.now(), clock.stamp()
+        is_over = False
+        while not is_over:
+            clock.sleep_until(begin + node.time)
+            lateness = clock.now() - begin - node.time
+            node.cycle(start, int(lateness / CYCLE))
+            counts.num_cycles += 1
+            counts.num_late += lateness > LATE
+            counts.worst = max(counts.worst, lateness)
+            is_over = not on_cycle(node)
+    return counts

@@ -1,4 +1,4 @@
-"""The laboratory behind the wires: simulated robot, object and thrower, and what of it is true."""
+"""The simulated laboratory: robot, object and thrower in steps of the physics, and the score of a throw."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -24,21 +24,49 @@ from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.servo.limits import steady_lag
-from pixel2catch.twin.drivers import ENCODER_NOISE, ENCODER_STEP, Motion
 from pixel2catch.workcells import find_workcell
+
+EMPTY_TIME = 0.5  #: Time without an object before each throw [s]. Source: ours.
+
+BEYOND_LIMITS = torch.tensor((-0.3, 0.3))
+"""Added to the limits of the arm's joints: commands end at the limits, the joints do not [rad].
+
+Source: ours, as far as the servo accepts a measured position.
+"""
+
+ENCODER_STEP = {"arm": 9.5e-6, "hand": 8.9e-5}
+"""Step of measured positions by the role of a joint group [rad].
+
+Source: arm: recorded positions of a real UR5 are multiples of it (of 8.1e-6 at its wrists), and are equal to
+the last bit at rest; hand: its maker's driver, 333.3° in 65,536 counts.
+"""
+
+ENCODER_NOISE = 0.3  #: Standard deviation of a position before it is rounded [steps]. Source: ours.
 
 ARM = BYSTANDER_JOINTS.index("thrower_arm")
 
+Joints = Float[np.ndarray, " num_joints"]
+
+_YES = torch.ones(1, dtype=torch.bool)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Thrower:
-    """The thrower and the hanging ball, from the beginning of the twin's time on."""
+class JointState:
+    """Position and velocity of some joints."""
+
+    position: Float[np.ndarray, " num_joints"]  #: [rad]
+    velocity: Float[np.ndarray, " num_joints"]  #: [rad/s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThrowerMotion:
+    """Motion of the thrower and of the hanging ball over the twin's time."""
 
     bystanders: Bystanders  #: Where they stand.
-    release: float = inf  #: When the arm let go [s]; infinite before.
+    release: float = inf  #: Time of the release [s]; infinite before it.
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
-        """Positions of their joints [m, rad] at a time of the twin [s]."""
+        """Return the positions of their joints [m, rad] at a time of the twin [s]."""
         pos = self.bystanders.joint_pos(-time)  # swaying, with the arm at rest
         if time > self.release:
             pos[ARM] = self.bystanders.joint_pos(time - self.release)[ARM]
@@ -47,20 +75,20 @@ class Thrower:
 
 @final
 class ThrowScorer:
-    """Follows one throw at the control rate; after its end nothing counts any more.
+    """Scores one throw at the control rate, until it is decided.
 
-    The time in which a success counts begins before the release, with the steps that the object would hover
-    in an episode: what an operator waits for longer does not count.
+    The time limit of a success includes the control steps for which the object hovers in an episode. Waiting
+    of the operator does not count.
     """
 
     def __init__(self, episode: Episode, world: CatchWorld, now: Privileged) -> None:
         """Begin with the state at the release."""
         self._world, self._before = world, now
         self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
-        self.is_over = False  #: Whether it is decided: caught, dropped, or out of time.
+        self.is_over = False  #: Whether the object was caught or dropped, or the time is over.
 
-    def follow(self, now: Privileged, log: StepExtremes) -> None:
-        """Count a control step by the state at its end, and by what happened in it."""
+    def advance(self, now: Privileged, log: StepExtremes) -> None:
+        """Count one control step, by the state at its end and the extremes within it."""
         if self.is_over:
             return
         transition = Transition(
@@ -79,35 +107,22 @@ class ThrowScorer:
         self.is_over = is_late or bool(self.record.is_success | is_lost(now))
 
 
-EMPTY_TIME = 0.5  #: How long the room is empty between throws [s]: what lay there is removed. Source: ours.
-
-BEYOND_LIMITS = torch.tensor((-0.3, 0.3))
-"""What is added to the limits of the arm's joints, where commands end and the joint does not [rad].
-
-Source: ours, as far as the servo believes a measured position.
-"""
-
-Joints = Float[np.ndarray, " num_joints"]
-
-_YES = torch.ones(1, dtype=torch.bool)
-
-
 class Phase(StrEnum):
-    """How far a throw is."""
+    """Phase of a throw."""
 
     EMPTY = "empty"  #: There is no object in the room.
-    HELD = "held"  #: The thrower holds it.
-    FLYING = "flying"  #: It was thrown, and is not decided yet.
-    OVER = "over"  #: It was caught, dropped, or its time is over.
+    HELD = "held"  #: The thrower holds the object.
+    FLYING = "flying"  #: The object was released, and the throw is not decided.
+    OVER = "over"  #: The object was caught or dropped, or the time is over.
 
 
 @final
 class SimulatedLab:
-    """The simulation in steps of its physics; nothing here knows real time. Close it.
+    """The simulation in steps of its physics, without real time. Close it.
 
-    Throws, dynamics and the offsets of the encoders are those of the task. Its noise of encoders, its errors
-    of actions and its delays are not applied: encoders are as a driver's, and what is late in a lab is late
-    on the wires. Drives read the same encoders as everybody: an offset moves the joint, and no reading.
+    Throws, dynamics and encoder offsets are those of the task. Its noise of encoders, errors of actions and
+    delays are not applied: encoders round as those of real drivers, and delays come from the network.
+    Drives and drivers read the same encoders: an offset moves the joint, and no reading.
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
@@ -124,8 +139,7 @@ class SimulatedLab:
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
         names = self._world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in task.objects])
-        qpos, qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
-        self._qpos, self._qvel = qpos, qvel
+        self._qpos, self._qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
         for field in ("jnt_range", "actuator_ctrlrange"):
             for arm in workcell.of_role("arm"):
                 self._world.simulation.expand(field)[:, arm] += BEYOND_LIMITS
@@ -135,12 +149,12 @@ class SimulatedLab:
         self.physics_dt = task.scene.physics_dt  #: Time of a physics step [s].
         self.num_throws = 0
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
-        steps = [ENCODER_STEP[group.role] for group in workcell.groups for _ in group.joints]
-        self._encoder_step = np.array(steps)
-        self._velocity_before = np.zeros(num_joints)
+        self._encoder_step = np.array(
+            [ENCODER_STEP[each.role] for each in workcell.groups for _ in each.joints]
+        )
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
-        self.lag: Joints = steady_lag(dynamics)  #: How far joints are behind in a steady motion [s].
+        self.lag: Joints = steady_lag(dynamics)  #: Time by which joints lag in a steady motion [s].
         self.prepare(seed)
         self._held_from = inf
 
@@ -151,22 +165,22 @@ class SimulatedLab:
 
     @property
     def camera(self) -> CameraSpec:
-        """The camera's lens and place."""
+        """Lens and pose of the camera."""
         return self._task.scene.camera
 
     @property
     def object_name(self) -> str:
-        """What is thrown."""
+        """Name of the object of the throw."""
         return self._world.objects.names[int(self.episode.parameters.object_id)]
 
     @property
     def record(self) -> EpisodeRecord | None:
-        """What became of the throw so far, since its release."""
+        """Record of the throw since its release; none before."""
         return None if self._scorer is None else self._scorer.record
 
     @property
     def outcome(self) -> str:
-        """How far the throw is, and how it ended, in a word."""
+        """Outcome of the throw in a word; its phase until it is over."""
         if self._scorer is None or not self._scorer.is_over:
             return self.phase.value
         record = self._scorer.record
@@ -174,21 +188,21 @@ class SimulatedLab:
         return "caught" if record.is_success else reached
 
     @property
-    def joints(self) -> Motion:
-        """The joints now, as exact encoders would have them."""
+    def joints(self) -> JointState:
+        """State of the joints as exact encoders would measure it."""
         position = self._qpos[self._robot] + self._encoder_offset
-        return Motion(position=position, velocity=self._qvel[self._robot].copy())
+        return JointState(position=position, velocity=self._qvel[self._robot].copy())
 
-    def encoders(self, time: float) -> Motion:
-        """What the encoders say at a time up to a physics step from now [s]; read them once a cycle.
+    def encoders(self, time: float) -> JointState:
+        """Return the measured state at a time up to one physics step from now [s]; call once a cycle.
 
-        The next step's speed, with which the joints move meanwhile, is taken to change as it did before.
+        The speed until then is extrapolated from the last two physics steps.
         """
         joints, step = self.joints, self._encoder_step
         velocity = 2.0 * joints.velocity - self._velocity_before
         noise = ENCODER_NOISE * self._rng.standard_normal(len(step))
         counts = np.rint((joints.position + (time - self.time) * velocity) / step + noise)
-        return Motion(position=step * counts, velocity=velocity)
+        return JointState(position=step * counts, velocity=velocity)
 
     def prepare(self, seed: int) -> None:
         """Put the robot at the start of the throw of a seed; the object follows after `EMPTY_TIME`.
@@ -203,15 +217,15 @@ class SimulatedLab:
         self._velocity_before = self._qvel[self._robot].copy()
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
-        self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
+        self._thrower = ThrowerMotion(bystanders=Bystanders(release_pos=release_pos, phase=phase))
         self.phase, self._is_thrown, self._scorer = Phase.EMPTY, False, None
         self._held_from = self.time + EMPTY_TIME
 
     def throw(self) -> None:
-        """Let the thrower throw, when the control step ends.
+        """Release the object at the end of the control step.
 
         Raises:
-            DeploymentError: There is nothing to throw.
+            DeploymentError: The thrower holds no object.
         """
         if self.phase is not Phase.HELD:
             raise DeploymentError(
@@ -220,7 +234,7 @@ class SimulatedLab:
         self._is_thrown = True
 
     def step(self, joint_pos_target: Joints) -> bool:
-        """Simulate a physics step with servos that aim here [rad]; return whether it ended a control step."""
+        """Simulate one physics step with these targets [rad]; return whether it ended a control step."""
         self._velocity_before = self._qvel[self._robot].copy()
         target = torch.from_numpy(joint_pos_target - self._encoder_offset)
         log = self._world.run(target[None], num_steps=1)
@@ -233,7 +247,7 @@ class SimulatedLab:
         return is_end
 
     def exposure(self) -> Exposure:
-        """What there is to see now."""
+        """Return what the camera sees now."""
         return Exposure(
             moment=Moment(qpos=self._qpos.copy(), qvel=self._qvel.copy(), time=self.time),
             object_name=None if self.phase is Phase.EMPTY else self.object_name,
@@ -241,7 +255,7 @@ class SimulatedLab:
         )
 
     def truth(self) -> dict[str, Any]:
-        """What is true of the throw: for the operator and the report, not for the robot."""
+        """Return the true state of the throw, for the operator and the report, not for the robot."""
         record = self.record
         return {
             "phase": self.phase.value,
@@ -259,10 +273,9 @@ class SimulatedLab:
         self._world.simulation.close()
 
     def _end_control_step(self, log: StepExtremes) -> None:
-        """Score, and go on with the throw."""
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
         if self._scorer is not None:
-            self._scorer.follow(self._world.privileged(log), log)
+            self._scorer.advance(self._world.privileged(log), log)
             if self._scorer.is_over:
                 self.phase = Phase.OVER
         elif self.phase is Phase.EMPTY and self.time >= self._held_from:
@@ -278,7 +291,7 @@ class SimulatedLab:
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
 
     def _box(self) -> list[float] | None:
-        """The box of what the camera sees of the object [px]."""
+        """Return the box of the visible part of the object [px]; none if nothing is visible."""
         if self.phase is Phase.EMPTY:
             return None
         sensing = self._task.sensing

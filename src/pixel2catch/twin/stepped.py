@@ -1,4 +1,4 @@
-"""Rehearsals in step: with rendered images, or with images of nothing but the object's box."""
+"""Rehearsals and recordings in simulated time: twin, servo and control loop in one process and one thread."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -27,10 +27,10 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import ServoSetup
-from pixel2catch.twin.config import RehearsalCfg
-from pixel2catch.twin.drivers import CYCLE, Camera
+from pixel2catch.twin import RehearsalCfg
+from pixel2catch.twin.drivers import CYCLE, CameraDriver
 from pixel2catch.twin.lab_node import ROUNDING, LabNode, twin_profile
-from pixel2catch.twin.rehearsal import Outcome, RehearsalOperator, of_twin, rates, run_trial
+from pixel2catch.twin.rehearsal import OnThrow, RehearsalOperator, run_throws
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
 
@@ -40,25 +40,32 @@ HOP = 0.0005
 Source: ours, for DDS between two processes.
 """
 
-Draw = Callable[[SimulatedLab, Exposure], Pixels]  #: Draws what the camera sees.
+GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
+NOISE, NUM_SHIFTS = 4, 32
+"""Largest noise of plain images [levels]; number of different shifts of it along a row."""
+
+ARMING = 0.5  #: Time at which a recording arms; the switch is pressed at half of it [s]. Source: ours.
+PHYSICS_HZ = 600.0  #: Physics steps in a second of a twin that is recorded. Source: ours, as evaluated.
+
+Draw = Callable[[SimulatedLab, Exposure], Pixels]  #: Draws an image of the camera.
 
 
 @final
 class SteppedTwin:
-    """The twin on a network in memory, whose time goes on, cycle by cycle, while somebody waits."""
+    """The twin on a network in memory, whose time advances, cycle by cycle, while somebody waits."""
 
     def __init__(self, task: CatchEnvCfg, seed: int, draw: Draw, clock_error: float = 0.0) -> None:
-        """Put it in place; nothing happens yet. The camera's clock is late by its error [s]."""
+        """Put it in place; stamps of images are too early by the clock error [s]."""
         self.clock, self.broker = StepClock(self._wait), Broker()
         self.profile, self._num_cycles = twin_profile(find_workcell(task.scene.workcell)), 0
         self.lab = SimulatedLab(task, seed)
-        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)), clock_error=clock_error)
+        camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), clock_error)
         self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
-        #: What happens after every cycle of the drivers, each `HOP` later than the one before.
+        #: Called after every cycle of the drivers, each `HOP` later than the one before.
         self.followers: tuple[Callable[[], None], ...] = ()
 
     def _wait(self, moment: float) -> None:
-        """Let happen what happens until a moment [s], or shortly after."""
+        """Run cycles until a moment [s], or shortly after."""
         while self.clock.time < moment - ROUNDING:
             begin = self._num_cycles * CYCLE
             self._num_cycles += 1
@@ -69,8 +76,14 @@ class SteppedTwin:
                 follow()
 
 
+def _done(image: Pixels) -> "Future[Pixels]":
+    future: Future[Pixels] = Future()
+    future.set_result(image)
+    return future
+
+
 class SteppedRehearsal:
-    """The twin, a deployment, and an operator."""
+    """The twin, a deployment, and an operator in simulated time."""
 
     def __init__(
         self,
@@ -78,30 +91,28 @@ class SteppedRehearsal:
         task: CatchEnvCfg,
         draw: Draw,
         pipeline: PolicyPipeline,
-        limits: ServoLimits | None,
+        limits: ServoLimits | None = None,
     ) -> None:
-        """Put everybody in place; nothing happens yet."""
+        """Put them in place, with the work cell's limits of the servo unless others are given."""
         twin = SteppedTwin(task, cfg.seed, draw, 1e-3 * cfg.clock_error_ms)
         clock, broker = twin.clock, twin.broker
         self.clock, self.broker, self.lab = clock, broker, twin.lab
-        self._open = ExitStack()
+        self._open, self._recording = ExitStack(), None
         node = broker.node(clock)
-        self._recording = recording = None
         if cfg.record:
-            self._recording = recording = DeploymentRecorder(
-                self._open.enter_context(BagRecorder(cfg.record)), node, twin.profile, clock, "jpeg"
-            )
+            recorder = self._open.enter_context(BagRecorder(cfg.record))
+            self._recording = DeploymentRecorder(recorder, node, twin.profile, clock, "jpeg")
         limits = limits or ServoLimits.of(find_workcell(task.scene.workcell))
         setup = ServoSetup(profile=twin.profile, limits=limits)
-        time = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
-        self._servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
-        loop = SteppedLoop(self._servo, self.lab.camera, pipeline, time)
+        times = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
+        self._servo = SteppedServo(setup, (broker.node(clock), node), clock, self._recording)
+        loop = SteppedLoop(self._servo, self.lab.camera, pipeline, times)
         self.statistics, self._topics = loop.statistics, twin.profile.operator
         twin.followers = (self._servo.tick, loop.look)
 
     @cached_property
     def operator(self) -> RehearsalOperator:
-        """The operator, who is there as soon as somebody asks for one; the servo heeds no second."""
+        """The operator; created on first use, because the servo obeys only one."""
         return RehearsalOperator(self.broker.node(self.clock), self._topics, self.clock)
 
     def close(self) -> None:
@@ -117,42 +128,26 @@ class SteppedRehearsal:
             self._recording.require_whole()
 
 
-def _done(image: Pixels) -> "Future[Pixels]":
-    """An image that need not be waited for."""
-    future: Future[Pixels] = Future()
-    future.set_result(image)
-    return future
-
-
-GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
-NOISE, NUM_SHIFTS = 4, 32  #: Largest noise of plain images; shifts along a row with which it is another one.
-
-
 def rehearse_stepped(
     cfg: RehearsalCfg,
     task: CatchEnvCfg,
     policy: LoadedPolicy,
-    report: Callable[[Outcome], None],
+    on_throw: OnThrow,
     limits: ServoLimits | None = None,
 ) -> dict[str, Any]:
-    """Throw, and return the report, for programs; the servo keeps to the work cell's limits if to no others.
+    """Run throws in simulated time; return the report.
 
     Raises:
-        DeviceUnavailableError: If images are to be drawn, and no OpenGL back end works.
+        DeviceUnavailableError: Images are rendered, and no OpenGL back end works.
         PolicyMismatchError: The policy cannot be deployed.
     """
-    outcomes: list[Outcome] = []
     with in_step(cfg, task, policy, limits) as rehearsal:
-        for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(run_trial(rehearsal.operator, seed, cfg.held_seconds))
-            report(outcomes[-1])
         return {
-            **rates(outcomes),
+            **run_throws(cfg, rehearsal.operator, on_throw),
             "perception_time": 1e-3 * cfg.perception_ms,
             "perception_jitter": 1e-3 * cfg.perception_jitter_ms,
             "clock_error": 1e-3 * cfg.clock_error_ms,
             "deploy": rehearsal.statistics.summary(),
-            "twin": of_twin(rehearsal.operator.truth),
         }
 
 
@@ -160,10 +155,10 @@ def rehearse_stepped(
 def in_step(
     cfg: RehearsalCfg, task: CatchEnvCfg, policy: LoadedPolicy, limits: ServoLimits | None = None
 ) -> Iterator[SteppedRehearsal]:
-    """Twin and deployment of a rehearsal, before the first throw.
+    """Yield a rehearsal before its first throw.
 
-    The camera shows what `pixel2catch twin` shows, and perception is that of `pixel2catch deploy`; or, if the
-    images are plain, it shows a red box, and perception looks for red, which cannot fail.
+    Images and perception are those of `pixel2catch twin` and `pixel2catch deploy`. Plain images show a red
+    box instead, which perception finds by its colour.
     """
     scene = task.scene
     workcell = find_workcell(scene.workcell)
@@ -171,8 +166,8 @@ def in_step(
         if cfg.plain:
             draw, segmenter, robot = plain_image, ColorThreshold(RED_HUES), None
         else:
-            view = stack.enter_context(RoomCamera(scene, cfg.seed))
-            draw, segmenter = (lambda _, exposure: view.image(exposure)), BackgroundSubtraction()
+            camera = stack.enter_context(RoomCamera(scene, cfg.seed))
+            draw, segmenter = (lambda _, exposure: camera.image(exposure)), BackgroundSubtraction()
             robot = RobotMask(workcell, scene.camera)
         controller = PolicyController(policy, workcell, scene.camera)
         pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
@@ -180,7 +175,7 @@ def in_step(
 
 
 def plain_image(lab: SimulatedLab, _: Exposure) -> Pixels:
-    """A grey image with a red box where the camera would see the object; no two in a row are equal."""
+    """Return a grey image with a red box around the visible part of the object; no two in a row are equal."""
     camera = lab.camera
     shift = round(lab.time / CONTROL_DT) % NUM_SHIFTS
     image = _grey(camera.height, camera.width + NUM_SHIFTS)[:, shift : shift + camera.width].copy()
@@ -192,22 +187,17 @@ def plain_image(lab: SimulatedLab, _: Exposure) -> Pixels:
 
 @cache
 def _grey(height: int, width: int) -> Pixels:
-    """Grey, with the noise of a sensor."""
     noise = np.random.default_rng(0).integers(-NOISE, NOISE + 1, (height, width, 3))
     return (GREY + noise).astype(np.uint8)
-
-
-ARMING = 0.5  #: When the operator in a process arms [s]; the switch is pressed at half of it. Source: ours.
-PHYSICS_HZ = 600.0  #: Physics steps in a second of a twin that is recorded. Source: ours, as evaluated.
 
 
 @contextmanager
 def recorded_in_step(
     workcell: WorkcellSpec, dynamics: Path, limits: ServoLimits, out: Path
 ) -> Iterator[Connection]:
-    """A twin that is the robot of a dynamics file, its servo, and an operator who arms and holds the switch.
+    """Yield the connection to a twin with the robot of a dynamics file, which is armed and recorded.
 
-    What is heard of it is recorded into a new folder.
+    The recording is written into a new folder.
     """
     scene = SceneCfg(workcell=workcell.name, physics_hz=PHYSICS_HZ)
     twin = SteppedTwin(CatchEnvCfg(scene=scene).with_files(dynamics, None), 0, plain_image)

@@ -80,7 +80,7 @@ class TwinPage:
     def ask(self, name: str) -> None:
         """Ask the twin for one of `REQUESTS`."""
         more = {"seed": self._next_seed()} if name == "prepare" else {}
-        self._operator.ask_twin(do=name, **more)
+        self._operator.request(do=name, **more)
 
     def catch(self) -> None:
         """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
