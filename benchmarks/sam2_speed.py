@@ -2,8 +2,8 @@
 
 The architecture is that of the public checkpoint `facebook/sam2.1-hiera-tiny`; the weights are random, on
 which the time does not depend. Throws of 30 images each begin with a prompt, so that the memory grows as on
-the robot. Without --folder the mask that leaves the model is an object's, 40 px wide, put in place of that of
-the random weights; with `noise_` it is theirs, hundreds of specks. Every setting runs in a process of its own
+the robot. Without --folder an object's mask, 40 px wide, replaces the mask of the random weights; with
+`noise_` it stays, hundreds of specks. Every setting runs in a process of its own
 and prints lines of JSON: times in ms, and the share of images that are late, which took longer than the 33 ms
 between two images of a 30 Hz camera. Images come one right after the other, or at 30 Hz (`paced`); first with
 Python's collector of garbage as it is, then with all there is frozen, as `deploy` does. `beside` is SAM 2
@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,8 @@ from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.regions import find_blobs
-from pixel2catch.perception.sam2 import COMPILED, MODULES, Module, Sam2Segmenter
-from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
+from pixel2catch.perception.sam2 import Sam2Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
 from pixel2catch.perception.side_by_side import LONGEST_WAIT, Doubt, SideBySide
 
 LIMIT = 1000.0 / 30.0
@@ -42,17 +43,8 @@ WARM_UP_IMAGES = 30
 BUSY_IMAGES = 30
 HEIGHT, WIDTH = 480, 640
 BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
-SETTINGS: dict[str, tuple[bool, tuple[Module, ...]]] = {
-    "eager": (False, ()),
-    "graphs": (True, ()),
-    "graphs_compiled": (True, COMPILED),
-    "graphs_compiled_all": (True, MODULES),
-    "noise_graphs": (True, ()),
-    "beside": (True, ()),
-    "beside_compiled": (True, COMPILED),
-}
-"""What is tried: whether it runs as CUDA graphs, and modules that `torch.compile` fuses before, which takes a
-minute and needs a C compiler."""
+SETTINGS = {"eager": False, "compiled": True, "noise_compiled": True, "beside_compiled": True}
+"""What is tried, and whether `torch.compile` compiles the model first: a minute, with a C compiler."""
 
 
 def write_checkpoint(folder: Path) -> None:
@@ -63,29 +55,20 @@ def write_checkpoint(folder: Path) -> None:
     model.save_pretrained(folder)
 
 
-def put_an_object_in_place() -> None:
-    """Let every model say that there is an object in the middle, whatever else it works out."""
-    patched: Any = Sam2VideoModel
-    original = patched._single_frame_forward
-    objects: dict[torch.Size, torch.Tensor] = {}
+class ObjectInPlace(Sam2Segmenter):
+    """Runs the model, and returns an object in the middle of the image, whatever it computes."""
 
-    def with_object(model: Sam2VideoModel, **inputs: Any) -> Any:
-        output = original(model, **inputs)
-        shape = output.pred_masks.shape
-        if shape not in objects:
-            objects[shape] = torch.full_like(output.pred_masks, -5.0)
-            rows, columns = (slice(size // 2, size // 2 + size // 16) for size in shape[-2:])
-            objects[shape][..., rows, columns] = 5.0
-        output.pred_masks = objects[shape] + 0.0
-        return output
-
-    patched._single_frame_forward = with_object
+    def _segment(self, session: Any, image: np.ndarray) -> Segmentation:
+        found = super()._segment(session, image)
+        mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+        mask[HEIGHT // 2 : HEIGHT // 2 + 30, WIDTH // 2 : WIDTH // 2 + 40] = True
+        return replace(found, mask=mask)
 
 
-def build(folder: Path, setting: str, device: str, size: int) -> Segmenter:
+def build(folder: Path, setting: str, device: str, size: int, *, objects: bool) -> Segmenter:
     """Load and warm up as the robot does."""
-    is_captured, compiled = SETTINGS[setting]
-    sam2 = Sam2Segmenter(folder, device, size, is_captured=is_captured, compiled=compiled)
+    kind = ObjectInPlace if objects and not setting.startswith("noise") else Sam2Segmenter
+    sam2 = kind(folder, device, size, is_compiled=SETTINGS[setting])
     return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT) if setting.startswith("beside") else sam2
 
 
@@ -108,10 +91,10 @@ def stream(
         yield is_start, 1000.0 * (to_mask - begin), took, result.mask is not None, is_late
 
 
-def measure(folder: Path, setting: str, device: str, size: int, count: int) -> None:
+def measure(folder: Path, setting: str, device: str, size: int, count: int, *, objects: bool) -> None:
     """Print one line for one setting, and on CUDA a second one: for how long the device was busy."""
     begin = time.perf_counter()
-    segmenter = build(folder, setting, device, size)
+    segmenter = build(folder, setting, device, size, objects=objects)
     for _ in stream(segmenter, WARM_UP_IMAGES if device != "cpu" else 2):
         pass
     ready = time.perf_counter() - begin
@@ -201,9 +184,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.here:
         setting, size = options.settings[0], options.sizes[0]
-        if options.objects and not setting.startswith("noise"):
-            put_an_object_in_place()
-        return measure(options.folder, setting, options.device, size, options.frames)
+        return measure(options.folder, setting, options.device, size, options.frames, objects=options.objects)
     with tempfile.TemporaryDirectory() as temporary:
         if options.folder is None:
             options.folder, options.objects = Path(temporary), True

@@ -9,7 +9,7 @@ from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam
 from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.sam2 import DEVIATION, MEAN, MODULES, Sam2Segmenter, mask_of_logits
+from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt, Segmentation
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
@@ -142,7 +142,7 @@ def test_memory_is_flat_over_10_000_images(folder: Path) -> None:
 def test_compiled_modules_see_what_plain_ones_see(folder: Path) -> None:
     images = random_images(6)
     plain = run(Sam2Segmenter(folder, "cpu"), images)
-    compiled = run(Sam2Segmenter(folder, "cpu", compiled=MODULES), images)
+    compiled = run(Sam2Segmenter(folder, "cpu", is_compiled=True), images)
     for result, expected in zip(compiled, plain, strict=True):
         assert result.mask is not None
         assert expected.mask is not None

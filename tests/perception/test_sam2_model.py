@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.errors import DeviceUnavailableError, PerceptionError
-from pixel2catch.perception import sam2_checkpoint
+from pixel2catch.perception import sam2
 from pixel2catch.perception.sam2 import Sam2Segmenter
 
 ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
@@ -124,7 +124,7 @@ def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> 
 
 
 def import_anew() -> None:
-    spec = importlib.util.spec_from_file_location("fresh", sam2_checkpoint.__file__)
+    spec = importlib.util.spec_from_file_location("fresh", sam2.__file__)
     assert spec is not None
     assert spec.loader is not None
     spec.loader.exec_module(importlib.util.module_from_spec(spec))
@@ -151,7 +151,7 @@ def test_another_version_of_transformers_is_refused(
 def test_compiling_without_a_compiler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
-        Sam2Segmenter(tmp_path, "cpu", compiled=("mask_decoder",))
+        Sam2Segmenter(tmp_path, "cpu", is_compiled=True)
 
 
 def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
     metadata.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: torchvision\nVersion: 0.1.0\n")
-    path = os.pathsep.join([str(tmp_path), str(Path(sam2_checkpoint.__file__).parents[2])])
+    path = os.pathsep.join([str(tmp_path), str(Path(sam2.__file__).parents[2])])
     result = subprocess.run(
         [sys.executable, "-c", "import pixel2catch.perception.sam2"],
         env=os.environ | {"PYTHONPATH": path},

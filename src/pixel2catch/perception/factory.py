@@ -104,15 +104,12 @@ class PerceptionArgs:
             raise InvalidValueError(
                 f"the segmenter {self.segmenter} needs --checkpoint, the folder of a SAM 2.1 model."
             )
-        from pixel2catch.perception.sam2 import COMPILED, Sam2Segmenter
-        from pixel2catch.perception.sam2_checkpoint import image_size_of
+        from pixel2catch.perception.sam2 import Sam2Segmenter, image_size_of
 
         size = self.image_size or image_size_of(self.checkpoint)
         if is_live and self.device == "cpu" and size >= HOPELESS_ON_CPU:
             raise _too_slow(f"SAM 2 takes seconds for an image of {size} px on a CPU")
-        sam2 = Sam2Segmenter(
-            self.checkpoint, self.device, self.image_size, compiled=COMPILED if self.compile else ()
-        )
+        sam2 = Sam2Segmenter(self.checkpoint, self.device, self.image_size, is_compiled=self.compile)
         if is_live or say is not None:
             took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)
             cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {size} px on {self.device}"
