@@ -7,7 +7,7 @@ from matplotlib.patches import Rectangle
 from numpy import ndarray
 
 from pixel2catch.checks import Range
-from pixel2catch.evaluation.comparison.figures import PALETTE
+from pixel2catch.evaluation.figures import PALETTE
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model

@@ -19,7 +19,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.checks import Range
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.comparison.figures import PALETTE, STYLE
+from pixel2catch.evaluation.figures import PALETTE, STYLE
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.mdp.observations import FIT_FEATURES, fit_boxes
 from pixel2catch.mdp.throws import ThrowCfg, sample_paths

@@ -15,8 +15,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.comparison.plan import ComparisonFolder
-from pixel2catch.evaluation.comparison.summary import CURVES, read_metrics
+from pixel2catch.evaluation.comparison import ComparisonFolder
+from pixel2catch.evaluation.curves import COLUMNS, read_metrics
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import as_json, json_text
 from pixel2catch.identification.importers import read_recording
@@ -250,7 +250,7 @@ def _run(folder: Path) -> Path:
 
 PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
 
-METRICS = ",".join(CURVES) + "\n" + 3 * (",".join(["0.5"] * len(CURVES)) + "\n")
+METRICS = ",".join(COLUMNS) + "\n" + 3 * (",".join(["0.5"] * len(COLUMNS)) + "\n")
 MODEL = Path(UR5E.mjcf).read_text()
 
 KINDS = {

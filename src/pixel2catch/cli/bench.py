@@ -115,7 +115,7 @@ def _figure(rows: Sequence[Row]) -> "Figure":
     import matplotlib
     from matplotlib.figure import Figure
 
-    from pixel2catch.evaluation.comparison.figures import MARKERS, PALETTE, STYLE
+    from pixel2catch.evaluation.figures import MARKERS, PALETTE, STYLE
 
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.0, 4.1), layout="constrained")

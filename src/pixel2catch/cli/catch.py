@@ -24,7 +24,7 @@ class Catch:
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
-        from pixel2catch.evaluation.report import result_tables
+        from pixel2catch.evaluation.result_tables import result_tables
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.scene.objects import OBJECT_GROUPS

@@ -46,7 +46,8 @@ class Evaluate:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.recorded_throws import ThrowCollection
-        from pixel2catch.evaluation.report import result_tables, write_files
+        from pixel2catch.evaluation.report import write_files
+        from pixel2catch.evaluation.result_tables import result_tables
         from pixel2catch.scene.objects import select_objects
 
         device = prepare(self.device)

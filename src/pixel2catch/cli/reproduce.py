@@ -1,40 +1,33 @@
 """`pixel2catch reproduce`: the paper's table and curves, from nothing."""
 
-import sys
+import shutil
 from collections.abc import Mapping
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, fields
+from contextlib import nullcontext, suppress
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Within
+from pixel2catch.checks import Count, Device, ResultsFolder, Within
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import say
-from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
-from pixel2catch.evaluation.cluster import Cluster
-from pixel2catch.interruption import StopRequest
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.comparison.jobs import Job, Slot
-    from pixel2catch.evaluation.comparison.plan import ComparisonFolder, Plan, Run
+    from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Run
+    from pixel2catch.evaluation.grid import Cell, Grid
+    from pixel2catch.evaluation.slots import Slot
+    from pixel2catch.learning.experiment import Experiment
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
 
-PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
-
-OWN = ("device", "seed")
-"""Fields of a training's configuration that a study sets for each training, or leaves as they are."""
+OWN = ("device", "seed")  #: Fields of `TrainCfg` that a study sets for each training.
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
-JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
-JOBS_ON_CLUSTER = 100  #: Trainings or evaluations that a cluster is given at once. Source: ours.
+JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `shared_gpus`.
 
-OF_STUDY = (
-    *("methods", "seeds", "preset", "transitions", "physics_hz", "training"),
-    *("num_envs", "trials", "evaluation_physics_hz"),
-)
+OF_STUDY = ("methods", "seeds", "preset", "training", "num_envs", "trials")
 """Options that say what a study is; the others say where."""
 
 TRAINING, EVALUATION = "training", "evaluation"
@@ -44,19 +37,15 @@ TRAINING, EVALUATION = "training", "evaluation"
 class Reproduce:
     """Train and evaluate all methods with several seeds, and write a report: tables, curves, pictures.
 
-    Parts that are finished are not done again, and half-finished trainings go on: to continue after an
-    interruption, give the same command. Methods and seeds may be added later.
+    Finished parts are not computed again, and interrupted trainings continue: give the same command. Methods
+    and seeds may be added later.
     """
 
     methods: tuple[str, ...] = METHODS  #: Methods to compare.
     seeds: Annotated[int, Within(1, 1000)] = 3  #: Trainings of each method.
     #: Settings of the trainings: fast, large, cpu or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "large", "cpu", "paper"] | None = None
-    #: Length of a training: control steps, summed over the environments. Default: the preset's.
-    transitions: Annotated[int, Within(1)] | None = None
-    #: Physics steps in a second of the trainings, one or several. Default: the preset's.
-    physics_hz: tuple[PhysicsRate, ...] | None = None
-    #: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
+    #: Other options of `pixel2catch train`, as NAME=VALUE, such as transitions=50_000_000 num_envs=4096 or
     #: env.sensing.latency_steps=1,3.
     training: tuple[str, ...] = ()
     #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
@@ -64,188 +53,176 @@ class Reproduce:
     #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1; on a cluster, where
     #: each is a job: 100.
     jobs_per_device: Count | None = None
-    cluster: Cluster = field(default_factory=Cluster)  #: Where they run.
+    #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
+    #: timeout_min=240 cpus_per_task=4 gpus_per_node=1 slurm_partition=gpu.
+    slurm: tuple[str, ...] = ()
     num_envs: Count = 100  #: Throws in a round of an evaluation.
     trials: Count = 10  #: Rounds of an evaluation.
     #: Where to evaluate: cpu, or one or several CUDA devices.
     evaluation_device: tuple[Device, ...] = ("cpu",)
-    evaluation_physics_hz: PhysicsRate = 600.0  #: Physics steps in a second of the evaluations.
     out: ResultsFolder = Path("results")  #: Folder of the study.
-    report_only: bool = False  #: Train and evaluate nothing; write the report of what is there.
+    report_only: bool = False  #: Train and evaluate nothing; write the report of the results in the folder.
 
     def run(self) -> None:
-        """Do what is left to do, and write the report."""
-        from pixel2catch.evaluation.comparison.plan import ComparisonFolder
-        from pixel2catch.evaluation.comparison.report import write_report
+        """Compute what is missing, and write the report."""
+        from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
+        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.report import markdown
 
-        self._require_whole_study()
         folder = ComparisonFolder(self.out)
-        failures = [] if self.report_only else self._work(folder)
-        write_report(folder)
-        print((folder.report / "table.md").read_text(encoding="utf-8"), end="")
-        say(f"wrote the report: {folder.report / 'README.md'}")
-        if failures:
-            raise StudyError(
-                "\n".join(failures) + "\nthe other parts were done; the same command tries these again."
-            )
+        grid = Grid([])
+        if self.report_only:
+            self._require_whole_study()
+        else:
+            grid = self._compute(folder)
+        rates = write_comparison(folder)
+        print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
+        say(f"wrote the report: {folder.path / 'report'}: table.md, page.html")
+        grid.require_whole()
 
     def _require_whole_study(self) -> None:
-        """Refuse settings that a report alone would ignore."""
         default = Reproduce()
         ignored = [name for name in OF_STUDY if getattr(self, name) != getattr(default, name)]
-        if self.report_only and ignored:
+        if ignored:
             options = ", ".join(f"--{name.replace('_', '-')}" for name in ignored)
             raise InvalidValueError(
                 f"--report-only writes the report of the whole study in '{self.out}'; leave out {options}."
             )
 
-    def _work(self, folder: "ComparisonFolder") -> list[str]:
-        """Train and evaluate; return what failed."""
-        from pixel2catch.cli.comparison_console import ProgressTable
-        from pixel2catch.evaluation.comparison.jobs import Runner, Status, last_lines, locked, shared_gpus
+    def _compute(self, folder: "ComparisonFolder") -> "Grid":
+        from pixel2catch.cli.studies import run_grid
+        from pixel2catch.evaluation.grid import Grid, held
+        from pixel2catch.evaluation.slots import shared_gpus
 
-        executor = self.cluster.executor(self.out)
-        devices = self._devices()
-        training = self._training_options(devices[0])
-        plan = self._plan(training)
-        jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
-        self._require_devices(devices, {job.kind for job in jobs if not job.is_done()})
-        with locked(folder.path) as lock, nullcontext({}) if executor else shared_gpus() as shared:
-            runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock, executor)
-            folder.open(plan, [circumstances()] if set(runner.status.values()) != {Status.DONE} else [])
+        experiment = self._experiment()
+        plan = self._plan(experiment)
+        grid = Grid([cell for run in plan.runs() for cell in self._cells(folder, run, experiment)])
+        self._require_devices({cell.kind for cell in grid.missing})
+        folder.path.mkdir(parents=True, exist_ok=True)
+        with held(folder.path), nullcontext({}) if self.slurm else shared_gpus() as shared:
+            slots = self._slots(shared)
+            folder.open(plan, [circumstances()] if grid.missing else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
-            with StopRequest() as stop, ProgressTable(logs, training["transitions"]) as table:
-                runner.run(table.show, lambda: stop.is_set)
-        if stop.is_set and set(runner.status.values()) != {Status.DONE}:
-            raise KeyboardInterrupt
-        failed = [name for name, status in runner.status.items() if status is Status.FAILED]
-        return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
+            detail = partial(_progress, logs, experiment.train.transitions)
+            run_grid(grid, slots, "reproduce", folder.path / "logs", detail)
+        return grid
 
+    @property
     def _devices(self) -> tuple[str, ...]:
         """Where to train."""
         import torch
 
         return self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
 
-    def _require_devices(self, devices: tuple[str, ...], left: set[str]) -> None:
-        """See that there are the CUDA devices that what is left to do needs.
-
-        What a cluster has is seen by its jobs.
-        """
+    def _require_devices(self, kinds: set[str]) -> None:
+        """Require the CUDA devices for kinds of cells; jobs of a cluster do so themselves."""
         from pixel2catch.sim.factory import require_cuda
 
-        for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
-            for device in places if kind in left and self.cluster.is_here else ():
+        for kind, places in ((TRAINING, self._devices), (EVALUATION, self.evaluation_device)):
+            for device in places if kind in kinds and not self.slurm else ():
                 if device.startswith("cuda"):
                     require_cuda(device)
 
-    def _slots(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Slot]":
-        """Slots of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
+    def _slots(self, shared: Mapping[str, str]) -> "list[Slot]":
+        """Return slots of trainings and evaluations, on all devices in turn.
 
-        With the shared environment variables processes share a GPU.
+        Args:
+            shared: Environment variables by which processes share a GPU.
         """
-        from pixel2catch.evaluation.comparison.jobs import Slot
+        from pixel2catch.cli.studies import JOBS_ON_CLUSTER
+        from pixel2catch.evaluation.slots import ClusterJob, Worker, cluster_executor
 
-        given, slots = self.jobs_per_device, []
-        on_cuda, on_cpu = given or JOBS_ON_CUDA, {TRAINING: given or 1, EVALUATION: 1}
-        if not self.cluster.is_here:
-            on_cuda = given or JOBS_ON_CLUSTER
-            on_cpu = dict.fromkeys(on_cpu, on_cuda)
-        for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
-            for turn in range(max(on_cuda, *on_cpu.values())):
-                for device in places:
-                    is_cuda = device.startswith("cuda")
-                    if turn < (on_cuda if is_cuda else on_cpu[kind]):
-                        environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
-                        slots.append(Slot(kind=kind, device=device, environment=environment))
+        executor, slots = cluster_executor(self.slurm, self.out), []
+        for kind, places in ((TRAINING, self._devices), (EVALUATION, self.evaluation_device)):
+            counts = dict.fromkeys(places, self.jobs_per_device or JOBS_ON_CUDA)
+            for device in places:
+                if executor:
+                    counts[device] = self.jobs_per_device or JOBS_ON_CLUSTER
+                elif device == "cpu":
+                    counts[device] = (self.jobs_per_device or 1) if kind == TRAINING else 1
+            for turn in range(max(counts.values())):
+                for device in (each for each in places if turn < counts[each]):
+                    environment = {"OMP_NUM_THREADS": "1", **shared} if device != "cpu" else {}
+                    slots.append(
+                        ClusterJob(kind, device, executor)
+                        if executor
+                        else Worker(kind, device, environment, is_reused=False)
+                    )
         return slots
 
-    def _training_options(self, device: str) -> dict[str, Any]:
-        """Return the resolved options of all trainings, except those that the study sets for each.
-
-        The default preset is that for the device.
-        """
+    def _experiment(self) -> "Experiment":
+        """Return the configuration of all trainings; seed and device are replaced in each."""
         from pixel2catch.cli.main import parse
         from pixel2catch.learning.config import GONE, TrainCfg, require_known
-        from pixel2catch.scene.scene import SceneCfg
+        from pixel2catch.learning.experiment import Experiment
 
-        free = {field.name for field in fields(TrainCfg)} - {"transitions", *OWN}
-        # The device decides on the preset alone: it may be a cluster's.
-        kind = "fast" if device.startswith("cuda") else "cpu"
-        given: dict[str, Any] = {"device": "cpu", "preset": self.preset or kind}
-        given |= {"transitions": self.transitions, "physics_stages": self.physics_hz}
+        free = {field.name for field in fields(TrainCfg)} - {*OWN}
+        args = ["train", "--device", "cpu", "--preset", self._preset]
         for option in self.training:
             name, _, value = option.partition("=")
             if name not in free and name != "task" and not name.startswith("env."):
                 require_known({name} & GONE.keys())
                 raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
-            given[name] = value.split(",")
-        given = {name: value for name, value in given.items() if value is not None}
-        train = parse(["train", *_options(given)])
-        SceneCfg(physics_hz=self.evaluation_physics_hz)
-        options = {name: value for name, value in asdict(train.train).items() if name not in OWN}
-        env = train.env
+            args += [f"--{name.replace('_', '-')}", *value.split(",")]
+        train = parse(args)
+        return Experiment(env=train.env, train=train.train)
+
+    @property
+    def _preset(self) -> str:
+        """The preset; without one the device decides, which may be a cluster's."""
+        return self.preset or ("fast" if self._devices[0].startswith("cuda") else "cpu")
+
+    def _plan(self, experiment: "Experiment") -> "Plan":
+        """Return methods and seeds, with everything that changes results."""
+        from pixel2catch.evaluation.comparison import Plan
+        from pixel2catch.evaluation.loading import PHYSICS_HZ
+        from pixel2catch.methods import find_method
+
+        train, env = experiment.train, experiment.env
+        given = [option.partition("=") for option in self.training]
+        options = {name: value.split(",") for name, _, value in given if name.startswith("env.")}
+        options |= {name: value for name, value in asdict(train).items() if name not in (*OWN, *NEUTRAL)}
         options |= {
-            "physics_stages": train.train.physics_stages or (env.scene.physics_hz,),
+            "physics_stages": train.physics_stages or (env.scene.physics_hz,),
             "task": env.name,
             "env.scene.cone": env.scene.cone,
             "env.scene.multiccd": env.scene.multiccd,
             "env.sensing.latency_steps": env.sensing.latency_steps,
         }
-        fields_of_task = {name: value for name, value in given.items() if name.startswith("env.")}
-        return fields_of_task | options | {"env.scene.physics_hz": None}
-
-    def _plan(self, training: dict[str, Any]) -> "Plan":
-        """What is asked, with everything that changes results."""
-        from pixel2catch.evaluation.comparison.plan import Plan
-        from pixel2catch.methods import find_method
-
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,
             "device": " ".join(sorted({device.split(":")[0] for device in self.evaluation_device})),
-            "physics_hz": self.evaluation_physics_hz,
+            "physics_hz": PHYSICS_HZ,
         }
         return Plan(
             methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
             seeds=self.seeds,
-            configuration={
-                f"training {n}": value
-                for n, value in training.items()
-                if n not in NEUTRAL and value is not None
-            }
-            | {f"evaluation {n}": value for n, value in evaluation.items()},
+            configuration={f"training {name}": value for name, value in options.items() if value is not None}
+            | {f"evaluation {name}": value for name, value in evaluation.items()},
         )
 
-    def _jobs(self, folder: "ComparisonFolder", run: "Run", training: dict[str, Any]) -> "list[Job]":
-        """The training of a run, and the evaluations of its policy."""
-        from pixel2catch.evaluation.comparison.jobs import Job
-        from pixel2catch.evaluation.comparison.plan import GROUPS
-
-        def train(device: str) -> list[str]:
-            options = training | {"seed": run.seed, "device": device, "out": folder.run(run)}
-            resume = ["--resume"] if folder.prepare(run) else []
-            return [*PROGRAM, "train", run.method, *_options(options), *resume]
-
-        def evaluate(group: str, device: str) -> list[str]:
-            options = {"objects": group, "num_envs": self.num_envs, "trials": self.trials, "seed": run.seed}
-            options |= {
-                "physics_hz": self.evaluation_physics_hz,
-                "device": device,
-                "out": folder.evaluation(run, group),
-            }
-            return [*PROGRAM, "evaluate", str(folder.run(run)), *_options(options)]
+    def _cells(self, folder: "ComparisonFolder", run: "Run", experiment: "Experiment") -> "list[Cell]":
+        """Return the training of a run, and the evaluations of its policy."""
+        from pixel2catch.evaluation.comparison import GROUPS
+        from pixel2catch.evaluation.grid import Cell
 
         def is_evaluated(group: str) -> bool:
             return folder.result(run, group) is not None
 
+        experiment = replace(experiment, train=replace(experiment.train, seed=run.seed))
         return [
-            Job(name=run.name, kind=TRAINING, command=train, is_done=lambda: folder.is_trained(run)),
+            Cell(
+                name=run.name,
+                kind=TRAINING,
+                work=partial(train_run, experiment, run.method, folder.run(run), self._preset),
+                is_done=lambda: folder.is_trained(run),
+            ),
             *(
-                Job(
+                Cell(
                     name=f"{run.name}-{group}",
                     kind=EVALUATION,
-                    command=partial(evaluate, group),
+                    work=partial(self._evaluate, folder, run, group),
                     is_done=partial(is_evaluated, group),
                     after=(run.name,),
                 )
@@ -253,18 +230,48 @@ class Reproduce:
             ),
         ]
 
+    def _evaluate(self, folder: "ComparisonFolder", run: "Run", group: str, device: str) -> None:
+        """Evaluate the policy of a run on a set of objects, and write the metrics."""
+        from pixel2catch.cli.evaluate import Evaluate
 
-def _options(options: Mapping[str, Any]) -> list[str]:
-    args: list[str] = []
-    for name, value in options.items():
-        if value is None or value == {}:
-            continue
-        if isinstance(value, Mapping):
-            value = [part for pair in value.items() for part in pair]
-        flag = name.replace("_", "-")
-        if isinstance(value, bool) and not name.startswith("env."):
-            args.append(f"--{flag}" if value else f"--no-{flag}")
-            continue
-        values = value if isinstance(value, tuple | list) else [value]
-        args += [f"--{flag}", *map(str, values)]
-    return args
+        Evaluate(
+            policy=folder.run(run),
+            objects=(group,),
+            num_envs=self.num_envs,
+            trials=self.trials,
+            seed=run.seed,
+            device=device,
+            out=folder.evaluation(run, group),
+        ).run()
+
+
+def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
+    """Train a method on a device, from the checkpoint in its folder if there is one."""
+    from pixel2catch.api.training import run
+    from pixel2catch.methods import find_method
+    from pixel2catch.sim.factory import require_cuda
+    from pixel2catch.workcells import find_workcell
+
+    if device.startswith("cuda"):
+        require_cuda(device)
+    has_checkpoint = (folder / "checkpoint.pt").exists()
+    if not has_checkpoint:
+        shutil.rmtree(folder, ignore_errors=True)
+    experiment = replace(experiment, train=replace(experiment.train, device=device))
+    method = find_method(name, find_workcell(experiment.env.scene.workcell))
+    run(experiment, method, folder, resume=has_checkpoint, preset=preset)
+
+
+def _progress(logs: Mapping[str, Path], total: int, running: list[str]) -> tuple[float, str]:
+    """Return how much of the running trainings is done, in all and in words."""
+    from pixel2catch.evaluation.curves import read_metrics
+
+    share, texts = 0.0, list[str]()
+    for name in running:
+        with suppress(InvalidValueError, IndexError, KeyError):  # no log yet, or its last line is incomplete
+            columns = read_metrics(logs[name], ("transitions", "success_rate"))
+            done = float(columns["transitions"][-1]) / total
+            name = f"{name} {100 * done:.0f} %, S.R. {100 * columns['success_rate'][-1]:.1f} %"
+            share += done
+        texts.append(name)
+    return share, " · ".join(texts)

@@ -1,4 +1,4 @@
-"""`pixel2catch stress`: every policy under what the real world does and the training does not."""
+"""`pixel2catch stress`: every policy under disturbances that training lacks."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,17 +6,16 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
-from pixel2catch.cli.console import progress_bar, say
+from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import TaskOptions
-from pixel2catch.evaluation.cluster import Cluster
-from pixel2catch.files import json_text
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stress:
-    """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
+    """Evaluate policies under disturbances, the same throws for all. The same command continues."""
 
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: all shipped.
     policies: Positional[tuple[PolicyPath, ...]] = ()
@@ -28,41 +27,46 @@ class Stress:
     trials: Count = 2  #: Rounds.
     seed: Seed = 0  #: Seed of everything that is drawn.
     device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
-    #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
-    jobs: Count = 1
-    cluster: Cluster = field(default_factory=Cluster)  #: Where the results are computed.
+    jobs: Count = 1  #: Cells that are computed at once on the CPU, each in a process with one thread.
+    #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
+    #: timeout_min=60 cpus_per_task=1 slurm_partition=cpu.
+    slurm: tuple[str, ...] = ()
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    task: TaskOptions = field(
-        default_factory=TaskOptions
-    )  #: What is changed of the task, before it is disturbed.
+    task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
-    json: bool = False  #: Print the table as one JSON object.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
+        from pixel2catch.cli.studies import cpu_slots, run_grid
         from pixel2catch.envs.cfg import CatchEnvCfg
+        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
-        from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
+        from pixel2catch.evaluation.report import as_markdown, write_report
+        from pixel2catch.evaluation.stress.report import stress_rows, stress_sections
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
-        executor = self.cluster.executor(self.out)
+        if self.jobs > 1 and self.device != "cpu":
+            raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
+        device = prepare(self.device, is_here=not self.slurm)
+        slots = cpu_slots(self.jobs, device, self.slurm, self.out)
         settings = tuple(self.task.beneath(each, "stress") for each in select_settings(self.axes))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
-            device=prepare(self.device, is_here=executor is None),
+            device=device,
             task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
-
-        with progress_bar("stress") as bar:
-            contents = measure(results, cfg, say, self.jobs, bar.show, executor=executor)
-        table = make_table(results, contents)
-        print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
-        write_report(self.out, table)
-        say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")
+        grid = Grid(policy_cells(results, cfg, is_alone=len(slots) == 1))
+        run_grid(grid, slots, "stress")
+        if rows := stress_rows(results):
+            sections = stress_sections(rows)
+            print(as_markdown("Stress suite", sections), end="", flush=True)
+            files = write_report(self.out, "Stress suite", sections, {"results": rows})
+            say(f"wrote {self.out}: {files}")
+        grid.require_whole()

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
-from pixel2catch.cli.console import progress_bar, say
+from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text
 from pixel2catch.progress import duration
 from pixel2catch.shipped import PolicyPath, policy_folder
 
@@ -18,18 +17,18 @@ if TYPE_CHECKING:
     from pixel2catch.evaluation.protocol import EvaluationCfg
 
 THROWS_AT_ONCE = 20
-"""Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
+"""Throws of a round. Source: ours; other engines step them one after the other, so more gain nothing."""
 Share = Annotated[float, Within(0.0, 1.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """Evaluate policies in several physics engines, the same throws in all. Goes on where it stopped."""
+    """Evaluate policies in several physics engines, the same throws in all. The same command continues."""
 
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default:
     #: catch_alone+fit.
     policies: Positional[tuple[PolicyPath, ...]] = ()
-    #: Engines: mujoco, physx, drake; the first is home, with which the others are compared.
+    #: Engines: mujoco, physx, drake; the others are compared with the first, the home.
     engines: tuple[str, ...] = ("mujoco", "physx")
     #: Restitutions of the objects; drake has 0 alone. Default: drawn for every throw, from 0 to 0.5, as in
     #: training.
@@ -38,52 +37,55 @@ class Transfer:
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     seed: Seed = 0  #: Seed of everything that is drawn.
-    jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.
+    jobs: Count = 1  #: Rounds of 20 throws that are computed at once, each in a process with one thread.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    task: TaskOptions = field(default_factory=TaskOptions)  #: What is changed of the task.
+    task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task.
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
-    json: bool = False  #: Print the table as one JSON object.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
-        from pixel2catch.evaluation.transfer.cells import (
+        from pixel2catch.cli.studies import cpu_slots, run_grid
+        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
+        from pixel2catch.evaluation.report import as_markdown, write_report
+        from pixel2catch.evaluation.transfer import (
             estimated_seconds,
-            pooled,
+            order_rows,
             rounds_of,
             throw_metrics,
+            transfer_rows,
+            transfer_sections,
             transfer_settings,
         )
-        from pixel2catch.evaluation.transfer.report import as_markdown, make_table, write_report
         from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
             require_engine(engine)
         whole = self._evaluation()
-        cfg, num_rounds = replace(whole, trials=1), whole.trials
         settings = transfer_settings(self.engines, self.restitution)
         settings = tuple(self.task.beneath(each, "transfer") for each in settings)
         policies = find_policies(self.policies or (policy_folder(None),))
-        cells = plan_results(policies, settings, self.out)
-        results = rounds_of(cells, num_rounds)
-        missing = [each for each in results if each.read() is None]
-        if missing:
+        results = plan_results(policies, settings, self.out)
+        rounds = rounds_of(results, whole.trials)
+        cfg = replace(whole, trials=1)
+        grid = Grid(policy_cells(rounds, cfg, throw_metrics, is_alone=self.jobs == 1))
+        if missing := [each for each in rounds if each.read() is None]:
             left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
             say(f"{len(missing)} rounds of {cfg.num_envs} throws to do: about {left}")
-
-        with progress_bar("transfer") as bar:
-            contents = measure(results, cfg, say, self.jobs, bar.show, throw_metrics)
-        found = [pooled(contents[i : i + num_rounds]) for i in range(0, len(contents), num_rounds)]
-        table = make_table(cells, found)
-        print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
-        write_report(self.out, table)
-        say(f"wrote {self.out}: page.html, table.md, table.csv, table.json, heatmap.png")
+        run_grid(grid, cpu_slots(self.jobs, "cpu", (), self.out), "transfer")
+        if rows := transfer_rows(results, whole.trials):
+            orders = list(order_rows(rows))
+            sections = transfer_sections(rows, orders)
+            print(as_markdown("Transfer", sections), end="", flush=True)
+            files = write_report(self.out, "Transfer", sections, {"results": rows, "orders": orders})
+            say(f"wrote {self.out}: {files}")
+        grid.require_whole()
 
     def _evaluation(self) -> "EvaluationCfg":
-        """What is thrown, in rounds.
+        """Return the evaluation, in rounds.
 
         Raises:
-            InvalidValueError: If the throws are no whole rounds, or something is named twice.
+            InvalidValueError: If the throws do not fill the rounds, or something is named twice.
         """
         from pixel2catch.envs.cfg import CatchEnvCfg
         from pixel2catch.evaluation.protocol import EvaluationCfg

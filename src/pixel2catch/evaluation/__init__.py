@@ -1,1 +1,1 @@
-"""How often policies catch: protocol, metrics, report; `comparison` of methods, `stress` by disturbances."""
+"""How often policies catch: protocol, metrics, and studies as grids of cells with one kind of report."""

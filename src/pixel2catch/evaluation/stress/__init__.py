@@ -1,1 +1,1 @@
-"""Policies under what the real world does and nominal simulation does not."""
+"""Disturbances that training lacks: the suite, what a policy was trained on, and the report."""

@@ -1,0 +1,61 @@
+"""Progress of a study on standard error: a bar on a terminal, and a line for every cell that ends."""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pixel2catch.cli.console import progress_bar, say
+from pixel2catch.evaluation.grid import Grid, Status
+from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
+
+JOBS_ON_CLUSTER = 100  #: Cells that a cluster has at once. Source: ours.
+REFRESH_SECONDS = 2.0  #: Time between two looks at what running cells have done [s].
+
+
+def run_grid(
+    grid: Grid,
+    slots: Sequence[Slot],
+    name: str,
+    logs: Path | None = None,
+    detail: Callable[[list[str]], tuple[float, str]] = lambda running: (0.0, ", ".join(running)),
+) -> None:
+    """Compute the missing cells of a grid, with progress.
+
+    Args:
+        grid: The cells.
+        slots: Where they are computed.
+        name: Name of the study.
+        logs: Folder for what cells print in other processes.
+        detail: Returns of the running cells, by name, the sum of the shares that are done, and a text.
+
+    Raises:
+        KeyboardInterrupt: If the user stopped it.
+    """
+    shown, next_look = dict(grid.status), 0.0
+
+    def watch() -> None:
+        nonlocal next_look
+        changes = {cell: now for cell, now in grid.status.items() if now is not shown[cell]}
+        shown.update(changes)
+        done = sum(now is Status.DONE for now in shown.values())
+        for cell, now in changes.items():
+            if now not in (Status.WAITING, Status.RUNNING):
+                say(f"{done} of {len(shown)}: {cell} {now.value}")
+        if changes or time.monotonic() >= next_look:
+            next_look = time.monotonic() + REFRESH_SECONDS
+            share, text = detail([cell for cell, now in shown.items() if now is Status.RUNNING])
+            bar.show(grid.share_done + share / len(shown), text)
+
+    if grid.missing:
+        with progress_bar(name) as bar:
+            grid.run(slots, watch, logs)
+
+
+def cpu_slots(jobs: int, device: str, slurm: tuple[str, ...], out: Path) -> Sequence[Slot]:
+    """Return slots for cells of one kind: jobs of a cluster, workers of one thread, or this process."""
+    executor = cluster_executor(slurm, out)
+    if executor:
+        return [ClusterJob("", device, executor) for _ in range(JOBS_ON_CLUSTER)]
+    if jobs == 1:
+        return [ThisProcess("", device)]
+    return [Worker("", device, ONE_THREAD) for _ in range(jobs)]

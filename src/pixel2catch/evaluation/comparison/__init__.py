@@ -1,1 +1,0 @@
-"""All methods with several seeds: training, evaluation, report."""

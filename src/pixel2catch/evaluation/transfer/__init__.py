@@ -1,1 +1,0 @@
-"""Policies judged by the physics of other engines."""
