@@ -1,4 +1,4 @@
-"""The stress suite: what it asks, that it asks everyone the same, and the real command."""
+"""The stress suite: its settings, the same throws for all, the report by hand, and the command."""
 
 import csv
 import json
@@ -6,33 +6,39 @@ import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
-from subprocess import CompletedProcess
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from commands import pixel2catch
 from pixel2catch.cli.main import main
-from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.stress.measuring import (
-    find_policies,
-    in_processes,
-    measure,
-    throw_rounds,
+from pixel2catch.errors import InvalidValueError, NonFiniteError, UnknownNameError
+from pixel2catch.evaluation import policy_cells
+from pixel2catch.evaluation.figures import heat_map
+from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.policy_cells import PolicyEntry, find_policies, plan_results, throw_rounds
+from pixel2catch.evaluation.protocol import EvaluationCfg, Trials
+from pixel2catch.evaluation.report import Row, as_markdown, png, read_rows
+from pixel2catch.evaluation.stress.report import (
+    REAL_ROBOT,
+    SHOWN,
+    compare_orders,
+    stress_rows,
+    stress_sections,
 )
-from pixel2catch.evaluation.stress.suite import AXES, Setting, select_settings
+from pixel2catch.evaluation.stress.suite import AXES, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.workcells import find_workcell, workcells
 
+EARLIER = Path(__file__).parents[2] / "experiments" / "results"
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()
 SIZE = ("--num-envs", "3", "--trials", "1", "--physics-hz", "30", "--objects", "cube_s", "sphere_l")
+SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}
 
 
 class Still:
@@ -57,12 +63,14 @@ def changed(name: str) -> CatchEnvCfg:
     return SETTINGS[name].level.change(TASK)
 
 
-@pytest.mark.parametrize("setting", SETTINGS.values(), ids=lambda setting: setting.name)
-def test_every_level_changes_the_task_and_says_why(setting: Setting):
-    assert (setting.level.change(TASK) == TASK) == (setting.axis.name == "nominal")
-    assert len(setting.level.source) > 10
-    assert pickle.loads(pickle.dumps(setting)) == setting
-    assert set(setting.name) <= set("abcdefghijklmnopqrstuvwxyzH0123456789_.-")
+def test_every_level_changes_the_task_and_has_a_source():
+    for setting in SETTINGS.values():
+        assert (setting.level.change(TASK) == TASK) == (setting.axis.name == "nominal")
+        assert len(setting.level.source) > 10
+        assert pickle.loads(pickle.dumps(setting)) == setting
+        assert set(setting.name) <= set("abcdefghijklmnopqrstuvwxyzH0123456789_.-")
+    assert len(SETTINGS) == sum(len(axis.levels) for axis in AXES.values())
+    assert len({setting.title for setting in SETTINGS.values()}) == len(SETTINGS)
 
 
 @pytest.mark.parametrize("name", sorted(workcells()))
@@ -72,12 +80,6 @@ def test_every_level_is_for_every_work_cell(name: str):
         setting.level.change(TASK.with_workcell(workcell)).for_workcell(workcell)
 
 
-def test_settings_have_names_of_their_own():
-    settings = select_settings(())
-    assert len(SETTINGS) == len(settings) == sum(len(axis.levels) for axis in AXES.values())
-    assert len({setting.title for setting in settings}) == len(settings)
-
-
 def test_values_by_hand():
     assert changed("camera_position-2").sensing == replace(TASK.sensing, camera_offset=0.02)
     assert changed("camera_rotation-1").sensing.camera_turn == pytest.approx(0.0174533)
@@ -85,7 +87,6 @@ def test_values_by_hand():
     assert changed("drops-15").sensing.drop_rate == pytest.approx(0.15)
     assert changed("mass-60").randomization.mass_scale == (2.0, 2.0)
     assert changed("restitution-0.75").randomization.restitution == (0.75, 0.75)
-    assert changed("latency-2.5").sensing.latency_steps == (2.5, 2.5)
     assert changed("clock_error-20_ms").sensing.clock_error == pytest.approx(0.02)
     assert changed("clock_error-no_stamps").sensing.unstamped == 1.0
     late = changed("latency_and_delay-2.5_and_0.5")
@@ -93,41 +94,35 @@ def test_values_by_hand():
     assert changed("gains-50").randomization.gains.damping_scale == ((0.5, 1.5),)
     edge = changed("edge_noise-10").sensing
     assert edge.corner_noise + edge.edge_noise == 10.0
-
-
-def test_a_combination_changes_several_parts():
     flight = changed("together-flight")
-    assert (flight.randomization.air_density, flight.throws.spin, flight.throws.release_x) == (
-        1.2,
-        10.0,
-        (2.0, 3.0),
-    )
+    assert (flight.randomization.air_density, flight.throws.spin) == (1.2, 10.0)
+    assert flight.throws.release_x == (2.0, 3.0)
     assert flight.sensing == TASK.sensing
-    parts = ("sensing", "randomization", "throws")
-    reality = changed("together-reality")
-    assert all(getattr(reality, part) != getattr(TASK, part) for part in parts)
 
 
 def test_settings_come_in_the_order_of_the_tables():
-    chosen = select_settings(("latency", "nominal"))
-    latencies = ("0", "1", "1.5", "2", "2.5", "3", "3.5", "4", "5")
-    assert [setting.name for setting in chosen] == ["nominal", *(f"latency-{n}" for n in latencies)]
-
-
-def test_an_unknown_axis_is_named():
+    names = [setting.name for setting in select_settings(("mass", "nominal"))]
+    assert names == ["nominal", "mass-15", "mass-60"]
     with pytest.raises(UnknownNameError, match="camera_position"):
         select_settings(("camera_positon",))
 
 
 def test_every_round_has_the_throws_of_its_seed_whatever_the_policy_and_the_setting():
+    """Physics among other processes takes one processor, with the same result."""
     task = replace(TASK, scene=replace(TASK.scene, physics_hz=30.0))
     disturbed = SETTINGS["together-camera_mount"].level.change(task)
     cfg = EvaluationCfg(objects=SEEN, num_envs=3, trials=2, task=task)
+    processors = os.sched_getaffinity(0)
     both = throw_rounds(Still(), PROPOSED, cfg).record
-    second = throw_rounds(Wild(), PROPOSED, replace(cfg, trials=1, seed=1, task=disturbed)).record
-    assert torch.equal(both.object_id[3:], second.object_id)
-    assert torch.equal(both.aim[3:], second.aim)
+    other = replace(cfg, trials=1, seed=1)
+    second = throw_rounds(Wild(), PROPOSED, replace(other, task=disturbed), is_alone=False).record
+    same = throw_rounds(Still(), PROPOSED, other, is_alone=False).record
+    assert os.sched_getaffinity(0) == processors
+    for record in (second, same):
+        assert torch.equal(both.object_id[3:], record.object_id)
+        assert torch.equal(both.aim[3:], record.aim)
     assert not torch.equal(both.aim[:3], second.aim)
+    assert torch.equal(both.max_joint_speed[3:], same.max_joint_speed)
 
 
 @pytest.fixture(scope="module")
@@ -146,108 +141,54 @@ def arguments(policies: list[str], out: Path, *options: str) -> list[str]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """All files but the page, which names the command and the time."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "page.html")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
-@pytest.fixture(scope="module")
-def measured(
-    policies: list[str], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, CompletedProcess[str]]:
-    """A folder of results, and what the command said of it."""
-    folder = tmp_path_factory.mktemp("measured")
-    return folder, pixel2catch(*arguments(policies, folder, "--json"))
-
-
-def test_the_command_end_to_end(
-    policies: list[str],
-    measured: tuple[Path, CompletedProcess[str]],
-    capsys: pytest.CaptureFixture[str],
-):
-    """Four cells and a report; then nothing to do; other throws are refused; a lost cell is made again."""
-    folder, printed = measured
-    table = json.loads(printed.stdout)
-    assert len([line for line in printed.stderr.splitlines() if " of 4: " in line]) == 4
-    assert {name: each["method"] for name, each in table["policies"].items()} == {
-        "first": "proposed",
-        "second": "only_wh",
-    }
-    assert list(table["settings"]) == ["nominal", "edge_noise-10"]
-    assert "not asked for" in table["reality"]["sentence"]
-    before = files(folder)
-    cells = {f"cells/{policy}/{name}.json" for policy in table["policies"] for name in table["settings"]}
-    assert set(before) == cells | {"table.json", "table.csv", "table.md", "table.tex", "heatmap.png"}
-    assert json.loads(before["table.json"]) == table
+def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Four cells and a report; other throws are refused; lost cells are made again, here by two processes."""
+    assert main(arguments(policies, tmp_path)) == 0
+    printed = capsys.readouterr()
+    assert "4 of 4: second-edge_noise-10 done" in printed.err
+    before = files(tmp_path)
+    settings = ("nominal", "edge_noise-10")
+    cells = {f"cells/{policy}/{name}.json" for policy in ("first", "second") for name in settings}
+    assert set(before) == cells | {"table.json", "table.csv", "table.md", "heatmap.png"}
+    assert before["table.md"].decode() == printed.out
+    assert "not computed" in printed.out
     rows = list(csv.DictReader(before["table.csv"].decode().splitlines()))
-    assert [(row["setting"], row["policy"], row["trials"]) for row in rows[:2]] == [
-        ("nominal", "first", "3"),
-        ("nominal", "second", "3"),
+    assert [(row["setting"], row["policy"], row["method"], row["trials"]) for row in rows[:2]] == [
+        ("nominal", "first", "proposed", "3"),
+        ("nominal", "second", "only_wh", "3"),
     ]
-    assert before["heatmap.png"].startswith(b"\x89PNG")
+    assert main(arguments(policies, tmp_path, "--num-envs", "4")) == 2
+    assert "evaluation.num_envs: 3 there, 4 now" in capsys.readouterr().err
 
-    assert main(arguments(policies, folder, "--json")) == 0
-    again = capsys.readouterr()
-    assert " of 4: " not in again.err
-    assert again.out == printed.stdout
-    assert main(arguments(policies, folder, "--num-envs", "4")) == 2
-    refusal = capsys.readouterr().err
-    assert "evaluation.num_envs: 3 there, 4 now" in refusal
-    assert "--out" in refusal
-    assert files(folder) == before
-
-    (folder / "cells/first/edge_noise-10.json").unlink()
-    assert main(arguments(policies, folder)) == 0
-    mended = capsys.readouterr()
-    assert "3 of 4: first, edge noise 10 px" in mended.err
-    assert mended.err.count(" of 4: ") == 1
-    assert "| edge noise 10 px |" in mended.out
-    assert files(folder) == before  # the same throws, the same result
+    for lost in ("first/edge_noise-10", "second/nominal"):
+        (tmp_path / f"cells/{lost}.json").unlink()
+    assert main(arguments(policies, tmp_path, "--jobs", "2")) == 0
+    assert capsys.readouterr().err.count(" of 4: ") == 2
+    assert files(tmp_path) == before
 
 
-def test_cells_do_not_depend_on_the_number_of_processes(
+def test_a_cell_that_fails_does_not_lose_the_others(
     policies: list[str],
-    measured: tuple[Path, CompletedProcess[str]],
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    """One after the other, and two at once: the same files."""
-    assert main(arguments(policies, tmp_path, "--jobs", "2")) == 0
-    assert capsys.readouterr().err.count(" of 4: ") == 4
-    assert files(tmp_path) == files(measured[0])
+    def diverge(actor: Policy, method: Method, *args: Any, **options: Any) -> Trials:
+        if method.name == "proposed":
+            raise NonFiniteError("the simulation diverged")
+        return throw_rounds(actor, method, *args, **options)
 
-
-def test_physics_of_a_process_among_others_takes_one_processor(monkeypatch: pytest.MonkeyPatch):
-    seen: list[int] = []
-    make_env = EvaluationCfg.make_env
-
-    def watched(cfg: EvaluationCfg, method: Method) -> CatchEnv:
-        seen.append(len(os.sched_getaffinity(0)))
-        return make_env(cfg, method)
-
-    monkeypatch.setattr(EvaluationCfg, "make_env", watched)
-    before = os.sched_getaffinity(0)
-    task = replace(TASK, scene=replace(TASK.scene, physics_hz=30.0))
-    cfg = EvaluationCfg(objects=SEEN, num_envs=2, trials=1, task=task)
-    trials = [throw_rounds(Still(), PROPOSED, cfg, is_alone=is_alone) for is_alone in (True, False)]
-    assert seen == [len(before), 1]
-    assert os.sched_getaffinity(0) == before
-    assert torch.equal(trials[0].record.max_joint_speed, trials[1].record.max_joint_speed)
-
-
-def test_errors_and_ends_of_processes_are_reported():
-    with pytest.raises(InvalidValueError, match="too bad"):
-        list(in_processes(1, fail, [("too bad",)]))
-    with pytest.raises(StudyError, match="fewer --jobs"):
-        list(in_processes(1, os._exit, [(1,)]))
-
-
-def fail(reason: str) -> None:
-    raise InvalidValueError(reason)
-
-
-@pytest.mark.parametrize(("jobs", "device"), [(0, "cpu"), (2, "cuda")])
-def test_impossible_numbers_of_jobs_are_refused(jobs: int, device: str):
-    with pytest.raises(InvalidValueError, match="--jobs 1"):
-        measure([], EvaluationCfg(objects=SEEN, device=device), jobs=jobs)
+    monkeypatch.setattr(policy_cells, "throw_rounds", diverge)
+    assert main(arguments(policies, tmp_path)) == 2
+    printed = capsys.readouterr()
+    assert "first-nominal failed: the simulation diverged" in printed.err
+    assert "| nominal | 0.0 [" in printed.out
+    assert (tmp_path / "cells" / "second" / "nominal.json").exists()
 
 
 def test_a_damaged_cell_and_another_policy_are_refused(
@@ -255,19 +196,109 @@ def test_a_damaged_cell_and_another_policy_are_refused(
 ):
     cell = tmp_path / "cells" / "first" / "nominal.json"
     cell.parent.mkdir(parents=True)
-    cell.write_text("{")
-    assert main(arguments(policies[:1], tmp_path)) == 2
-    assert "delete it" in capsys.readouterr().err
-    cell.write_text(json.dumps({"policy_sha256": "of another"}))
-    assert main(arguments(policies[:1], tmp_path)) == 2
-    assert "policy_sha256: of another there" in capsys.readouterr().err
+    for content, words in (("{", "delete it"), ('{"policy_sha256": "other"}', "policy_sha256: other there")):
+        cell.write_text(content)
+        assert main(arguments(policies[:1], tmp_path)) == 2
+        assert words in capsys.readouterr().err
     assert list(files(tmp_path)) == ["cells/first/nominal.json"]
 
 
-def test_two_policies_of_one_name_are_refused(policies: list[str]):
+def test_policies_have_names_of_their_own(policies: list[str]):
     with pytest.raises(InvalidValueError, match="'first'"):
         find_policies([Path(policies[0]), Path(policies[0]) / "policy"])
-
-
-def test_shipped_policies_are_the_default():
     assert "proposed" in {each.method for each in find_policies([])}
+
+
+def rates(successes: int, trials: int = 200) -> dict[str, Any]:
+    interval = list(wilson_interval(successes, trials))
+    shown = {name: successes / trials for name in SHOWN}
+    return {"trials": trials, **shown, **{f"{name}_interval": interval for name in SHOWN}}
+
+
+def rows_of(folder: Path, successes: dict[str, list[int]], *axes: str, task: str = "nominal") -> list[Row]:
+    """Successes by method, setting by setting."""
+    policies = [PolicyEntry(name=f"{m}-seed0", folder=Path("."), method=m, task=task) for m in successes]
+    results = plan_results(policies, select_settings(axes), folder)
+    numbers = [number for row in zip(*successes.values(), strict=True) for number in row]
+    for result, number in zip(results, numbers, strict=True):
+        result.file.parent.mkdir(parents=True, exist_ok=True)
+        result.file.write_text(json.dumps({"metrics": rates(number)}))
+    return stress_rows(results)
+
+
+def test_a_table_by_hand(tmp_path: Path):
+    """Means over two settings; 180 of 200 is 90.0 % with the interval 85 to 93."""
+    rows = rows_of(tmp_path, {"proposed": [180, 20], "only_wh": [10, 0]}, "nominal", "edge_noise")
+    text = as_markdown("Stress suite", stress_sections(rows))
+    assert "| nominal | 90.0 [85, 93] | 5.0 [3, 9] |" in text
+    assert "| mean over settings | 50.0 | 2.5 |" in text
+
+
+@pytest.mark.parametrize(("task", "mount"), [("nominal", False), ("wide", True)])
+def test_what_a_policy_was_not_trained_on_is_marked(task: str, mount: bool, tmp_path: Path):
+    """Camera mount: not in the nominal task, but in the wide one; edge noise in neither."""
+    rows = rows_of(tmp_path, {"proposed": [180] * 5}, "edge_noise", "together", task=task)
+    marks = {row["setting"]: row["is_trained_on"] for row in rows}
+    assert (marks["edge_noise-10"], marks["together-camera_mount"]) == (False, mount)
+    text = as_markdown("Stress suite", stress_sections(rows))
+    assert "| edge noise 10 px | 90.0 [85, 93] † |" in text
+    assert ("| together camera mount | 90.0 [85, 93] |" in text) == mount
+
+
+def test_the_order_is_that_of_the_setting_closest_to_reality(tmp_path: Path):
+    """Camera mount, detector, flight, reality: only the last counts."""
+    successes = {"proposed": [0, 0, 0, 150], "object_position": [190, 190, 190, 90]}
+    _, order, _ = stress_sections(rows_of(tmp_path, successes, "together"))
+    assert "proposed > object_position, agrees" in order.text
+
+
+def test_two_neighbours_exchanged():
+    """One of ten pairs is the other way round: tau = (9 - 1) / 10."""
+    same = compare_orders({method: [rate] for method, rate in REAL_ROBOT.items()}, SURE)
+    assert same is not None
+    assert (same.tau, same.num_settled, same.simulated) == (pytest.approx(1.0), 10, same.real)
+    swapped = {**REAL_ROBOT, "proposed": 41.0, "object_position": 52.0}
+    order = compare_orders({method: [rate] for method, rate in swapped.items()}, SURE)
+    assert order is not None
+    assert order.tau == pytest.approx(0.8)
+    assert order.simulated[:2] == ("object_position", "proposed")
+    assert "does not agree" in order.sentence()
+
+
+def test_equal_rates_are_no_order_and_intervals_may_overlap():
+    intervals = {"proposed": (0.4, 0.6), "only_wh": (0.5, 0.7)}
+    order = compare_orders({"proposed": [0.5], "only_wh": [0.5]}, intervals)
+    assert order is not None
+    assert (order.tau, order.num_settled) == (0.0, 0)
+    mean = compare_orders({"proposed": [0.2, 0.4], "only_wh": [0.35]}, SURE)
+    assert mean is not None
+    assert mean.simulated == ("only_wh", "proposed")
+    assert compare_orders({"proposed": [0.9], "without_pf": [0.1]}, SURE) is None
+
+
+def test_a_wide_picture_stays_readable(tmp_path: Path):
+    """29 policies, as once were drawn on 4,736 pixels."""
+    rows = rows_of(tmp_path, {"proposed": [180, 20], "only_wh": [10, 0]}, "nominal", "edge_noise")
+    many = [{**row, "policy": f"{row['policy']}-{number}"} for row in rows for number in range(15)]
+    size = [
+        int.from_bytes(png(heat_map(each, ("title", "policy"), "axis", lambda _: "†"))[16:20], "big")
+        for each in (rows, many)
+    ]
+    assert size[0] < size[1] < 2600
+
+
+@pytest.mark.parametrize(
+    ("file", "number", "first"),
+    [
+        ("2026-11-21-stress/table.json", 276, ("nominal", "without_pf", 0.04)),
+        ("2026-11-23-engine-matrix/table.json", 48, (None, "catch_alone+fit", 0.99)),
+        ("2026-11-21-comparison/report/table.json", 12, (None, None, None)),
+        ("2026-11-21-rehearsal/h200-clock1.json", 1, (None, None, pytest.approx(0.8933, abs=1e-4))),
+    ],
+)
+def test_results_of_earlier_studies_are_read(file: str, number: int, first: tuple[Any, ...]):
+    rows = read_rows(EARLIER / file)
+    rate = rows[0]["success_rate"]
+    assert len(rows) == number
+    found = (rows[0].get("title"), rows[0].get("policy"), None if isinstance(rate, dict) else rate)
+    assert found == first

@@ -146,7 +146,7 @@ class Reproduce:
                     slots.append(
                         ClusterJob(kind, device, executor)
                         if executor
-                        else Worker(kind, device, environment, is_reused=False)
+                        else Worker(kind, device, environment, is_reused=kind == EVALUATION)
                     )
         return slots
 

@@ -9,7 +9,7 @@ import tempfile
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children, get_context
 from multiprocessing.process import BaseProcess
@@ -95,6 +95,7 @@ class Worker(Slot):
         super().__init__(kind, device)
         self._environment, self._is_reused = environment or {}, is_reused
         self._pool: ProcessPoolExecutor | None = None
+        self._task: Future[str | None] | None = None
         self._processes, self._is_stopped = set[BaseProcess](), False
 
     def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
@@ -103,9 +104,9 @@ class Worker(Slot):
             self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin)
         before = set(active_children())
         with _environment(self._environment):
-            task = self._pool.submit(function, *args)
+            self._task = self._pool.submit(function, *args)
         self._processes |= set(active_children()) - before
-        return task
+        return self._task
 
     def error_of(self, task: "Future[str | None]") -> str | None:
         """Return the text of its error, also if the process was ended from outside."""
@@ -126,9 +127,9 @@ class Worker(Slot):
 
     def close(self) -> None:
         """End the process; kill one that takes too long after it was stopped."""
-        for process in self._processes if self._is_stopped else ():
-            process.join(GRACE_SECONDS)
-            process.kill()
+        if self._is_stopped and self._task and wait([self._task], GRACE_SECONDS).not_done:
+            for process in self._processes:
+                process.kill()
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
         self._pool, self._processes = None, set()

@@ -1,0 +1,295 @@
+"""Comparisons: plan, rows, curves and report of made-up results, and an earlier study."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from pixel2catch.cli.main import main
+from pixel2catch.errors import StudyError
+from pixel2catch.evaluation.comparison import (
+    GROUPS,
+    ComparisonFolder,
+    Plan,
+    Run,
+    all_curves,
+    object_rows,
+    pooled,
+    quality_table,
+    rates_table,
+    summary_rows,
+    training_rows,
+    trainings_table,
+    write_comparison,
+)
+from pixel2catch.evaluation.curves import Columns, binned, gather
+from pixel2catch.evaluation.figures import line, look
+from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.report import as_csv, read_rows
+from pixel2catch.methods import METHODS, PROPOSED
+from pixel2catch.policy import Policy, contract_of
+
+EARLIER = Path(__file__).parents[2] / "experiments" / "results"
+OBJECTS = {"seen": ("cube_s", "cone_l"), "unseen": ("cross",)}
+SESSION = {
+    "started": "2026-01-01T00:00:00+00:00",
+    "command": "pixel2catch reproduce --seeds 2",
+    "git_revision": "abc",
+    "python": "3.11",
+    "versions": {"mujoco": "4.0.0"},
+    "platform": "Linux",
+    "cpu_cores": 2,
+    "gpus": [],
+}
+RATES = ("tracking_rate", "success_rate", "palm_contact_rate", "verified_hold_rate")
+RUN = Run(method="proposed", seed=0)
+
+
+def plan(**changes: Any) -> Plan:
+    return Plan(
+        **{"methods": ("only_wh", "proposed"), "seeds": 2, "configuration": {"training lr": 0.1}} | changes
+    )
+
+
+def rates(successes: int, trials: int) -> dict[str, Any]:
+    """All four rates alike."""
+    result: dict[str, Any] = {"trials": trials}
+    for name in RATES:
+        interval = list(wilson_interval(successes, trials))
+        result |= {name: successes / trials, f"{name}_interval": interval}
+    return result
+
+
+def write_evaluation(folder: ComparisonFolder, run: Run, group: str, successes: int) -> None:
+    """All successes are of the group's first object, which is thrown in half of 100 trials."""
+    thrown = dict.fromkeys(OBJECTS[group], rates(0, 50)) | {OBJECTS[group][0]: rates(successes, 50)}
+    result = rates(successes, 100) | {
+        "max_joint_speed": 2.0 + run.seed,
+        "max_torque_share": 0.5,
+        "max_penetration": 0.004,
+        "objects": thrown,
+    }
+    path = folder.evaluation(run, group)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(result))
+
+
+def write_training(folder: ComparisonFolder, run: Run, seconds: float = 60.0) -> None:
+    folder.run(run).mkdir(parents=True)
+    summary = {"status": "finished", "transitions": 300, "seconds": seconds}
+    (folder.run(run) / "summary.json").write_text(json.dumps(summary))
+    rows = ("100,0,nan,nan", "200,10,0.5,0.2", f"300,30,0.{5 + run.seed},0.{2 + run.seed}")
+    text = "\n".join(("transitions,episodes,tracking_rate,success_rate", *rows)) + "\n"
+    folder.metrics(run).write_text(text)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> ComparisonFolder:
+    """Two methods with two seeds: 20 and 40 of 100 throws are caught, the same for all."""
+    folder = ComparisonFolder(tmp_path)
+    folder.open(plan(), [SESSION])
+    for run in plan().runs():
+        write_training(folder, run, seconds=60.0 * (1 + run.seed))
+        for group in GROUPS:
+            write_evaluation(folder, run, group, successes=20 * (1 + run.seed))
+    return folder
+
+
+def test_every_method_has_one_seed_before_any_has_two():
+    names = [run.name for run in plan().runs()]
+    assert names == ["only_wh-seed0", "proposed-seed0", "only_wh-seed1", "proposed-seed1"]
+
+
+def test_methods_and_seeds_may_be_added_and_nothing_else(study: ComparisonFolder):
+    study.open(plan(methods=("single_agent",), seeds=3), [SESSION])
+    assert study.plan() == plan(methods=("only_wh", "proposed", "single_agent"), seeds=3)
+    assert len(study.sessions()) == 2
+    before = (study.path / "study.json").read_bytes()
+    with pytest.raises(StudyError, match=r"training lr: 0\.1 in the study, 0\.2 now"):
+        study.open(plan(configuration={"training lr": 0.2}), [SESSION])
+    assert (study.path / "study.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [None, "{"])
+def test_results_without_a_readable_study_are_left_alone(content: str | None, study: ComparisonFolder):
+    (study.path / "study.json").unlink()
+    if content:
+        (study.path / "study.json").write_text(content)
+    with pytest.raises(StudyError, match=r"study\.json"):
+        study.open(plan(), [])
+
+
+@pytest.mark.parametrize("content", ["{", json.dumps({"status": "interrupted"})])
+def test_only_a_finished_training_is_done(content: str, study: ComparisonFolder):
+    assert study.is_trained(RUN)
+    (study.run(RUN) / "summary.json").write_text(content)
+    assert not study.is_trained(RUN)
+    assert len(list(training_rows(study, plan()))) == 3
+
+
+def test_a_result_counts_for_its_own_policy_only(study: ComparisonFolder):
+    assert study.result(RUN, "seen") is not None
+    torch.manual_seed(0)
+    Policy(contract_of(PROPOSED), hidden=(4,)).save(study.run(RUN) / "policy")
+    assert study.result(RUN, "seen") is None
+
+
+def test_pooled_by_hand():
+    """20 of 100 and 40 of 100: mean 0.3, deviation sqrt(2 * 0.1²) = 0.1414, interval of 60 of 200."""
+    result = pooled([rates(20, 100), rates(40, 100)], "success_rate")
+    assert result["mean"] == pytest.approx(0.3)
+    assert result["deviation"] == pytest.approx(0.141421, abs=1e-6)
+    assert result["interval"] == pytest.approx([0.2407, 0.3668], abs=1e-4)
+    assert result["values"] == [0.2, 0.4]
+    uneven = pooled([rates(1, 10), rates(90, 100)], "success_rate")
+    assert uneven["interval"] == list(wilson_interval(91, 110))
+    assert pooled([rates(1, 10)], "success_rate")["deviation"] is None
+
+
+def test_rates_stand_beside_the_paper(study: ComparisonFolder):
+    rows = list(summary_rows(study, plan()))
+    assert rates_table(rows)[2] == {
+        "method": "proposed",
+        "objects": "seen",
+        "seeds": "2",
+        "T.R. [%]": "30.0 ± 14.1",
+        "T.R., 95 % interval": "[24.1, 36.7]",
+        "T.R., paper": "89.97 ± 0.21",
+        "S.R. [%]": "30.0 ± 14.1",
+        "S.R., 95 % interval": "[24.1, 36.7]",
+        "S.R., paper": "84.13 ± 0.50",
+    }
+    quality = quality_table(rows)[0]
+    assert [quality[name] for name in ("trials", "largest joint speed [rad/s]")] == ["200", "3.00"]
+    assert quality["deepest penetration [mm]"] == "4.0"
+    table = list(csv.DictReader(io.StringIO(as_csv(rows))))
+    assert float(table[2]["success_rate_low"]) == pytest.approx(0.24074, abs=1e-5)
+    assert table[2]["paper_success_rate_mean"] == "0.8413"
+
+
+def test_missing_results_have_no_row_and_missing_numbers_a_dash(study: ComparisonFolder):
+    for seed in (0, 1):
+        study.evaluation(Run(method="proposed", seed=seed), "unseen").unlink()
+    study.evaluation(Run(method="only_wh", seed=1), "seen").unlink()
+    rows = {(row["method"], row["objects"]): row for row in summary_rows(study, plan())}
+    assert ("proposed", "unseen") not in rows
+    assert rates_table([rows["only_wh", "seen"]])[0]["S.R. [%]"] == "20.0 ± \N{EN DASH}"
+    write_evaluation(study, Run(method="object_position", seed=0), "seen", successes=5)
+    (row,) = summary_rows(study, plan(methods=("object_position",)))
+    assert rates_table([row])[0]["S.R., paper"] == "\N{EN DASH}"
+
+
+def test_objects_pool_their_throws(study: ComparisonFolder):
+    """20 of 50 and 40 of 50 cubes are caught: 60 of 100."""
+    rows = list(object_rows(study, plan()))
+    cube = next(row for row in rows if row["object"] == "cube_s")
+    assert (cube["trials"], cube["success_rate"]) == (100, 0.6)
+    assert cube["success_rate_interval"] == list(wilson_interval(60, 100))
+    assert [row["object"] for row in rows][::2] == ["cone_l", "cube_s", "cross"]
+
+
+def test_trainings_by_method(study: ComparisonFolder):
+    """1 and 2 minutes: 1.5 with a sample deviation of 0.7."""
+    rows = trainings_table(list(training_rows(study, plan())))
+    assert [row["method"] for row in rows] == ["only_wh", "proposed"]
+    assert rows[0]["duration of a seed [min]"] == "1.5 ± 0.7"
+
+
+def log(transitions: list[float], episodes: list[float], rate: list[float]) -> Columns:
+    columns = [np.array(values, dtype=float) for values in (transitions, episodes, rate, rate)]
+    return dict(zip(("transitions", "episodes", "tracking_rate", "success_rate"), columns, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("columns", "edges", "expected"),
+    [
+        (log([1, 2, 11], [10, 30, 4], [0.5, 1.0, 0.25]), (0, 10, 20), [0.875, 0.25]),  # 35 of 40 episodes
+        (log([1, 2], [0, 8], [np.nan, 0.5]), (0, 10), [0.5]),
+        (log([15, 35], [1, 1], [0.2, 0.6]), (0, 10, 20, 30, 40, 50), [np.nan, 0.2, 0.4, 0.6, np.nan]),
+        (log([5], [0], [np.nan]), (0, 10), [np.nan]),
+    ],
+)
+def test_bins_by_hand(columns: Columns, edges: tuple[float, ...], expected: list[float]):
+    """Of the episodes in a bin; gaps are interpolated, the ends stay empty."""
+    found = binned(columns, "success_rate", np.array(edges, dtype=float))
+    assert found == pytest.approx(expected, nan_ok=True)
+
+
+def test_mean_and_deviation_over_seeds_by_hand():
+    """0.2 and 0.4: mean 0.3, sample deviation 0.1414; where one seed has nothing yet, there is no mean."""
+    logs = {0: log([5, 15], [1, 1], [0.2, 0.5]), 1: log([5], [1], [0.4])}
+    mean, deviation = gather({"proposed": logs}).mean_and_deviation("proposed", "success_rate")
+    assert mean == pytest.approx([0.3, np.nan], nan_ok=True)
+    assert deviation == pytest.approx([0.141421, np.nan], nan_ok=True, abs=1e-6)
+
+
+def test_no_two_methods_look_alike():
+    for drawn in (look, line):
+        assert len({str(drawn(method)) for method in METHODS}) == len(METHODS)
+
+
+def test_report_of_a_whole_study(study: ComparisonFolder):
+    write_comparison(study)
+    report = study.path / "report"
+    tables = {
+        "table.md",
+        "page.html",
+        "table.json",
+        "table.csv",
+        "objects.csv",
+        "trainings.csv",
+        "curves.csv",
+    }
+    assert {path.name for path in report.iterdir()} == tables | {"curves.png", "objects.png"}
+    for name in ("curves.png", "objects.png"):
+        with Image.open(report / name) as picture:
+            assert 800 <= picture.width <= 1600
+            assert len(picture.convert("RGB").resize((64, 64)).getcolors(4096) or ()) > 20
+    text = (report / "table.md").read_text()
+    for words in (
+        "curves.png",
+        SESSION["command"],
+        "mujoco 4.0.0",
+        "| training lr | 0.1 |",
+        "| cube_s | 60.0 [",
+    ):
+        assert words in text
+    assert read_rows(report / "table.json")[2]["success_rate"]["values"] == [0.2, 0.4]
+    rows = list(csv.DictReader((report / "curves.csv").read_text().splitlines()))
+    last = {(row["method"], row["seed"]): row["success_rate"] for row in rows if row["transitions"] == "250"}
+    assert float(last["proposed", "1"]) == pytest.approx(0.275)  # 0.2 of 10 and 0.3 of 30 episodes
+
+
+def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
+    folder = ComparisonFolder(tmp_path)
+    with pytest.raises(StudyError, match=r"no study\.json"):
+        write_comparison(folder)
+    folder.open(plan(), [SESSION])
+    assert all_curves(folder, plan()) is None
+    assert write_comparison(folder) == []
+    write_training(folder, replace(RUN, seed=1))
+    write_comparison(folder)
+    assert (tmp_path / "report" / "curves.csv").read_text().splitlines()[1].startswith("proposed,1,50,")
+
+
+def test_an_earlier_study_is_read(tmp_path: Path):
+    """Its results are those that it was reported with."""
+    copytree(EARLIER / "2026-11-21-comparison", tmp_path / "study")
+    shown = read_rows(tmp_path / "study" / "report" / "table.json")
+    assert main(["reproduce", "--report-only", "--out", str(tmp_path / "study")]) == 0
+    again = read_rows(tmp_path / "study" / "report" / "table.json")
+    for before, now in zip(shown, again, strict=True):
+        assert (now["method"], now["objects"], now["paper"]) == tuple(
+            before[n] for n in ("method", "objects", "paper")
+        )
+        for name in ("success_rate", "verified_hold_rate"):
+            assert now[name]["values"] == before[name]["values"]
+            assert now[name]["interval"] == pytest.approx(before[name]["interval"], abs=1e-8)

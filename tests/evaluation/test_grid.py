@@ -1,0 +1,191 @@
+"""The grid: cells in this process, in workers, and as jobs of submitit's executor for one machine."""
+
+import os
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from pixel2catch.cli.main import main
+from pixel2catch.errors import InvalidValueError, StudyError
+from pixel2catch.evaluation import slots
+from pixel2catch.evaluation.grid import Cell, Grid, Status, held
+from pixel2catch.evaluation.slots import (
+    MPS_CONTROL,
+    ClusterJob,
+    Slot,
+    ThisProcess,
+    Worker,
+    cluster_executor,
+    shared_gpus,
+)
+
+DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
+
+
+def write(file: Path, device: str) -> None:
+    """Note the order of the calls, print, and write the result."""
+    with open(file.parent / "order", "a") as order:
+        order.write(f"{file.name} ")
+    print("printed", os.environ.get("MARK"))
+    file.write_text(device)
+
+
+def fail(file: Path, device: str) -> None:
+    raise InvalidValueError("too bad")
+
+
+def write_nothing(file: Path, device: str) -> None:
+    pass
+
+
+def die(file: Path, device: str) -> None:
+    os._exit(1)
+
+
+def save_when_stopped(file: Path, device: str) -> None:
+    signal.signal(signal.SIGTERM, lambda *_: (file.with_name("saved").touch(), sys.exit(0)))
+    file.with_name("ready").touch()
+    while True:
+        time.sleep(0.01)
+
+
+def cell(folder: Path, name: str, *after: str, work=write, kind: str = "") -> Cell:
+    file = folder / name
+    return Cell(name=name, work=partial(work, file), is_done=file.exists, after=after, kind=kind)
+
+
+def order(folder: Path) -> list[str]:
+    return (folder / "order").read_text().split()
+
+
+def test_cells_run_in_order_after_what_they_need(tmp_path: Path):
+    cells = [
+        cell(tmp_path, "train-a", kind="train"),
+        cell(tmp_path, "judge-a", "train-a", kind="judge"),
+        cell(tmp_path, "train-b", kind="train"),
+        cell(tmp_path, "judge-b", "train-b", kind="judge"),
+    ]
+    grid = Grid(cells)
+    grid.run([ThisProcess("judge", "x"), ThisProcess("train", "y")])
+    assert set(grid.status.values()) == {DONE}
+    assert order(tmp_path) == ["train-a", "judge-a", "train-b", "judge-b"]
+    assert [(tmp_path / name).read_text() for name in ("train-a", "judge-a")] == ["y", "x"]
+
+
+def test_only_missing_cells_and_what_follows_them_are_computed(tmp_path: Path):
+    for name in ("a", "c"):
+        (tmp_path / name).touch()
+    grid = Grid([cell(tmp_path, "a"), cell(tmp_path, "b", "a"), cell(tmp_path, "c", "b")])
+    assert grid.status == {"a": DONE, "b": WAITING, "c": WAITING}
+    grid.run([ThisProcess("", "x")])
+    assert order(tmp_path) == ["b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("work", "error"), [(fail, "too bad"), (write_nothing, "without a result"), (print, "TypeError")]
+)
+def test_a_failure_holds_up_only_what_depends_on_it(work, error: str, tmp_path: Path):
+    broken = partial(work, nonsense=1) if work is print else work
+    grid = Grid([cell(tmp_path, "a", work=broken), cell(tmp_path, "b", "a"), cell(tmp_path, "c")])
+    grid.run([ThisProcess("", "x")])
+    assert grid.status == {"a": FAILED, "b": WAITING, "c": DONE}
+    with pytest.raises(StudyError, match=f"a failed: .*{error}"):
+        grid.require_whole()
+
+
+def test_workers_have_devices_environments_and_logs_and_may_be_killed(tmp_path: Path):
+    """The worker that computes `a` is ended from outside; its slot goes on with `c`."""
+    cells = [
+        cell(tmp_path, "a", work=die, kind="first"),
+        cell(tmp_path, "b", kind="second"),
+        cell(tmp_path, "c", kind="first"),
+    ]
+    places: list[Slot] = [Worker("first", "x"), Worker("second", "y", {"MARK": "7"}, is_reused=False)]
+    grid = Grid(cells)
+    grid.run(places, logs=tmp_path / "logs")
+    assert grid.status == {"a": FAILED, "b": DONE, "c": DONE}
+    assert "ended from outside" in grid.errors["a"]
+    assert [(tmp_path / name).read_text() for name in "bc"] == ["y", "x"]
+    assert (tmp_path / "logs" / "b.log").read_text() == "printed 7\n"
+    assert "MARK" not in os.environ
+
+
+def test_ctrl_c_lets_workers_end_in_order(tmp_path: Path):
+    def watch() -> None:
+        if (tmp_path / "ready").exists() and not (tmp_path / "asked").exists():
+            (tmp_path / "asked").touch()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    grid = Grid([cell(tmp_path, "a", work=save_when_stopped), cell(tmp_path, "b")])
+    with pytest.raises(KeyboardInterrupt):
+        grid.run([Worker("", "x")], watch)
+    assert grid.status == {"a": STOPPED, "b": WAITING}
+    assert (tmp_path / "saved").exists()
+
+
+def test_a_folder_is_held_by_one_process(tmp_path: Path):
+    with held(tmp_path), pytest.raises(StudyError, match="in use"), held(tmp_path):
+        pass
+    with held(tmp_path):
+        pass
+
+
+def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(slots, "CLUSTER", "local")
+    monkeypatch.setattr(ClusterJob, "poll_seconds", 0.05)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    executor = cluster_executor(("timeout_min=5", "slurm_partition=any"), tmp_path)
+    assert executor
+    places = [ClusterJob("", "cuda", executor), ClusterJob("", "cuda", executor)]
+    grid = Grid([cell(tmp_path, "a"), cell(tmp_path, "b", "a", work=fail)])
+    grid.run(places, logs=tmp_path / "logs")
+    assert grid.status == {"a": DONE, "b": FAILED}
+    assert grid.errors["b"] == "too bad"
+    assert (tmp_path / "a").read_text() == "cuda"
+    assert "printed" in (tmp_path / "logs" / "a.log").read_text()
+
+
+@pytest.mark.parametrize("asked", ["slurm_partiton=gpu", "timeout_min=long"])
+def test_requests_that_the_cluster_refuses(
+    asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(slots, "CLUSTER", "local")
+    assert main(["stress", "--out", str(tmp_path / "out"), "--slurm", asked]) == 2
+    assert asked.partition("=")[0] in capsys.readouterr().err
+
+
+def test_a_machine_without_cluster_or_submitit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(StudyError, match="srun"):
+        cluster_executor(("timeout_min=5",), tmp_path)
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    with pytest.raises(StudyError, match=r"\[slurm\]"):
+        cluster_executor(("timeout_min=5",), tmp_path)
+
+
+@pytest.mark.parametrize(("status", "starts"), [("0", True), ("1", False)])
+def test_the_mps_daemon_has_a_folder_of_its_own(
+    status: str, starts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The control program notes its calls; the real one needs a GPU."""
+    program = tmp_path / MPS_CONTROL
+    program.write_text(
+        '#!/bin/sh\necho "[$*] $(if [ "$1" != -d ]; then cat; fi)" >> "$RECORD"\nexit "$STATUS"\n'
+    )
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setenv("RECORD", str(tmp_path / "record"))
+    monkeypatch.setenv("STATUS", status)
+    monkeypatch.delenv("CUDA_MPS_PIPE_DIRECTORY", raising=False)
+    with shared_gpus() as variables:
+        assert bool(variables) == starts
+        folder = Path(variables.get("CUDA_MPS_PIPE_DIRECTORY", tmp_path / "none"))
+        assert folder.is_dir() == starts
+    assert (tmp_path / "record").read_text().splitlines() == (["[-d] ", "[] quit"] if starts else ["[-d] "])
+    assert not folder.exists()
+    monkeypatch.setenv("CUDA_MPS_PIPE_DIRECTORY", "/elsewhere")
+    with shared_gpus() as variables:
+        assert variables == {}
