@@ -18,7 +18,16 @@ from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
 from pixel2catch.methods import METHODS
 
 SMALL = (
-    *("--device", "cpu", "--preset", "cpu", "--training", "transitions=320", "env.scene.physics_hz=60", "num_envs=4"),
+    *(
+        "--device",
+        "cpu",
+        "--preset",
+        "cpu",
+        "--training",
+        "transitions=320",
+        "env.scene.physics_hz=60",
+        "num_envs=4",
+    ),
     *("rollout_steps=16", "hidden=16,8", "checkpoint_seconds=0", "env.throws.hover_steps=5,6"),
     *("--num-envs", "2", "--trials", "1"),
 )
