@@ -21,14 +21,14 @@ from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.policy_cells import PolicyEntry, find_policies, plan_results, throw_rounds
 from pixel2catch.evaluation.protocol import EvaluationCfg, Trials
 from pixel2catch.evaluation.report import Row, as_markdown, png, read_rows
-from pixel2catch.evaluation.stress.report import (
+from pixel2catch.evaluation.stress.suite import AXES, select_settings
+from pixel2catch.evaluation.stress_report import (
     REAL_ROBOT,
     SHOWN,
     compare_orders,
     stress_rows,
     stress_sections,
 )
-from pixel2catch.evaluation.stress.suite import AXES, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.objects import SEEN

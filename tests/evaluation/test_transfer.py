@@ -22,7 +22,7 @@ from pixel2catch.evaluation.policy_cells import (
 )
 from pixel2catch.evaluation.report import Row, as_csv, as_markdown, read_rows
 from pixel2catch.evaluation.slots import ThisProcess
-from pixel2catch.evaluation.stress.report import REAL_ROBOT
+from pixel2catch.evaluation.stress_report import REAL_ROBOT
 from pixel2catch.evaluation.transfer import (
     AS_TRAINED,
     order_rows,

@@ -43,8 +43,8 @@ class Stress:
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import as_markdown, write_report
-        from pixel2catch.evaluation.stress.report import stress_rows, stress_sections
         from pixel2catch.evaluation.stress.suite import select_settings
+        from pixel2catch.evaluation.stress_report import stress_rows, stress_sections
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from pixel2catch.evaluation.comparison import Curves
+from pixel2catch.evaluation.curves import Curves
 from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, ThrowCollection
 from pixel2catch.evaluation.report import Row
 from pixel2catch.evaluation.result_tables import MAIN_RATES

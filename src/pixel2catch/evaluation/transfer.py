@@ -12,8 +12,8 @@ from pixel2catch.evaluation.policy_cells import PolicyResult, evaluation_of
 from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
 from pixel2catch.evaluation.report import Cells, Row, Section, percent
 from pixel2catch.evaluation.result_tables import RATES
-from pixel2catch.evaluation.stress.report import REAL_ROBOT, compare_methods
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
+from pixel2catch.evaluation.stress_report import REAL_ROBOT, compare_methods
 from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.

@@ -1,1 +1,1 @@
-"""Disturbances that training lacks: the suite, what a policy was trained on, and the report."""
+"""Disturbances that training lacks: the suite, and which of them a policy was trained on."""
