@@ -1,4 +1,4 @@
-"""What can be chosen about the scene, and the contacts that follow from it."""
+"""Configuration of the scene, and its contact parameters."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -14,18 +14,17 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 Cone = Literal["elliptic", "pyramidal"]
 
-MAX_OBJECT_SCALE = 1.4  #: Of the 14 cm to the end of the largest object, within `scene.OBJECT_BOUND`.
+MAX_OBJECT_SCALE = 1.4  #: Largest scale of objects: the largest object must fit into `OBJECT_BOUND`.
 
 PUSH_OUT = 0.2
-"""Share of a penetration that is removed in one physics step: it decays with a time constant of 5 steps.
+"""Share of a penetration that one physics step removes: time constant of 5 steps.
 
-Source: ours, `benchmarks/contact_quality.py`. More decays faster, but an object that is found deep in the
-surface is then thrown out: a restitution is met up to half of this share, by where in a step the impact
-falls.
+Source: ours, `benchmarks/contact_quality.py`. A larger share decays faster, but adds up to half of it to the
+restitution, depending on the penetration at the first step of an impact.
 """
 
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
-"""Impedance of a contact with the object. Source: ours; MuJoCo's default lets an object creep in the hand."""
+"""Impedance of a contact with the object. Source: ours; with MuJoCo's default an object creeps in the hand."""
 
 
 Impedance = Annotated[
@@ -43,21 +42,19 @@ Impedance = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class SceneCfg:
-    """What can be chosen about the scene."""
+    """Robots, physics, contacts and camera of the scene."""
 
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: PhysicsRate = 1.0 / PHYSICS_DT
-    cone: Cone = "elliptic"  #: Friction cone: elliptic, as it is, or pyramidal, which is computed faster.
-    #: Whether faces and edges touch in several points, as they do, or in one, which is computed faster.
-    multiccd: bool = True
-    engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
-    #: Makers' models, URDF or MJCF, one for each part of the robot that shall be simulated by it. Default:
-    #: our models.
+    cone: Cone = "elliptic"  #: Friction cone: elliptic, or pyramidal, which is faster and less accurate.
+    multiccd: bool = True  #: Whether faces and edges touch in several points, or in one, which is faster.
+    engine: str = "mujoco"  #: Physics engine: mujoco, or physx or drake for evaluations.
+    #: Makers' models, URDF or MJCF, for parts of the robots. Default: the package's models.
     robot_model: tuple[str, ...] = ()
-    robot_surface: Surface = "collision"  #: What of these touches: their collision shapes, or what is drawn.
-    visuals: bool = False  #: Whether to add lights, textures and what is only seen.
-    camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
+    robot_surface: Surface = "collision"  #: Shapes of makers' models that collide: collision or visual.
+    visuals: bool = False  #: Whether to add lights, textures and visual geoms.
+    camera: CameraSpec = RGB_CAMERA  #: The camera that takes pictures.
     #: Sliding friction of the object; randomised per environment by the release.
     object_friction: Annotated[float, Within(0.0, 5.0)] = 1.0
     #: Speed after over speed before an impact; randomised per environment.
@@ -68,12 +65,12 @@ class SceneCfg:
 
     @property
     def decimation(self) -> int:
-        """Physics steps in a control step."""
+        """Return the number of physics steps in a control step."""
         return round(self.physics_hz * CONTROL_DT)
 
     @property
     def physics_dt(self) -> float:
-        """Physics time step [s]."""
+        """Return the physics time step [s]."""
         return CONTROL_DT / self.decimation
 
 
@@ -83,14 +80,11 @@ Value = TypeVar("Value", float, ndarray, Tensor)
 def contact_solref(
     restitution: Value, physics_dt: float, push_out: Value | float = PUSH_OUT
 ) -> tuple[Value, Value]:
-    """Stiffness and damping of a contact, as the two negative numbers (-k, -b) of a direct `solref`.
+    """Return the direct `solref` (-k, -b) of a contact with a restitution e.
 
     A step of length dt changes the normal velocity v at depth p by dt (b |v| + k p). With k = push_out / dt²
-    and b = (1 + e - push_out / 2) / dt, and depths spread evenly over the way of one step, the mean velocity
-    after the impact is e |v|: e, the restitution, is a number, or an array or tensor of them.
-
-    Below half of `push_out` that does not hold: an impact that a step finds deep rebounds by up to so much,
-    one that it finds shallow needs a second step and does so then. A restitution of 0 is 0.1 in the mean.
+    and b = (1 + e - push_out / 2) / dt, the mean velocity after an impact is e |v|, for depths uniform over
+    the distance of one step. For e below half of `push_out` the mean is larger: e = 0 gives 0.1.
     """
     stiffness = push_out / physics_dt**2 + 0.0 * restitution
     damping = (1.0 - 0.5 * push_out + restitution) / physics_dt
@@ -98,15 +92,15 @@ def contact_solref(
 
 
 def restitution_of(solref: ndarray, physics_dt: float) -> float:
-    """The restitution of a contact with a direct `solref`; 0 of any other form."""
+    """Return the restitution of a contact with a direct `solref`; 0 for the other form."""
     push_out = -float(solref[0]) * physics_dt**2
     return min(max(-float(solref[1]) * physics_dt - 1.0 + 0.5 * push_out, 0.0), 1.0)
 
 
 def table_solref(physics_dt: float) -> tuple[float, float]:
-    """Time constant and damping ratio of the table, as stiff as a step allows: the arm is strong.
+    """Return time constant and damping ratio of the table, as stiff as the time step allows.
 
-    Of a speed and a depth, a step removes all of the one and 80 % of the other. Not the direct form: of two
-    direct ones MuJoCo Warp takes the smaller numbers, whatever the priorities, and the object has one.
+    A step removes all of a speed and 80 % of a depth. This is not the direct form, as MuJoCo Warp ignores
+    priorities between two contacts with direct forms, and the object has one.
     """
     return 2.0 * physics_dt, 1.0 / sqrt(4.0 * 0.8)

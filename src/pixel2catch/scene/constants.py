@@ -1,4 +1,4 @@
-"""Numbers of time, gravity and the camera, each with its source.
+"""Constants of time, gravity and camera, each with its source.
 
 Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z up, x from the robot towards
 the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration.
@@ -17,16 +17,16 @@ CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs 
 
 
 OBJECT_RADIUS = 0.04
-"""Of the ball of the volume of the largest object of the paper's task [m]. Source: ours, of our stand-ins."""
+"""Radius of a ball with the volume of the largest object of the paper's task [m]. Source: ours."""
 
 SPEED_MARGIN = 0.9
-"""Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
+"""Largest commanded share of a joint's speed limit; coupling between joints needs the rest. Source: ours."""
 
 OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
 """Columns of the object's position in `qpos` and of its linear velocity in `qvel`, behind the robots'."""
 
 PIXEL_CENTER = 0.5
-"""The middle of the first pixel in image coordinates, along u and v [px]; ROS and OpenCV call it 0."""
+"""Coordinate of the centre of the first pixel, along u and v [px]; 0 in ROS and OpenCV."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +45,12 @@ class CameraSpec:
 
     @property
     def matrix(self) -> tuple[Vec3, Vec3, Vec3]:
-        """Focal lengths and optical axis, row by row [px]."""
+        """Return the camera matrix, row by row [px]."""
         return (self.fx, 0.0, self.cx), (0.0, self.fy, self.cy), (0.0, 0.0, 1.0)
 
 
 def quat_multiply(a: Quat, b: Quat) -> Quat:
-    """Compose two rotations: first `b`, then `a`."""
+    """Return the product of two rotations: first `b`, then `a`."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -62,7 +62,7 @@ def quat_multiply(a: Quat, b: Quat) -> Quat:
 
 
 FORWARD_TO_OPTICAL: Quat = (0.5, -0.5, 0.5, -0.5)
-"""Optical frame (z forward, x right, y down) in a frame with x forward, y left, z up."""
+"""Orientation of the optical frame (z forward, x right, y down) in a frame with x forward, z up."""
 
 RGB_CAMERA = CameraSpec(
     width=640,

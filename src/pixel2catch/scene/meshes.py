@@ -1,6 +1,6 @@
-"""Objects from mesh files (.stl, .obj, ...): convex parts by decomposition, mass properties of the mesh.
+"""Objects from mesh files (.stl, .obj, ...): decomposition into convex parts, mass properties of the mesh.
 
-Reading needs trimesh, decomposition CoACD: the extra `meshes`.
+Needs trimesh to read and CoACD to decompose: the extra `meshes`.
 """
 
 import importlib
@@ -17,43 +17,42 @@ from scipy.spatial import ConvexHull
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import read_bytes
 from pixel2catch.installation import install_command
-from pixel2catch.scene import shapes
+from pixel2catch.robots.poses import sphere_points
 from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
 from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
 
-FORMATS = (".stl", ".obj", ".ply", ".off")  #: Mesh files that are read: none that names another one.
-MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Of a mesh file. Source: ours; scans have some hundred thousand.
+FORMATS = (".stl", ".obj", ".ply", ".off")  #: Supported formats, which refer to no other file.
+MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Largest size [bytes] and number of faces of a file. Source: ours.
 
 CONCAVITY = 0.05
-"""How concave a part may stay, of the size of the mesh: CoACD's threshold. Source: CoACD's default."""
+"""Largest concavity of a part, relative to the size of the mesh. Source: CoACD's default."""
 
 OUTLINE_POINTS = 48
-"""Vertices of the hull of all parts at the most; the camera looks for 64 points of an object. Source: ours.
-"""
+"""Largest number of vertices of the hull of all parts. Source: ours; the camera uses 64 points."""
 
 SEARCH = {"mcts_nodes": 10, "mcts_iterations": 20, "mcts_max_depth": 2, "resolution": 500}
-"""How long CoACD looks for the best cuts. Source: ours, seconds instead of minutes for a cup."""
+"""Search effort of CoACD. Source: ours; a cup takes seconds instead of minutes."""
 
 PART_POINTS = (64, 48, 32, 24, 16, 12, 8)
-"""Vertices of a part at the most, the first with which the hull of all is no more than that. Source: ours."""
+"""Limits on the vertices of a part, tried in this order until `OUTLINE_POINTS` holds. Source: ours."""
 
 
 def mesh_object(
     name: str, file: str | Path, *, mass: float = OBJECT_MASS, scale: float = 1.0, max_parts: int = 8
 ) -> ObjectSpec:
-    """An object in the shape of a mesh, of uniform density; it collides as at most so many convex parts.
+    """Return an object of uniform density from a mesh; it collides as at most `max_parts` convex parts.
 
-    Without CoACD each of its surfaces collides as its hull, and a warning says so.
+    Without CoACD each surface collides as its convex hull, with a warning.
 
     Args:
-        name: Its name in the catalogue.
-        file: The mesh: one or several closed surfaces that do not overlap.
-        mass: Its mass [kg].
-        scale: Metres in a unit of the file, 0.001 for millimetres.
-        max_parts: Convex parts at the most.
+        name: Name in the catalogue.
+        file: The mesh: closed surfaces that do not overlap.
+        mass: Mass [kg].
+        scale: Metres per unit of the file, 0.001 for millimetres.
+        max_parts: Largest number of convex parts.
 
     Raises:
-        InvalidValueError: If the file cannot be read, has no volume, or a value is out of range.
+        InvalidValueError: The file cannot be read or has no volume, or a value is out of range.
     """
     if not 0.0 < scale < np.inf or max_parts < 1:
         raise InvalidValueError(f"scale is {scale}, max_parts {max_parts}; both must be greater than 0.")
@@ -62,16 +61,16 @@ def mesh_object(
     parts = _simplified(_decomposed(mesh, max_parts))
     solid = moments_inside(np.asarray(mesh.triangles))
     if not mesh.is_watertight:
-        warnings.warn(f"'{file}' is not closed: its mass is spread over its convex parts", stacklevel=2)
+        warnings.warn(f"'{file}' is not closed: its convex parts give its mass properties", stacklevel=2)
         solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
     return of_solid(name, parts, solid, mass)
 
 
 def _read(file: Path) -> Any:
-    """A mesh of trimesh that is not flat, its faces counter-clockwise seen from outside."""
+    """Read a mesh that is not flat, its faces counter-clockwise seen from outside."""
     trimesh = _package("trimesh")
     if trimesh is None:
-        raise InvalidValueError(f"meshes are read by trimesh: {install_command('meshes')}.")
+        raise InvalidValueError(f"reading a mesh needs trimesh: {install_command('meshes')}.")
     try:
         if file.suffix.lower() not in FORMATS:
             raise InvalidValueError(f"it must end in {', '.join(FORMATS)}")
@@ -82,17 +81,17 @@ def _read(file: Path) -> Any:
         mesh.fix_normals()
         offsets = mesh.vertices - mesh.vertices.mean(axis=0)
         thickness = np.linalg.svd(offsets, compute_uv=False).min()
-    except Exception as error:  # each of trimesh's readers has errors of its own
+    except Exception as error:  # trimesh's readers raise many types
         raise InvalidValueError(
-            f"'{file}' cannot be read as a mesh ({error}); it must be a file such as .stl or .obj."
+            f"'{file}' cannot be read as a mesh ({error}); give a file such as .stl or .obj."
         ) from error
     if not thickness > 1e-9:
-        raise InvalidValueError(f"'{file}' has no volume; a thrown object must have one.")
+        raise InvalidValueError(f"'{file}' has no volume; give a mesh that is not flat.")
     return mesh
 
 
 def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
-    """Vertices of convex parts that fill the mesh together; each of its surfaces is cut by itself."""
+    """Return the vertices of convex parts that fill the mesh; each surface is decomposed separately."""
     bodies = mesh.split(only_watertight=False)
     bodies = list(bodies) if 0 < len(bodies) <= max_parts else [mesh]
     convex = [np.asarray(body.vertices) for body in bodies if body.is_convex]
@@ -100,7 +99,7 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
     coacd = _package("coacd")
     if others and coacd is None:
         warnings.warn(
-            f"without CoACD a mesh collides as the hulls of its surfaces: {install_command('meshes')}",
+            f"CoACD is missing, so surfaces collide as their convex hulls: {install_command('meshes')}",
             stacklevel=3,
         )
     if coacd is None or len(bodies) == max_parts:
@@ -117,22 +116,22 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
 
 
 def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
-    """The parts with fewer vertices, so few that the camera finds those of their common hull."""
+    """Reduce the vertices of the parts until their common hull has at most `OUTLINE_POINTS`."""
     tries = ([_corners(part, most) for part in parts] for most in PART_POINTS)
     found = next((p for p in tries if len(ConvexHull(np.concatenate(p)).vertices) <= OUTLINE_POINTS), None)
     if found is None:
         raise InvalidValueError(
-            f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; lower max_parts."
+            f"the hull of {len(parts)} convex parts has more than {OUTLINE_POINTS} corners; lower max_parts."
         )
     return [ConvexPart(vertices=part) for part in found]
 
 
 def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"]:
-    """The corners of a hull; of more than `most` those that are the farthest in a direction."""
+    """Return the corners of a hull, or if there are more than `most`, the farthest in some directions."""
     corners = vertices[ConvexHull(vertices).vertices]
     if len(corners) <= most:
         return corners
-    directions = shapes.spiral(most)
+    directions = sphere_points(most)
     return corners[np.unique((corners @ directions.T).argmax(axis=0))]
 
 

@@ -1,8 +1,7 @@
 """The catalogue of thrown objects: convex parts of uniform density.
 
-The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the
-ballistic parabola, and its axes along the principal axes of inertia. Differs: the release's cone has its
-origin at half its height.
+The body frame of an object has its origin at the centre of mass and its axes along the principal axes of
+inertia. Differs: the release's cone has its origin at half its height.
 """
 
 from collections.abc import Iterable
@@ -20,7 +19,7 @@ from pixel2catch.scene.shapes import ConvexPart, moments
 OBJECT_MASS = 0.03  #: Mass of every object [kg]. Source: release.
 
 LEAST_PARTS = 2
-"""Convex parts of the object's body in the model at the least, so that it is the same without own objects."""
+"""Smallest number of geoms of the object's body, so that the model has the same layout for most objects."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,20 +30,20 @@ class ObjectSpec:
     parts: tuple[ConvexPart, ...]  #: Convex parts in the body frame; they may overlap.
     mass: float  #: Mass [kg].
     inertia: Float[ndarray, "3"]  #: Principal moments of inertia about the axes of the body frame [kg·m²].
-    radius: float  #: Radius of the ball of the same volume [m].
+    radius: float  #: Radius of a ball of the same volume [m].
 
     @property
     def drag_area(self) -> float:
-        """Drag coefficient times area, mean over all orientations [m²].
+        """Return drag coefficient times area, mean over all orientations [m²].
 
-        Faces A of the box with the object's inertia, of coefficient 1: the mean of A |n|³ over all directions
-        n is A / 4. Source: MuJoCo documentation, Computation, Fluid forces, inertia model.
+        The object is replaced by the box with its inertia, of drag coefficient 1. A face A contributes A / 4,
+        the mean of A |n|³ over all directions n. Source: MuJoCo documentation, fluid forces, inertia model.
         """
         x, y, z = np.sqrt(6.0 / self.mass * (self.inertia.sum() / 2.0 - self.inertia) * 2.0)
         return float(x * y + y * z + z * x) / 4.0
 
     def scaled(self, factor: float) -> "ObjectSpec":
-        """The same object, larger by a factor but of the same mass, as of lighter foam."""
+        """Return the object scaled by a factor, with the same mass."""
         parts = tuple(ConvexPart(vertices=part.vertices * factor) for part in self.parts)
         return replace(self, parts=parts, inertia=self.inertia * factor**2, radius=self.radius * factor)
 
@@ -52,16 +51,16 @@ class ObjectSpec:
 def make_object(
     name: str, *parts: ConvexPart, mass: float = OBJECT_MASS, overlap: ConvexPart | None = None
 ) -> ObjectSpec:
-    """An object of convex parts, such as `shapes.box(0.05, 0.05, 0.08)`, moved into its body frame.
+    """Return an object of convex parts, such as `shapes.box(0.05, 0.05, 0.08)`.
 
     Args:
-        name: Its name in the catalogue.
-        parts: The parts, in any frame [m].
-        mass: Its mass [kg].
-        overlap: The part of space that two of them fill, which counts once.
+        name: Name in the catalogue.
+        parts: The parts, in any common frame [m].
+        mass: Mass [kg].
+        overlap: Overlap of two parts, which counts once in the mass properties.
 
     Raises:
-        InvalidValueError: If there is no part, or no mass.
+        InvalidValueError: There is no part, or the mass is not positive.
     """
     if not parts:
         raise InvalidValueError(f"object '{name}' has no parts; give one or more of `scene.shapes`.")
@@ -70,10 +69,10 @@ def make_object(
 
 
 def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"], mass: float) -> ObjectSpec:
-    """An object that collides as its parts, with mass [kg] and moments (`shapes.moments`) of a solid.
+    """Return an object that collides as its parts, with a mass [kg] and the moments of a solid.
 
     Raises:
-        InvalidValueError: If the mass is not greater than 0.
+        InvalidValueError: The mass is not positive.
     """
     if not mass > 0.0:
         raise InvalidValueError(f"object '{name}' has a mass of {mass} kg; it must be greater than 0.")
@@ -90,7 +89,7 @@ def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"
 
 
 def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
-    """Right-handed principal axes as columns; the given axes where they are principal but for round-off."""
+    """Return right-handed principal axes as columns; the identity if the axes are nearly principal."""
     off_diagonal = inertia - np.diag(np.diag(inertia))
     if np.abs(off_diagonal).max() < 2e-3 * np.trace(inertia):
         return np.eye(3)
@@ -100,7 +99,7 @@ def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
 
 
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
-    """Two bars of this width at a right angle, both legs `leg` long outside, `depth` deep along z."""
+    """Return two bars at a right angle, with outer leg length, width, and depth along z [m]."""
     long_bar = shapes.box(leg, width, depth)
     short_bar = shapes.box(width, leg - width, depth).moved((-(leg - width) / 2, leg / 2, 0.0))
     return make_object(name, long_bar, short_bar)
@@ -163,7 +162,7 @@ _SIZES_UNSEEN = _by_name(
     make_object("drum_24", shapes.cylinder(0.1, 0.24), mass=0.22),
 )
 
-SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two scales. Source: release.
+SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two sizes. Source: release.
 
 UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 """Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours."""
@@ -171,15 +170,15 @@ UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
 
 SIZES: tuple[str, ...] = tuple(_SIZES)
-"""Balls and boxes from what one hand holds to what takes two; the number is the longest extent [cm].
+"""Balls and boxes for one hand and for two; the number is the longest extent [cm].
 
 Source: ours: toy balls and parcels, the large ones of 20 to 70 kg/m³.
 """
 
-SIZES_UNSEEN: tuple[str, ...] = tuple(_SIZES_UNSEEN)  #: Others of such sizes, which no training has.
+SIZES_UNSEEN: tuple[str, ...] = tuple(_SIZES_UNSEEN)  #: Objects of similar sizes, not used in training.
 
 OBJECTS: dict[str, ObjectSpec] = catalogue(ObjectSpec, _SEEN | _UNSEEN | _REAL | _SIZES | _SIZES_UNSEEN)
-"""All objects by name, those of files of one's own last; the order is the order of the object table."""
+"""All objects by name, in the order of the object table; those of user files are last."""
 
 OBJECT_GROUPS: dict[str, tuple[str, ...]] = {
     "seen": SEEN,
@@ -188,31 +187,32 @@ OBJECT_GROUPS: dict[str, tuple[str, ...]] = {
     "sizes": SIZES,
     "sizes_unseen": SIZES_UNSEEN,
 }
-"""Names that stand for several objects."""
+"""Groups of objects, by name."""
 
 
 def largest_radius(names: Iterable[str], scale: float = 1.0) -> float:
-    """Radius of the ball of the volume of the largest object, to a millimetre [m]."""
+    """Return the radius of a ball with the volume of the largest object [m], rounded to 1 mm."""
     return round(scale * max(OBJECTS[name].radius for name in names), 3)
 
 
 def num_parts() -> int:
-    """Convex parts of the object's body in the model; those that an object does not need hide inside it."""
+    """Return the number of geoms of the object's body; geoms that an object does not need lie inside it."""
     return max(LEAST_PARTS, *(len(spec.parts) for spec in OBJECTS.values()))
 
 
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
-    """Resolve names of objects and groups to names of objects, in the given order and without repeats.
+    """Return the names of objects for names of objects and groups, in the given order without repeats.
 
-    Names are those of `OBJECT_GROUPS` or an object's, several of them, or a comma-separated string.
+    Args:
+        names: Names, or one string with commas between them.
 
     Raises:
-        UnknownNameError: If a name is neither an object nor a group.
-        InvalidValueError: If no name is given.
+        UnknownNameError: A name is neither an object nor a group.
+        InvalidValueError: No name is given.
     """
     wanted = [name.strip() for name in names.split(",")] if isinstance(names, str) else list(names)
     if not wanted:
-        raise InvalidValueError("no object given; name an object or a group: " + ", ".join(OBJECT_GROUPS))
+        raise InvalidValueError("no object was given; give an object or a group: " + ", ".join(OBJECT_GROUPS))
     selected: dict[str, None] = {}
     for name in wanted:
         if name not in OBJECTS and name not in OBJECT_GROUPS:
@@ -222,22 +222,20 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
-    """Points on the surface of an object, body frame [m].
+    """Return points on the surface of an object, body frame [m].
 
-    The first points are all vertices, or those of the hull of all if these are too many: their projections
-    bound the outline exactly. The others are spread over the outer surface, equally per area. Points of one
-    part inside another are left out.
+    The first points are all vertices, or those of the common hull if there are too many; they bound the
+    outline in an image exactly. The others are uniformly distributed over the outer surface.
 
     Raises:
-        InvalidValueError: If the hull has more vertices than there are points.
+        InvalidValueError: The hull has more vertices than `num_points`.
     """
     vertices = np.concatenate([part.vertices for part in spec.parts])
     if num_points < len(vertices):
         vertices = vertices[ConvexPart(vertices=vertices).hull.vertices]
     if num_points < len(vertices):
         raise InvalidValueError(
-            f"num_points = {num_points} is too few for '{spec.name}', which has {len(vertices)} vertices: "
-            f"ask for at least {len(vertices)}."
+            f"num_points is {num_points}; object '{spec.name}' needs at least {len(vertices)}."
         )
     rng = np.random.default_rng(seed)
     faces = np.concatenate([part.faces for part in spec.parts])
@@ -251,7 +249,7 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
 
 
 def _is_inside(spec: ObjectSpec, points: Float[ndarray, "n 3"]) -> ndarray:
-    """Whether each point lies strictly inside a part, or on the seam between two."""
-    planes = [part.hull.equations for part in spec.parts]  # outward normals, and minus their distances [m]
+    """Return whether each point lies strictly inside a part, or on the face between two parts."""
+    planes = [part.hull.equations for part in spec.parts]  # outward normals and offsets [m]
     depths = np.stack([-(points @ each[:, :3].T + each[:, 3]).max(axis=1) for each in planes])
     return (depths > 1e-6).any(axis=0) | ((depths > -1e-9).sum(axis=0) > 1)

@@ -1,6 +1,6 @@
-"""The scene as a MuJoCo model: robot, table, floor, one thrown object, camera, servos, contact sensors.
+"""The scene as a MuJoCo model: robots, table, floor, one thrown object, camera, servos, contact sensors.
 
-The model of every object has the same layout; only the values of a few fields differ (`object_table`).
+Models with different objects have the same layout; only the fields of `object_table` differ.
 """
 
 from collections.abc import Mapping
@@ -26,22 +26,22 @@ from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
 NO_PART = "no_part"
-"""Mesh that takes the place of a part that an object does not have: a tetrahedron of 1 mm in its middle."""
+"""Mesh of an unused geom of the object: a tetrahedron of 1 mm at its centre."""
 
 OBJECT_START = (2.65, 0.0, 0.8)
-"""Position of the object in `qpos0` [m]: the middle of the throw's release points."""
+"""Position of the object in `qpos0` [m]: the centre of the release points."""
 
-FLOOR_BIT = 2  #: Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1.
-OBJECT_BOUND = 0.3  #: Half an edge of a cube about the body origin that holds every object [m].
+FLOOR_BIT = 2  #: Contact bit of floor and object. Robot, table and object share bit 1.
+OBJECT_BOUND = 0.3  #: Half the edge of a cube about the body origin that contains every object [m].
 
 CONTACT_DATA = sum(
     1 << int(field)
     for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
 )
 Contact = tuple[mujoco.mjtObj, str]
-"""One side of a contact: a body, a body with all that hangs on it, or a geom, by name."""
+"""One side of a contact: type and name of a body, a subtree or a geom."""
 
-REDUCE_MINDIST = 1  #: Of several contacts a sensor reports the deepest.
+REDUCE_MINDIST = 1  #: A sensor reports the deepest of several contacts.
 
 GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
 BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
@@ -52,7 +52,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     """Compose the scene with one object.
 
     Raises:
-        UnknownNameError: If the object is not in the catalogue, or a choice is none of those there are.
+        UnknownNameError: The object, the work cell or another choice does not exist.
     """
     if object_name not in OBJECTS:
         raise UnknownNameError("object", object_name, OBJECTS)
@@ -68,7 +68,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
 
 @cache
 def _spec_without_object(cfg: SceneCfg, workcell: WorkcellSpec) -> mujoco.MjSpec:
-    """What scenes with different objects have in common; to be copied, which is far sooner done."""
+    """Compose the part that scenes with different objects share. Copy the result before a change."""
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
@@ -83,9 +83,9 @@ def _spec_without_object(cfg: SceneCfg, workcell: WorkcellSpec) -> mujoco.MjSpec
 def build_model(
     cfg: SceneCfg, object_name: str = "cube_s", armature: Mapping[str, float] | None = None
 ) -> mujoco.MjModel:
-    """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
+    """Compile the scene with one object; the layout is the same for all objects.
 
-    `armature` are reflected inertias by joint that differ from the nominal ones [kg·m²].
+    `armature` overrides the nominal reflected inertias of joints, by name [kg·m²].
 
     Raises:
         InvalidValueError: A value of the scene is out of range.
@@ -100,7 +100,7 @@ def build_model(
 
 
 def _open_layout(model: mujoco.MjModel) -> None:
-    """Undo what MuJoCo derives from one object's geoms: shortcuts of frames, and a bounding-volume tree."""
+    """Reset what MuJoCo derives from one object's geoms: frame shortcuts and the bounding-volume tree."""
     body = model.body("object")
     model.geom_sameframe[model.geom_bodyid == body.id] = 0
     first = int(model.body_bvhadr[body.id])
@@ -110,15 +110,15 @@ def _open_layout(model: mujoco.MjModel) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectIndices:
-    """Where the object is in the arrays of the model."""
+    """Indices of the object in the arrays of the model."""
 
     body: int
-    geoms: slice  #: Its geoms, one after the other.
+    geoms: slice  #: Its geoms.
     qpos: slice  #: Its position and quaternion in `qpos`.
     dofs: slice  #: Its linear and angular velocity in `qvel`.
 
     def rows(self, field: str) -> slice:
-        """Rows of a model field that belong to the object."""
+        """Return the rows of a model field that belong to the object."""
         if field.startswith("geom_"):
             return self.geoms
         return self.dofs if field.startswith("dof_") else slice(self.body, self.body + 1)
@@ -129,12 +129,12 @@ class ObjectTable:
     """The object's rows of every model field that depends on the object."""
 
     names: tuple[str, ...]  #: The objects, in the order of the first axis of each array.
-    indices: ObjectIndices  #: Where those rows belong.
+    indices: ObjectIndices  #: Indices of these rows in the model.
     fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
 
 
 def object_indices(model: mujoco.MjModel, name: str = "object") -> ObjectIndices:
-    """Find the object, or the body of that name like it, in a model."""
+    """Return the indices of the object, or of another such body, in a model."""
     body = model.body(name).id
     joint = model.joint(f"{name}_joint")
     first = int(model.body_geomadr[body])
@@ -148,7 +148,7 @@ def object_indices(model: mujoco.MjModel, name: str = "object") -> ObjectIndices
 
 
 def object_table(cfg: SceneCfg) -> ObjectTable:
-    """Compile all objects side by side, without a robot, and read off in what they differ."""
+    """Return the fields that differ between objects, from one model of all objects without robots."""
     return _object_table(cfg, tuple(OBJECTS.values()))
 
 
@@ -174,10 +174,10 @@ def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:
 
 
 def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
-    """Write the model as a self-contained .xml, of six digits, or as an exact, binary .mjb.
+    """Write the model as a self-contained .xml with six digits, or as an exact binary .mjb.
 
     Raises:
-        InvalidValueError: If the path ends otherwise.
+        InvalidValueError: The path has another ending.
     """
     match Path(path).suffix:
         case ".xml":
@@ -187,13 +187,13 @@ def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s"
         case ".mjb":
             mujoco.mj_saveModel(build_model(cfg, object_name), str(path))
         case _:
-            raise InvalidValueError(f"cannot export to '{path}': the name must end in .xml or .mjb.")
+            raise InvalidValueError(f"the file is '{path}'; its name must end in .xml or .mjb.")
 
 
 def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
-    """Solver options. Source: ours, `benchmarks/contact_quality.py`.
+    """Set solver options. Source: ours, `benchmarks/contact_quality.py`.
 
-    The "discrete" integrator damps restitution away; speculative contacts halve it, and Warp lacks them.
+    The "discrete" integrator removes restitution. Speculative contacts halve it, and Warp does not have them.
     """
     spec.compiler.degree = False
     option = spec.option
@@ -208,7 +208,7 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 
 def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg, table: TableSpec) -> None:
-    """Floor, table and the camera; floor and table are bodies of their own, for the broad phase."""
+    """Add floor, table and camera; floor and table are separate bodies for the broad phase."""
     world = spec.worldbody
     world.add_body(name="floor").add_geom(
         name="floor",
@@ -239,14 +239,14 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg, table: TableSpec) -> N
         resolution=(camera.width, camera.height),
         sensor_size=(camera.width * 1e-5, camera.height * 1e-5),
         focal_pixel=(camera.fx, camera.fy),
-        principal_pixel=(camera.width / 2 - camera.cx, camera.height / 2 - camera.cy),  # the renderer's sign
+        principal_pixel=(camera.width / 2 - camera.cx, camera.height / 2 - camera.cy),  # sign of the renderer
     )
 
 
 def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
-    """Limits, friction and a position servo for every joint, in the order of the joints.
+    """Add limits, friction and a position servo for every joint, in joint order.
 
-    Torque = stiffness (target - position) - damping velocity, limited to the effort of the servo.
+    torque = stiffness (target - position) - damping velocity, limited to the effort of the servo.
     """
     for each in joints:
         joint = spec.joint(each.name)
@@ -270,13 +270,13 @@ def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
 
 
 def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
-    """The parts of all objects, so that every scene has the same meshes."""
+    """Add the parts of all objects, so that every scene has the same meshes."""
     for each in OBJECTS.values():
         for i, part in enumerate(each.scaled(cfg.object_scale).parts):
             if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
                 raise InvalidValueError(
-                    f"object '{each.name}' reaches {100 * reach:.3g} cm from its centre of mass; "
-                    f"{100 * OBJECT_BOUND:g} cm is the most: scale it down, a mesh in mm by 0.001."
+                    f"object '{each.name}' extends {100 * reach:.3g} cm from its centre of mass; it must be "
+                    f"at most {100 * OBJECT_BOUND:g} cm: scale it, a mesh in millimetres by 0.001."
                 )
             spec.add_mesh(name=f"{each.name}_part_{i}", uservert=part.vertices.ravel())
     corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
@@ -284,13 +284,13 @@ def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 
 def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: str = "object") -> None:
-    """The thrown object on a free joint."""
+    """Add the thrown object on a free joint."""
     thrown = thrown.scaled(cfg.object_scale)
     body = spec.worldbody.add_body(name=name, pos=OBJECT_START)
     body.add_freejoint(name=f"{name}_joint")
     body.explicitinertial = True
     body.mass = thrown.mass
-    body.ipos, body.iquat = (0, 0, 0), (1, 0, 0, 0)  # left unset, MuJoCo takes the body's pose for them
+    body.ipos, body.iquat = (0, 0, 0), (1, 0, 0, 0)  # MuJoCo's default is the pose of the body
     body.inertia = thrown.inertia
     for i in range(num_parts()):
         body.add_geom(
@@ -310,10 +310,10 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: st
 
 
 def contact_sensors(workcell: WorkcellSpec) -> dict[str, tuple[Contact, Contact | None]]:
-    """The contact sensors: their names, and between what they look.
+    """Return the two sides of each contact sensor, by the name of the sensor.
 
-    Each palm and its fingers with the object, anything with it, then each robot with the table, each with
-    itself, and each with each other one.
+    There are sensors for the object with each palm, each finger and anything, for each robot with the table and
+    with itself, and for each pair of robots.
     """
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
     thrown, table = (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table")
@@ -331,7 +331,7 @@ def contact_sensors(workcell: WorkcellSpec) -> dict[str, tuple[Contact, Contact 
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
-    """Sensors of (found, dist [m]) of the deepest contact between two bodies, subtrees or geoms."""
+    """Add sensors with (found, dist [m]) of the deepest contact between two sides."""
     for name, (first, second) in contact_sensors(workcell).items():
         sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
         sensor.objtype, sensor.objname = first
@@ -341,7 +341,7 @@ def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
 
 
 def _add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
-    """What is only seen of the surroundings: lights, sky, textures, a pedestal; none collides or has mass."""
+    """Add visuals of the surroundings: lights, sky, textures, a pedestal."""
     headlight = spec.visual.headlight
     headlight.ambient, headlight.diffuse, headlight.specular = (0.35,) * 3, (0.35,) * 3, (0.1,) * 3
     spec.visual.map.znear, spec.visual.map.shadowclip = 0.02, 2.0
@@ -367,11 +367,11 @@ def _add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
     material = spec.add_material(name="floor", texrepeat=(1, 1), texuniform=True, specular=0.1, shininess=0.1)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor = spec.geom("floor")
-    floor.size, floor.material, floor.rgba = (0, 0, 0.1), "floor", (1, 1, 1, 1)  # size 0: without end
-    floor.castshadow = False  # it would speckle itself
+    floor.size, floor.material, floor.rgba = (0, 0, 0.1), "floor", (1, 1, 1, 1)  # size 0: infinite
+    floor.castshadow = False  # avoids speckles
     x, y, top = table.center
     height = top - table.thickness
-    spec.worldbody.add_geom(  # a pedestal from the floor to the underside of the table
+    spec.worldbody.add_geom(  # a pedestal under the table
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(x, y, height / 2),
         size=(table.size[0] / 2 - 0.05, table.size[1] / 2 - 0.05, height / 2),

@@ -1,18 +1,20 @@
 """Convex shapes as vertex arrays, and their mass properties.
 
-Frames: every shape is centred on its bounding box; axes of revolution and prisms are along z. Round shapes
-are polyhedra of at most 64 vertices. Their radius is enlarged so that inside and outside errors of the
-outline are equal: 0.2 mm on the rings of cylinders and cones, 0.7 mm on the spheres of radius 0.04.
+Frame: the origin is the centre of the bounding box; axes of revolution and of prisms are along z. Round
+shapes are polyhedra of at most 64 vertices. Their radius is enlarged so that the largest errors inside and
+outside the surface are equal: 0.2 mm on rings of cylinders and cones, 0.7 mm on spheres of radius 0.04 m.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, pi, sqrt
+from math import cos, pi
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import ConvexHull
+
+from pixel2catch.robots.poses import sphere_points
 
 RING_POINTS = 32  #: Vertices of a circle. Source: ours.
 SPHERE_POINTS = 64  #: Vertices of a sphere or an ellipsoid. Source: ours.
@@ -20,22 +22,22 @@ SPHERE_POINTS = 64  #: Vertices of a sphere or an ellipsoid. Source: ours.
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConvexPart:
-    """A convex body of uniform density, given by the corners of its hull."""
+    """A convex body of uniform density."""
 
-    vertices: Float[ndarray, "num_vertices 3"]  #: Corners [m].
+    vertices: Float[ndarray, "num_vertices 3"]  #: Corners of its hull [m].
 
     def moved(self, by: tuple[float, float, float]) -> "ConvexPart":
-        """The same body at another place [m]."""
+        """Return the body shifted by a vector [m]."""
         return ConvexPart(vertices=self.vertices + np.array(by))
 
     @cached_property
     def hull(self) -> ConvexHull:
-        """The hull of the corners."""
+        """Return the hull of the corners."""
         return ConvexHull(self.vertices)
 
     @cached_property
     def faces(self) -> Float[ndarray, "num_faces 3 3"]:
-        """Corners of the triangles of the hull, counter-clockwise seen from outside."""
+        """Return the triangles of the hull [m], counter-clockwise seen from outside."""
         triangles = self.vertices[self.hull.simplices]
         normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         is_inward = np.einsum("ij,ij->i", normals, self.hull.equations[:, :3]) < 0
@@ -44,17 +46,17 @@ class ConvexPart:
 
 
 def moments(part: ConvexPart) -> Float[ndarray, "4 4"]:
-    """Integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
+    """Return the integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
 
-    It adds up over disjoint solids and subtracts over overlaps.
+    Integrals of disjoint solids add up.
     """
     return moments_inside(part.faces)
 
 
 def moments_inside(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 4"]:
-    """The same for the solid inside a closed surface of triangles, counter-clockwise seen from outside [m].
+    """Return the `moments` of the solid inside a closed surface [m], summed over tetrahedra from the origin.
 
-    Taken over the tetrahedra between the origin and each face.
+    Triangles are counter-clockwise seen from outside.
     """
     volumes = np.linalg.det(faces) / 6.0
     sums = faces.sum(axis=1)
@@ -64,25 +66,25 @@ def moments_inside(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 
 
 
 def center_of_mass(solid: Float[ndarray, "4 4"]) -> Float[ndarray, "3"]:
-    """Centre of mass [m] of a solid with these moments."""
+    """Return the centre of mass [m] of a solid with these moments."""
     return solid[0, 1:] / solid[0, 0]
 
 
 def inertia(solid: Float[ndarray, "4 4"], mass: float) -> Float[ndarray, "3 3"]:
-    """Inertia about the centre of mass [kg·m²] of a uniform solid with these moments and this mass [kg]."""
+    """Return the inertia about the centre of mass [kg·m²] of a solid with these moments and mass [kg]."""
     center = center_of_mass(solid)
     covariance = mass * (solid[1:, 1:] / solid[0, 0] - np.outer(center, center))
     return np.trace(covariance) * np.eye(3) - covariance
 
 
 def box(x: float, y: float, z: float) -> ConvexPart:
-    """A box with these edge lengths [m]."""
+    """Return a box with these edge lengths [m]."""
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
     return ConvexPart(vertices=0.5 * signs * (x, y, z))
 
 
 def prism(num_corners: int, edge: float, height: float) -> ConvexPart:
-    """A regular polygon with this edge length [m] in the xy plane, extruded along z."""
+    """Return a regular polygon with this edge length [m] in the xy plane, extruded along z."""
     angles = 2 * pi * np.arange(num_corners) / num_corners
     outline = edge / (2 * np.sin(pi / num_corners)) * np.column_stack((np.cos(angles), np.sin(angles)))
     low, high = (np.column_stack((outline, np.full(num_corners, z))) for z in (-height / 2, height / 2))
@@ -92,24 +94,24 @@ def prism(num_corners: int, edge: float, height: float) -> ConvexPart:
 def _ring(
     radius: float, z: float, num_points: int = RING_POINTS, turn: float = 0.0
 ) -> Float[ndarray, "num_points 3"]:
-    """A circle [m] at height z, enlarged so that corners and edges err alike; `turn` in point spacings."""
+    """Return a circle [m] at height z with balanced errors, rotated by `turn` point spacings."""
     angles = 2 * pi * (np.arange(num_points) + turn) / num_points
     outer = 2 * radius / (1 + cos(pi / num_points))
     return np.column_stack((outer * np.cos(angles), outer * np.sin(angles), np.full(num_points, z)))
 
 
 def cylinder(radius: float, height: float) -> ConvexPart:
-    """A cylinder along z."""
+    """Return a cylinder along z [m]."""
     return ConvexPart(vertices=np.concatenate([_ring(radius, z) for z in (-height / 2, height / 2)]))
 
 
 def cone(radius: float, height: float) -> ConvexPart:
-    """A cone with its tip up."""
+    """Return a cone along z with its tip up [m]."""
     return ConvexPart(vertices=np.concatenate((_ring(radius, -height / 2), [(0.0, 0.0, height / 2)])))
 
 
 def capsule(radius: float, length: float) -> ConvexPart:
-    """A cylinder of this length along z between half-spheres of rings at 0°, 32° and 64° and a pole."""
+    """Return a cylinder of this length [m] along z between half-spheres with rings at 0°, 32°, 64°."""
     rings = ((0.0, 16), (32.0, 10), (64.0, 5))
     caps = []
     for latitude, num_points in rings:
@@ -123,21 +125,12 @@ def capsule(radius: float, length: float) -> ConvexPart:
 
 
 def ellipsoid(x: float, y: float, z: float) -> ConvexPart:
-    """An ellipsoid with these semi-axes [m]; its vertices follow a spiral of equal areas."""
-    points = spiral(SPHERE_POINTS)
+    """Return an ellipsoid with these semi-axes [m]."""
+    points = sphere_points(SPHERE_POINTS)
     nearest_face = ConvexHull(points).equations[:, 3].max()
     return ConvexPart(vertices=points * 2 / (1 - nearest_face) * (x, y, z))
 
 
-def spiral(num_points: int) -> Float[ndarray, "num_points 3"]:
-    """Points on the unit sphere, each for an equal area."""
-    k = np.arange(num_points) + 0.5
-    height = 1 - 2 * k / num_points
-    angle = pi * (1 + sqrt(5)) * k
-    ring = np.sqrt(1 - height**2)
-    return np.column_stack((ring * np.cos(angle), ring * np.sin(angle), height))
-
-
 def sphere(radius: float) -> ConvexPart:
-    """A sphere."""
+    """Return a sphere [m]."""
     return ellipsoid(radius, radius, radius)
