@@ -93,5 +93,5 @@ def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(OBJECTS, "world", make_object("world", shapes.box(0.05, 0.05, 0.05)))
     assert object_table(SceneCfg()).names[-1] == "world"  # as MuJoCo calls a body of its own
     monkeypatch.setitem(OBJECTS, "rake", make_object("rake", shapes.box(0.7, 0.05, 0.05)))
-    with pytest.raises(InvalidValueError, match=r"'rake' reaches 35 cm from its centre of mass; 30 cm"):
+    with pytest.raises(InvalidValueError, match=r"'rake' extends 35 cm"):
         build_model(SceneCfg())

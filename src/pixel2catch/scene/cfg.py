@@ -24,7 +24,7 @@ restitution, depending on the penetration at the first step of an impact.
 """
 
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
-"""Impedance of a contact with the object. Source: ours; with MuJoCo's default an object creeps in the hand."""
+"""Impedance of a contact with the object. Source: ours; an object creeps in the hand with MuJoCo's."""
 
 
 Impedance = Annotated[

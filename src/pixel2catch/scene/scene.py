@@ -312,8 +312,8 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: st
 def contact_sensors(workcell: WorkcellSpec) -> dict[str, tuple[Contact, Contact | None]]:
     """Return the two sides of each contact sensor, by the name of the sensor.
 
-    There are sensors for the object with each palm, each finger and anything, for each robot with the table and
-    with itself, and for each pair of robots.
+    There are sensors for the object with each palm, each finger and anything, for each robot with the table
+    and with itself, and for each pair of robots.
     """
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
     thrown, table = (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table")
