@@ -14,9 +14,9 @@ from time import perf_counter, thread_time
 
 import numpy as np
 
-from pixel2catch.deployment.recorder import ORDERS, SERVO
+from pixel2catch.deployment.control_loop import StepClock
+from pixel2catch.deployment.recorder import SERVO, TARGETS
 from pixel2catch.deployment.replay import played_topics
-from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
@@ -52,7 +52,7 @@ def main() -> None:
         clock.time = moment
         if name in publishers:
             publishers[name].publish(data)
-        elif name == ORDERS.name:
+        elif name == TARGETS.name:
             loop.send(JointTargets.of(messages.read_float_array(data)))
         elif name == SERVO.name:
             clock.time = Command.of(messages.read_float_array(data)).time

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pixel2catch.deployment.laboratory import checks_of_laboratory
-from pixel2catch.deployment.survey import Survey
+from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import PROFILES, Profile, RobotPart

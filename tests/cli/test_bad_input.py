@@ -60,7 +60,6 @@ BAD = [
     ("twin --web --port 99999", "port is 99999; it must be from 1 to 65535"),
     ("twin --clock 2", "clock is 2; it must be greater than 0, and at most 1"),
     ("deploy --speed 0", "speed is 0"),
-    ("replay {empty} --out {new} --perception-ms nan", "perception_ms is nan"),
     ("evaluate --out .", "out is '.', a folder; name a file in it"),
     ("evaluate --out {file}/x.json", "nothing can be written in"),
     ("stress --out {file}", "a file; name a folder"),

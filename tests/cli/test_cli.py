@@ -254,14 +254,6 @@ def test_train_has_and_explains_every_option_of_its_configuration():
             assert said[1].startswith(f"(default: {field.default}"), field.name
 
 
-def test_help_shows_both_flags_of_what_is_on():
-    text = " ".join(pixel2catch("deploy", "--help").stdout.replace("│", "").split())
-    assert (
-        "--mask-robot, --no-mask-robot Ignore motion where the robot is in the image. (default: True)" in text
-    )
-    assert "--no-json" not in text
-
-
 def test_what_is_not_given_to_train_is_of_the_preset():
     args = ["train", "--device", "cpu", "--preset", "paper", "--seed", "4"]
     command = parse(args)

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from pixel2catch.cli.main import main
 from pixel2catch.datasets.lerobot import ACTION, DONE, IMAGES, SEEN, STATE
-from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder
+from pixel2catch.deployment.recorder import SERVO, TARGETS, BagRecorder
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT
@@ -53,7 +53,7 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
             order = JointTargets(
                 target_stamp=now + 0.002, image_stamp=now, box_stamp=now, joint_pos_target=targets
             )
-            recorder.record(ORDERS, messages.float_array(order.row), bag + 0.003)
+            recorder.record(TARGETS, messages.float_array(order.row), bag + 0.003)
             box = None if step == 4 else [10.0, 20.0, 30.0 + step, 40.0]
             recorder.record(PROFILE.operator.status, messages.text(json.dumps({"box": box})), bag + 0.003)
     return folder

@@ -14,8 +14,9 @@ import torch
 from paper_robot import JOINTS
 from pixel2catch.camera.image import Edges, Pixels
 from pixel2catch.deployment import recorder
+from pixel2catch.deployment.control_loop import Connection
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
-from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.segmenter import (
@@ -40,7 +41,7 @@ PROFILE = Profile.load("ur5e_allegro_v4")
 
 BOX: Edges = (300.0, 200.0, 330.0, 230.0)
 ASKING = 1e-4
-"""Time that passes while somebody asks for it [s]."""
+"""Time that passes with every call of `now` [s]."""
 
 RED = ColorRange(hue=(340.0, 20.0))
 NOISE = cycle(range(100, 140))
@@ -57,7 +58,7 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
 
 
 class EverythingRed(Segmenter):
-    """Takes whatever is red for the object, wherever it is."""
+    """Finds everything that is red."""
 
     def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
         return self.track(image, motion)
@@ -70,7 +71,7 @@ class EverythingRed(Segmenter):
 
 
 def remembering(method: str = "shared_reward+boxes") -> PolicyController:
-    """A policy that knows how old its boxes are, with random networks."""
+    """Return a policy that gets the ages of its boxes, with random networks."""
     torch.manual_seed(0)
     return PolicyController(
         Policy(contract_of(find_method(method), find_workcell(PROFILE.workcell))).eval(),
@@ -81,17 +82,17 @@ def remembering(method: str = "shared_reward+boxes") -> PolicyController:
 def new_pipeline(
     segmenter: Segmenter | None = None, controller: PolicyController | None = None
 ) -> PolicyPipeline:
-    """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
+    """Return a pipeline: by default the paper's policy, which gets no ages, and a segmenter for red."""
     policy, _ = load_policy(Path("proposed"))
-    person = Prompter()
-    tracker = ObjectTracker(segmenter or ColorThreshold(RED), person)
+    prompter = Prompter()
+    tracker = ObjectTracker(segmenter or ColorThreshold(RED), prompter)
     return PolicyPipeline(
-        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), tracker, person
+        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), tracker, prompter
     )
 
 
 def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Command:
-    """A tick of the servo, at home, in which nothing happens but what is given."""
+    """Return the command of a tick at the start pose."""
     return Command(
         time=time,
         mode=int(mode),
@@ -108,7 +109,7 @@ def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: 
 
 
 class PassingClock(Clock):
-    """Time passes by being asked for, as fast on any machine."""
+    """Time passes with every call of `now`, on any machine alike."""
 
     def __init__(self) -> None:
         self._time = 1000.0
@@ -126,7 +127,7 @@ class PassingClock(Clock):
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """What a loop is connected to, and the other ends of it."""
+    """The connection of a control loop, and its other ends."""
 
     connection: Connection
     servo: ServoEnd
@@ -135,14 +136,13 @@ class Surroundings:
     broker: Broker
 
     def show(self, image: np.ndarray, age: float = 0.0) -> float:
-        """The camera sends an image of this age; when it was taken, `Clock.now`."""
+        """Send an image of this age; return its exposure time, `Clock.now` [s]."""
         taken = self.clock.now() - age
         self.camera.publish(messages.image(image, self.clock.stamp() - age))
         return taken
 
     @cached_property
     def camera(self) -> Publisher:
-        """The only one."""
         return self.lab.publisher(PROFILE.camera.image)
 
 
@@ -161,7 +161,7 @@ def surroundings() -> Iterator[Surroundings]:
 
 @contextmanager
 def badly_recorded(folder: Path) -> Iterator[Surroundings]:
-    """Surroundings with a recording for which there is no room."""
+    """Surroundings with a recording that cannot be written."""
     with surroundings() as around, BagRecorder(folder / "tape") as bag, pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "MOST_WAITING", 0)
         recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
@@ -169,6 +169,6 @@ def badly_recorded(folder: Path) -> Iterator[Surroundings]:
 
 
 def moved(by: float) -> Edges:
-    """The box, so far to the right and down [px]."""
+    """Return the box, moved to the right and down [px]."""
     xmin, ymin, xmax, ymax = BOX
     return xmin + by, ymin + by, xmax + by, ymax + by

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.deployment.replay import BagPlayer
-from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import PerceptionError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker

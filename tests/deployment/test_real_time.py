@@ -1,4 +1,4 @@
-"""Who comes first on a busy machine; each test asks in a thread of its own, and leaves the others alone."""
+"""Priorities on a busy machine; each test changes those of its own thread."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import pytest
 
-from pixel2catch.deployment.recorder import ORDERS, BagRecorder
+from pixel2catch.deployment.recorder import TARGETS, BagRecorder
 from pixel2catch.servo.link import (
     LOOP_PRIORITY,
     RECORDER_PRIORITY,
@@ -42,11 +42,11 @@ USUAL, FIRST = (os.SCHED_OTHER, 0), (os.SCHED_FIFO, LOOP_PRIORITY)
 needs_permission = pytest.mark.skipif(in_thread(real_time_place) != FIRST, reason="the system refuses it")
 
 
-def test_the_servo_comes_before_the_policy_and_the_recording_last():
+def test_the_servo_has_priority_over_the_policy_and_both_over_the_recording():
     assert SERVO_PRIORITY > LOOP_PRIORITY > RECORDER_PRIORITY > 0
 
 
-def test_who_is_no_real_time_thread_stays_none():
+def test_a_usual_thread_stays_one():
     def action() -> tuple[int, int]:
         give_way(RECORDER_PRIORITY)
         with scheduled(os.SCHED_OTHER, 0) as is_granted:
@@ -57,19 +57,19 @@ def test_who_is_no_real_time_thread_stays_none():
 
 
 @needs_permission
-def test_what_is_started_as_others_is_no_real_time_process():
+def test_a_process_started_as_usual_has_no_real_time_priority():
     def action() -> tuple[str, tuple[int, int]]:
         set_real_time(LOOP_PRIORITY)
         with scheduled(os.SCHED_OTHER, 0):
-            asked = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
-            said = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
-        return said.strip(), place()
+            command = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
+            output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        return output.strip(), place()
 
     assert in_thread(action) == (str(os.SCHED_OTHER), FIRST)
 
 
 @needs_permission
-def test_the_recorder_gives_way_to_who_made_it(tmp_path: Path):
+def test_the_recorder_has_a_lower_priority_than_its_maker(tmp_path: Path):
     places: list[tuple[int, int]] = []
 
     def note(data: bytes) -> bytes:
@@ -79,7 +79,7 @@ def test_the_recorder_gives_way_to_who_made_it(tmp_path: Path):
     def action() -> None:
         set_real_time(LOOP_PRIORITY)
         with BagRecorder(tmp_path / "recording") as recorder:
-            recorder.record(ORDERS, bytes(16), 1.0, note)
+            recorder.record(TARGETS, bytes(16), 1.0, note)
 
     in_thread(action)
     assert places == [(os.SCHED_FIFO, RECORDER_PRIORITY)]

@@ -1,8 +1,7 @@
-"""A deployment on a recording decides what it decided then."""
+"""A replay decides what the recorded deployment decided."""
 
 import json
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,10 @@ from wire_lab import WireLab
 
 from paper_robot import JOINTS
 from pixel2catch.cli.main import main
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo, perception_times
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
-from pixel2catch.deployment.replay import RecordedTargets, compare, recorded_targets, replay
-from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
+from pixel2catch.deployment.replay import compare, recorded_targets, replay
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.segmenter import ColorThreshold
@@ -25,7 +24,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import link
+from pixel2catch.servo.link import JointTargets, link
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -42,7 +41,7 @@ def new_pipeline(controller: PolicyController | None = None) -> PolicyPipeline:
     return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
 
 
-def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
+def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None:
     """A second of a robot that stands still, and an object that moves through the image."""
     broker, clock = Broker(), StepClock(lambda moment: go_on_until(moment))
     clock.time = EPOCH
@@ -59,7 +58,9 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
         setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
         servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
         stack.callback(servo.close)
-        loop = SteppedLoop(servo, RGB_CAMERA, pipeline, perception_times(0.01))
+        loop = ControlLoop(
+            pipeline, RGB_CAMERA, servo.connection, PROFILE, perception_time=perception_times(0.01)
+        )
         tick = 0
 
         def go_on_until(moment: float) -> None:
@@ -72,7 +73,7 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
                     camera.publish(messages.image(shown, clock.time - 0.015))
                 lab.step()
                 servo.tick()
-                loop.look()
+                loop.poll()
 
         go_on_until(EPOCH + 0.1)
         lab.ask_to_arm()
@@ -90,7 +91,7 @@ def replayed(recording: Path, out: Path, pipeline: PolicyPipeline) -> dict[str, 
     ("method", "most"), [(None, 1e-5), ("shared_reward+age", 1e-3)], ids=["knows no age", "knows ages"]
 )
 def test_a_replay_decides_as_it_was_decided(tmp_path: Path, method: str | None, most: float):
-    """Of policies that know ages on the same images, and at times that differ by less than a tick."""
+    """Policies with ages decide at times that differ by less than a tick."""
     first, second = (new_pipeline(remembering(method) if method else None) for _ in range(2))
     record(tmp_path / "then", "raw", first)
     report = replayed(tmp_path / "then", tmp_path / "now", second)
@@ -108,7 +109,7 @@ def test_a_recording_without_images_is_refused(tmp_path: Path):
     assert not (tmp_path / "now").exists()
 
 
-def test_the_command_says_how_alike_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_reports_the_differences(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     record(tmp_path / "then", "jpeg", new_pipeline())
     args = ["replay", str(tmp_path / "then"), "--out", str(tmp_path / "now"), "--segmenter", "color"]
     assert main([*args, "--color", "340", "20", "--json"]) == 0
@@ -118,16 +119,21 @@ def test_the_command_says_how_alike_they_are(tmp_path: Path, capsys: pytest.Capt
     assert max(report["decided"][part]["max"] for part in ("arm", "hand")) < 0.2
 
 
-def test_differences_are_of_the_worst_joint_of_images_of_both():
-    target = np.tile(HOME, (3, 1))
-    then = RecordedTargets(time=np.array([1.0, 1.033, 1.067]), target=target)
-    other = target[:2].copy()
+def targets(stamps: list[float], positions: np.ndarray) -> list[JointTargets]:
+    return [
+        JointTargets(joint_pos_target=position, target_stamp=0.0, image_stamp=stamp, box_stamp=0.0)
+        for stamp, position in zip(stamps, positions, strict=True)
+    ]
+
+
+def test_differences_are_of_the_worst_joint_for_images_of_both():
+    then = targets([1.0, 1.033, 1.067], np.tile(HOME, (3, 1)))
+    other = np.tile(HOME, (2, 1))
     other[0, 1] += 0.25
     other[1, len(JOINTS) - 1] += 0.5
-    now = RecordedTargets(time=np.array([1.001, 1.034]), target=other)
-    report = compare(then, now, UR5E_ALLEGRO)
+    report = compare(then, targets([1.001, 1.034], other), UR5E_ALLEGRO)
     assert (report["num_then"], report["num_now"], report["num_both"]) == (3, 2, 2)
     assert report["arm"] == pytest.approx({"median": 0.125, "max": 0.25})
     assert report["hand"] == pytest.approx({"median": 0.25, "max": 0.5})
-    late = replace(now, time=now.time + 10.0)
+    late = targets([11.0, 11.033], other)
     assert compare(then, late, UR5E_ALLEGRO) == {"num_then": 3, "num_now": 2, "num_both": 0}

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mutation import changed_bytes, changed_json
-from pixel2catch.deployment.operator import _is_status
-from pixel2catch.deployment.operator_requests import read_prompt
+from pixel2catch.deployment.operator import is_status, read_prompt
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.joint_states import JointStateReader
@@ -70,7 +69,7 @@ BINARY = {
 
 TEXTS = {
     "prompt": ({"box": [1.0, 2.0, 3.0, 4.0]}, read_prompt),
-    "status": (STATUS, lambda data: _is_status(messages.read_json(data))),
+    "status": (STATUS, lambda data: is_status(messages.read_json(data))),
     "request": ({"do": "prepare", "seed": 3}, messages.read_json),
 }
 """JSON in a text, and what reads it."""

@@ -19,9 +19,8 @@ from domains import PATIENCE, own_domain
 from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.main import main
 from pixel2catch.deployment import machine
-from pixel2catch.deployment.laboratory import checks_of_laboratory
-from pixel2catch.deployment.stepped import StepClock
-from pixel2catch.deployment.survey import Survey
+from pixel2catch.deployment.control_loop import StepClock
+from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.ros2 import messages
@@ -178,7 +177,7 @@ def test_a_second_camera_and_a_second_driver_of_the_same_joints_are_named(labora
     arm, hand = PROFILE.robots
     checks = laboratory.examine(replace(PROFILE, robots=(arm, replace(hand, rate_hz=50.0))))
     assert bad(checks) == {"joints of hand"}
-    assert "50 Hz are expected; do two drivers say the same?" in checks["joints of hand"].found
+    assert "50 Hz are expected; end a second driver" in checks["joints of hand"].found
 
 
 def test_a_driver_that_takes_no_commands_is_named(laboratory: Laboratory):
@@ -186,7 +185,7 @@ def test_a_driver_that_takes_no_commands_is_named(laboratory: Laboratory):
     elsewhere = replace(hand, command_topic=replace(hand.command_topic, name="/hand/commands"))
     checks = laboratory.examine(replace(PROFILE, robots=(arm, elsewhere)))
     assert bad(checks) == {"commands to hand"}
-    assert "nobody takes /hand/commands" in checks["commands to hand"].found
+    assert "nobody receives /hand/commands" in checks["commands to hand"].found
     assert "/allegro_hand_position_controller/commands" in checks["commands to hand"].found
 
 
@@ -267,7 +266,7 @@ def test_settings_of_the_network_are_read(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert machine.dds_settings(False, {}).startswith("domain 7, no CYCLONEDDS_URI")
     assert "takes one of eth0, eth1; name it" in machine.dds_settings(False, {}, tmp_path)
     assert "file:///x.xml" in machine.dds_settings(False, {"CYCLONEDDS_URI": "file:///x.xml"})
-    with pytest.raises(Broken, match="rmw_zenoh_cpp, which DDS does not hear"):
+    with pytest.raises(Broken, match="rmw_zenoh_cpp, which DDS cannot receive"):
         machine.dds_settings(False, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
     with pytest.raises(Broken, match="ROS_LOCALHOST_ONLY=1: drivers"):
         machine.dds_settings(False, {"ROS_LOCALHOST_ONLY": "1"})
@@ -302,7 +301,7 @@ def examined(capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int | s
 
 def test_without_a_robot_all_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    monkeypatch.setattr("pixel2catch.deployment.survey.DISCOVERY", 0.1)
+    monkeypatch.setattr("pixel2catch.deployment.laboratory.DISCOVERY", 0.1)
     monkeypatch.setattr(Doctor, "_checks", lambda self: [])  # tests/cli/test_doctor.py has them
     status, checks = examined(capsys)
     assert status == 1
@@ -319,7 +318,7 @@ def test_it_hears_the_twin_of_another_process(
 ):
     """On a machine that is busy with tests the twin may itself be late: then it is examined anew."""
     rate = "0.05"
-    monkeypatch.setattr("pixel2catch.deployment.survey.SECONDS", 0.5)
+    monkeypatch.setattr("pixel2catch.deployment.laboratory.SECONDS", 0.5)
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     command = [sys.executable, "-m", "pixel2catch", "twin", "--clock", rate, "--objects", "cube_s"]
     with ExitStack() as stack:

@@ -12,10 +12,9 @@ import pytest
 import torch
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import GRACE, SHIFT
+from pixel2catch.deployment.control_loop import GRACE, SHIFT, StepClock
 from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
-from pixel2catch.deployment.recorder import ORDERS
-from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
@@ -126,7 +125,7 @@ def commands(recording: Path) -> np.ndarray:
     """When each decision was made, and the stamp of the newest image then [s]."""
     rows: list[tuple[float, float]] = []
     with opened_bag(recording) as reader:
-        wanted = [each for each in reader.connections if each.topic == ORDERS.name]
+        wanted = [each for each in reader.connections if each.topic == TARGETS.name]
         for _, _, data in reader.messages(wanted):
             joint_targets = JointTargets.of(messages.read_float_array(data))
             rows.append((joint_targets.target_stamp, joint_targets.image_stamp))

@@ -14,8 +14,8 @@ from websockets.sync.connection import Connection
 from websockets.typing import Origin
 
 from domains import PATIENCE, free_port
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.ros2 import messages

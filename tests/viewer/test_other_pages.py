@@ -21,8 +21,9 @@ from websockets.typing import Origin
 
 from domains import PATIENCE, free_port, own_domain
 from pixel2catch.cli.main import main
+from pixel2catch.cli.operate import Keys
+from pixel2catch.deployment.operator import EVENT, KEY
 from pixel2catch.deployment.recorder import BagRecorder
-from pixel2catch.deployment.switches import EVENT, KEY, Keys
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.video import BOX_COLOR

@@ -1,4 +1,4 @@
-"""`pixel2catch doctor`: what works on this machine, and what to install or do where something does not."""
+"""`pixel2catch doctor`: check this machine or a laboratory, and print what to install or to correct."""
 
 import importlib
 import importlib.metadata
@@ -25,21 +25,17 @@ from pixel2catch.installation import PACKAGE, install_command, needs_extra, requ
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
-"""Colour of each state; the word tells without colour, too."""
+"""Colour of each state."""
 
-EXIT_BAD = 1  #: Exit status where something that is needed does not work.
-NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Where Linux says which driver is loaded.
+EXIT_BAD = 1  #: Exit status if something that is needed does not work.
+NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Version of the loaded driver, on Linux.
 
 CUDA_BUILD = "'uv pip install --torch-backend=auto --reinstall-package torch torch'"
-"""How a build of PyTorch is installed that fits this machine. Source: documentation of uv."""
+"""Command that installs a build of PyTorch for this machine. Source: documentation of uv."""
 
-LEAST_FREE = 1e9
-"""Free space that a run may need [bytes]. Source: ours; a run folder has some megabytes, a study 200."""
+LEAST_FREE = 1e9  #: Free space that a run may need [bytes]. Source: ours; a study has 200 MB.
 
-CAMERA_SECONDS = 3.0  #: How long a camera is watched [s].
-LEAST_RATE = 29.0  #: Images a second that the policies need; they act 30 times.
-DDS_SECONDS = 5.0  #: How long two nodes may take to find each other [s].
-SAM2_IMAGES = 3  #: Images that SAM 2 tracks to be timed; it warms up before, where that matters.
+DDS_SECONDS = 5.0  #: Time in which two nodes must find each other [s]. Source: ours.
 
 _WARP_PROBE = """
 import mujoco_warp, warp
@@ -50,7 +46,7 @@ print(f"Warp {warp.__version__} computes on {device.name}")
 
 
 def optional(module: str, distribution: str, extra: str) -> str:
-    """The version of a package that is needed for a part only, if it can be imported and is in range."""
+    """Check that an optional package can be imported and has a version in range."""
     if importlib.util.find_spec(module) is None:
         raise Absent(f"not installed: {install_command(extra)}")
     imported = importlib.import_module(module)
@@ -62,7 +58,7 @@ def optional(module: str, distribution: str, extra: str) -> str:
 
 
 def python() -> str:
-    """The interpreter."""
+    """Check the version of Python."""
     version, wanted = platform.python_version(), importlib.metadata.metadata(PACKAGE)["Requires-Python"]
     if not SpecifierSet(wanted).contains(version, prereleases=True):
         raise Broken(f"Python {version} is not in {wanted}: make setup PYTHON=python3.12")
@@ -70,7 +66,7 @@ def python() -> str:
 
 
 def packages() -> str:
-    """The packages that every command needs."""
+    """Check the packages that every command needs."""
     wanted = requirements()
     wrong = []
     for name, versions in wanted.items():
@@ -87,7 +83,7 @@ def packages() -> str:
 
 
 def policy_and_physics() -> str:
-    """The shipped policy catches for one control step, on the CPU."""
+    """Check that the shipped policy acts for one control step, on the CPU."""
     from pixel2catch.evaluation.loading import load_policy, task_of
     from pixel2catch.evaluation.protocol import EvaluationCfg
 
@@ -103,7 +99,7 @@ def policy_and_physics() -> str:
 
 
 def disk() -> str:
-    """Space for what the commands write."""
+    """Check the free space in the working folder."""
     free = shutil.disk_usage(Path.cwd()).free
     if free < LEAST_FREE:
         raise Broken(f"only {free / 1e9:.2f} GB free in {Path.cwd()}: make room or work elsewhere")
@@ -111,7 +107,7 @@ def disk() -> str:
 
 
 def rendering() -> str:
-    """OpenGL without a display."""
+    """Check OpenGL without a display."""
     from pixel2catch.rendering.renderer import find_gl_backend
 
     try:
@@ -121,7 +117,7 @@ def rendering() -> str:
 
 
 def cuda() -> str:
-    """A GPU that PyTorch computes on."""
+    """Check that PyTorch computes on a GPU."""
     import torch
 
     with warnings.catch_warnings(record=True) as caught:
@@ -134,11 +130,11 @@ def cuda() -> str:
         return f"{count} x {name}, {memory:.0f} GiB, {_driver()}, CUDA {torch.version.cuda}"
     if not NVIDIA_DRIVER.exists():
         raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
-    said = "; ".join(str(warning.message) for warning in caught) or "PyTorch does not say why"
+    reason = "; ".join(str(warning.message) for warning in caught) or "PyTorch gives no reason"
     build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
     raise Broken(
-        f"{_driver()}, but PyTorch {torch.__version__}, {build}, sees no GPU ({said}): take a build for this "
-        f"driver, {CUDA_BUILD}, or a newer driver"
+        f"{_driver()}, but PyTorch {torch.__version__}, {build}, finds no GPU ({reason}): install a build "
+        f"for this driver, {CUDA_BUILD}, or a newer driver"
     )
 
 
@@ -148,7 +144,7 @@ def _driver() -> str:
 
 
 def warp() -> str:
-    """MuJoCo Warp's language on the GPU."""
+    """Check that Warp computes on the GPU."""
     import torch
 
     if not torch.cuda.is_available():
@@ -157,7 +153,7 @@ def warp() -> str:
 
 
 def torchvision() -> str:
-    """Not needed; but one that does not match PyTorch keeps SAM 2 from being imported."""
+    """Check that torchvision matches PyTorch, if it is installed; else SAM 2 cannot be imported."""
     import torch
 
     if importlib.util.find_spec("torchvision") is None:
@@ -169,90 +165,55 @@ def torchvision() -> str:
 
 
 def _in_process(code: str, remedy: str) -> str:
-    """Run Python code in a process of its own and return what it printed."""
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     if done.returncode:
-        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-        raise Broken(f"{said[-1]}: {remedy}")
+        lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        raise Broken(f"{lines[-1]}: {remedy}")
     return done.stdout.strip().splitlines()[-1]
 
 
 def dds() -> str:
-    """Send a message from one node to another on this machine, as `rehearse` does."""
+    """Check that two nodes on this machine receive each other's messages."""
     if importlib.util.find_spec("cyclonedds") is None:
-        raise Absent(f"not looked at without cyclonedds: {install_command('deployment')}")
+        raise Absent(f"not checked without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
     from pixel2catch.ros2.factory import make_transport
     from pixel2catch.ros2.transport import RealClock, Topic
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
-        make_transport("dds", "doctor", LOOPBACK, clock) as ear,
-        make_transport("dds", "d", LOOPBACK, clock) as mouth,
+        make_transport("dds", "receiver", LOOPBACK, clock) as receiver,
+        make_transport("dds", "sender", LOOPBACK, clock) as sender,
     ):
-        heard, sent = ear.subscription(topic), mouth.publisher(topic)
+        subscription, publisher = receiver.subscription(topic), sender.publisher(topic)
         begin = clock.now()
         while clock.now() < begin + DDS_SECONDS:
-            sent.publish(messages.boolean(True))
-            if ear.wait(0.1) and heard.take():
-                return f"two nodes on this machine hear each other after {clock.now() - begin:.2f} s"
+            publisher.publish(messages.boolean(True))
+            if receiver.wait(0.1) and subscription.take():
+                return f"two nodes on this machine connect after {clock.now() - begin:.2f} s"
     raise Broken(
-        f"two nodes on this machine do not hear each other in {DDS_SECONDS:g} s: look at the interface 'lo' "
-        "and at the firewall; UDP ports from 7400 on are needed."
+        f"two nodes on this machine do not connect in {DDS_SECONDS:g} s: check the interface 'lo' and the "
+        "firewall; UDP ports from 7400 on are needed."
     )
-
-
-def sam2(checkpoint: Path | None) -> str:
-    """A checkpoint that loads, and how long it takes for an image."""
-    if checkpoint is None:
-        raise Absent("not asked for: name its folder with --checkpoint")
-    import torch
-
-    from pixel2catch.perception.sam2 import Sam2Segmenter
-    from pixel2catch.scene.constants import CONTROL_DT
-
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    took = Sam2Segmenter(checkpoint, device).seconds_an_image(SAM2_IMAGES)
-    use = "fast enough for a camera" if took < CONTROL_DT else "for recordings only"
-    return f"loads on {device}, {1e3 * took:.1f} ms an image: {use}"
-
-
-def camera(source: str | None) -> str:
-    """A camera that delivers what the policies need."""
-    if source is None:
-        raise Absent("not asked for: name it with --camera")
-    from pixel2catch.perception.sources import measure_camera, open_camera
-    from pixel2catch.scene.constants import RGB_CAMERA
-
-    report = measure_camera(open_camera(source), CAMERA_SECONDS)
-    found = f"{report.width} x {report.height} at {report.rate:.1f} Hz, "
-    found += f"longest pause {1e3 * report.pause:.0f} ms"
-    if (report.width, report.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
-        raise Broken(f"{found}: it cannot deliver {RGB_CAMERA.width} x {RGB_CAMERA.height}; use another")
-    if report.rate < LEAST_RATE:
-        raise Broken(f"{found}: 30 Hz are needed; more light or a fixed exposure, or another USB port")
-    return found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
     """Check this machine: versions, policy, physics, rendering, GPU, perception, network; and a laboratory.
 
-    The exit status is 0 if `catch` and `evaluate` work, and what an option asks for.
+    The exit status is 0 if `catch` and `evaluate` work, and with --robot the laboratory is ready.
     """
 
-    checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint to load and time, too.
-    camera: str | None = None  #: Number or device of a camera to watch for three seconds, too.
-    #: Profile of a robot, shipped or a .yaml file, to examine with its machine, drivers and camera, too.
+    #: Profile of a robot, shipped or a .yaml file, whose machine, drivers and camera are checked as well.
     #: Nothing is sent to it. See docs/laboratory.md.
     robot: str | None = None
-    #: Camera file that `calibrate` wrote, to compare the robot's camera with. Default: the policies' camera.
+    #: Camera file of `calibrate` to compare the robot's camera with. Default: the policies' camera.
     lens: CameraPath | None = None
-    #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin,
-    #: beside which real time does not matter.
+    #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin, for
+    #: which real-time settings are not needed.
     network: NetworkName = LOOPBACK
-    clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of that twin.
+    clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
     json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:
@@ -271,19 +232,18 @@ class Doctor:
             sys.exit(EXIT_BAD)
 
     def _laboratory(self, profile: str) -> list[Check]:
-        """Look at the machine of a deployment, and listen to a robot."""
         from pixel2catch.camera.camera_file import CameraFile
         from pixel2catch.cli.link import Network, Robot
         from pixel2catch.scene.constants import RGB_CAMERA
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.laboratory import checks_of_laboratory
-            from pixel2catch.deployment.survey import take_survey
+            from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
         network = Network(robot=Robot(profile=profile), network=self.network, clock=self.clock)
         robot = network.robot.load()
         lens = CameraFile.load(self.lens).camera if self.lens else RGB_CAMERA
         with network.join("pixel2catch_doctor") as (transport, clock):
-            survey = take_survey(transport, robot, clock)
+            survey = Survey(transport, robot, clock)
+            survey.take()
         return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)
 
     def _checks(self) -> list[Check]:
@@ -305,12 +265,9 @@ class Doctor:
             check("pyarrow", partial(optional, "pyarrow", "pyarrow", "lerobot")),
             check("transformers", partial(optional, "transformers", "transformers", "sam2")),
             check("torchvision", torchvision),
-            check("SAM 2", partial(sam2, self.checkpoint), is_needed=self.checkpoint is not None),
-            check("camera", partial(camera, self.camera), is_needed=self.camera is not None),
         ]
 
     def _print(self, checks: list[Check]) -> None:
-        """Print a table, and what it means."""
         table = Table("check", "", "found")
         for each in checks:
             style = STYLES[each.state]
@@ -319,4 +276,4 @@ class Doctor:
         console.print(table)
         bad = [check.name for check in checks if check.state == "BAD" and check.is_needed]
         fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
-        console.print(f"To be mended: {', '.join(bad)}." if bad else fine)
+        console.print(f"To correct: {', '.join(bad)}." if bad else fine)

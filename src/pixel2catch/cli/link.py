@@ -1,4 +1,4 @@
-"""Options of the commands that move a robot, or its digital twin."""
+"""Options of the commands that communicate with a robot, or with its digital twin."""
 
 import os
 from collections.abc import Iterator
@@ -14,24 +14,25 @@ from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.recorder import Connection, Images
+    from pixel2catch.deployment.control_loop import Connection
+    from pixel2catch.deployment.recorder import ImageStorage
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock, Transport
     from pixel2catch.servo.limits import ServoLimits
 
-NODE = "pixel2catch"  #: Name of the node; the servo's has `_servo` behind it.
+NODE = "pixel2catch"  #: Name of the node; the servo's ends in `_servo`.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """Which robot it is."""
+    """The robot."""
 
-    #: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
+    #: Topics and joints of the robot: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
     #: ur5e_allegro_classic, ur5e_leap, fr3_allegro, two_ur5e_allegro) or a .yaml file.
     profile: str = "ur5e_allegro_v4"
 
     def load(self) -> "Profile":
-        """The robot's profile."""
+        """Read the profile."""
         from pixel2catch.ros2.profile import Profile
 
         return Profile.load(self.profile)
@@ -39,18 +40,18 @@ class Robot:
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """How a robot and its deployment are reached."""
+    """The network of a robot and its deployment."""
 
     robot: Robot = field(default_factory=Robot)  #: The robot.
-    transport: Literal["dds", "ros"] = "dds"  #: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
-    #: Network of the robot, one interface of this machine, such as eth0, or any: what CYCLONEDDS_URI says, or
-    #: DDS takes. lo is this machine only, on which the digital twin is heard, and no robot's driver.
+    transport: Literal["dds", "ros"] = "dds"  #: dds: DDS without ROS 2; ros: rclpy of a sourced ROS 2.
+    #: Network of the robot: an interface of this machine, such as eth0, or any for CYCLONEDDS_URI or the
+    #: choice of DDS. lo is this machine only, where the digital twin is, and no robot's driver.
     network: NetworkName = LOOPBACK
-    clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of a digital twin.
+    clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
-        """Be a node of the network by a name, with a clock that all agree on; say which network it is."""
+        """Join the network as a node of this name; print which network it is."""
         clock = RealClock(self.clock)
         with make_transport(self.transport, node, self.network, clock) as transport:
             domain = os.environ.get("ROS_DOMAIN_ID") or 0
@@ -59,41 +60,46 @@ class Network:
 
     @property
     def is_twin(self) -> bool:
-        """Whether it can be no robot's driver that is heard: by DDS on this machine only the twin is."""
+        """Whether only the digital twin can be reached: DDS on this machine reaches no driver."""
         return self.network == LOOPBACK and self.transport == "dds"
 
     @property
     def _reach(self) -> str:
-        """Who is reached, in words."""
         if self.is_twin:
             return "the digital twin on this machine; for a robot: --network INTERFACE"
         if self.network == LOOPBACK:
-            return "what ROS 2 is on this machine"
-        return "whatever DDS reaches" if self.network == ANY else "all that this interface reaches"
+            return "ROS 2 on this machine"
+        return "everything that DDS reaches" if self.network == ANY else "everything on this interface"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link(Network):
-    """How the robot is reached, and how fast it may be."""
+    """The network of a robot, and the limits of its motion."""
 
     speed: AtMostFull = 1.0  #: Share of the full speed, up to 1.
     #: Dynamics file of this robot, as `identify` writes it. Without one, commands to a robot are no faster
-    #: than its joints may be, whatever its lag, and no policy catches at full speed; the twin needs none.
+    #: than its joints, whatever their lag, and no policy catches at full speed; the twin needs none.
     dynamics: DynamicsPath | None = None
-    dry_run: bool = False  #: Send nothing to the robot: nobody announces a command.
 
     def connect(
-        self, profile: "Profile", record: Path | None, images: "Images", stack: ExitStack
+        self,
+        profile: "Profile",
+        record: Path | None,
+        images: "ImageStorage",
+        stack: ExitStack,
+        *,
+        is_dry_run: bool = False,
     ) -> "Connection":
-        """Join the network and start the servo process; record into a folder, if one is given.
+        """Join the network and start the servo process; record into a folder, if there is one.
 
-        The stack ends it all: first the servo, which stops the robot.
+        The stack ends first the servo, which stops the robot, then the rest.
         """
-        from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
+        from pixel2catch.deployment.control_loop import Connection
+        from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
         from pixel2catch.servo.process import ServoSetup, start_servo
 
         limits = self.limits(profile)
-        setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
+        setup = ServoSetup(profile=profile, limits=limits, is_dry_run=is_dry_run)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.network)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
@@ -104,7 +110,7 @@ class Link(Network):
         )
 
     def limits(self, profile: "Profile") -> "ServoLimits":
-        """What the servo keeps to with this robot."""
+        """Return the servo's limits for this robot, and print them."""
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.servo.limits import JointLimits, ServoLimits
@@ -115,7 +121,7 @@ class Link(Network):
         if self.dynamics:
             dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
         elif not self.is_twin:
-            say("no --dynamics: commands are no faster than the joints may be; identify the robot to catch")
+            say("no --dynamics: commands are no faster than the joints; identify the robot to catch")
         is_identified = self.is_twin or self.dynamics is not None
         joints = JointLimits.of(
             workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots

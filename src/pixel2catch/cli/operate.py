@@ -10,18 +10,26 @@ from tyro.conf import Positional
 
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Network
-from pixel2catch.deployment.switches import Keys
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.operator import OperatorConsole
-    from pixel2catch.deployment.switches import Press
+    from pixel2catch.deployment.operator import OperatorConsole, Press
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock, Transport
     from pixel2catch.viewer.operator_page import OperatorPage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keys:
+    """Key codes; any one of them is enough."""
+
+    #: Hold the dead-man's switch. Default: space bar, first button of a gamepad or joystick.
+    hold: tuple[int, ...] = (57, 288, 304)
+    arm: tuple[int, ...] = (28, 296, 315)  #: Request arming. Default: enter, start button.
+    stop: tuple[int, ...] = (1, 289, 305)  #: Request a stop. Default: escape, second button.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +52,7 @@ class Operate:
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
         with needs_extra("deployment"):
-            from pixel2catch.deployment.operator import OperatorConsole, operate_by_keys
-            from pixel2catch.deployment.switches import Switches
+            from pixel2catch.deployment.operator import OperatorConsole, Switches, operate_by_keys
         if self.device is None and not self.web:
             raise InvalidValueError(
                 "there is no switch: name an input device, such as /dev/input/event3, or add --web."
@@ -62,7 +69,8 @@ class Operate:
             say(f"listening to {self.device or 'the page'}; Ctrl-C ends it, and stops the robot")
             stop, report = stack.enter_context(StopRequest()), _report(page if switches else None)
             if switches:
-                operate_by_keys(console, switches, self.keys, clock, lambda: stop.is_set, report)
+                keys = self.keys.hold, self.keys.arm, self.keys.stop
+                operate_by_keys(console, switches, keys, clock, lambda: stop.is_set, report)
             elif page:
                 page.operate(lambda: stop.is_set, lambda status: report([], status))
 

@@ -85,7 +85,7 @@ def in_words(outcome: "Outcome") -> str:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    from pixel2catch.cli.deploy import lines
+    from pixel2catch.cli.deploy import summary_lines
 
     for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):
         low, high = report[f"{name}_interval"]
@@ -98,5 +98,5 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         error = f", clock error {1e3 * report['clock_error']:g} ms" if report["clock_error"] else ""
         yield f"{report['num_throws']} throws in lockstep, perception {times} ms{error}"
     yield from (f"stopped without a request: {reason}: {count}" for reason, count in report["stops"].items())
-    yield from lines(report["deploy"])
+    yield from summary_lines(report["deploy"])
     yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

@@ -1,4 +1,4 @@
-"""`pixel2catch replay`: let perception and policy decide once more on a recorded deployment."""
+"""`pixel2catch replay`: let perception and policy decide again on a recorded deployment."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder, NotNegative
-from pixel2catch.cli.deploy import Vision
+from pixel2catch.checks import NewFolder
+from pixel2catch.cli.deploy import make_pipeline, summary_lines
 from pixel2catch.cli.link import Robot
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text
 from pixel2catch.installation import needs_extra
+from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
@@ -23,23 +24,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """What this policy and perception would have decided in a deployment that was recorded, step by step.
+    """Let a policy and a perception decide on a recorded deployment, step by step.
 
-    Images, joint states and the operator are those of then; nothing is sent to any robot. With the same
-    policy and perception the targets are those of then, but for what JPEG and the perception's times change.
+    Images, joint states and operator are recorded; nothing is sent to a robot. With the recorded policy and
+    perception the targets are the recorded ones, except for the effects of JPEG and of perception times.
     """
 
-    recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
-    #: New folder for the recording (MCAP) of what was decided now; needed but with --web.
+    recording: Positional[Path]  #: Recording of `deploy --record` or `rehearse --record`, with images.
+    #: New folder for the recording (MCAP) of the new decisions; needed without --web.
     out: NewFolder | None = None
-    web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding once more.
-    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding again.
+    page: PageCfg = field(default_factory=PageCfg)  #: Address of that page.
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: PolicyPath | None = None
-    perception_ms: NotNegative = 10.0  #: Time that perception takes for an image.
     json: bool = False  #: Print the report as one JSON object.
-    robot: Robot = field(default_factory=Robot)  #: The robot of then.
-    vision: Vision = field(default_factory=Vision)  #: What looks for the object.
+    robot: Robot = field(default_factory=Robot)  #: The recorded robot.
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
 
     def run(self) -> None:
         """Replay, compare and report."""
@@ -47,17 +47,16 @@ class Replay:
             from pixel2catch.deployment.replay import compare, recorded_targets, replay
             from pixel2catch.workcells import find_workcell
         notes: list[str] = []
-        profile, camera = self.robot.load(), self.vision.perception.camera_spec(notes)
+        profile, camera = self.robot.load(), self.perception.camera_spec(notes)
         if self.web:
             return self._show(profile, camera)
         if self.out is None:
             raise InvalidValueError(
                 "there is no folder to write to: add --out FOLDER, or --web to look at the recording."
             )
-        self.vision.perception.prepare()
-        pipeline = self.vision.make_pipeline(self.policy, profile, camera, is_live=False)
-        perception_time = 1e-3 * self.perception_ms
-        statistics = replay(self.recording, self.out, profile, camera, pipeline, perception_time)
+        self.perception.prepare()
+        pipeline = make_pipeline(self.perception, self.policy, profile, camera, is_live=False)
+        statistics = replay(self.recording, self.out, profile, camera, pipeline)
         then, now = recorded_targets(self.recording), recorded_targets(self.out)
         report = {
             "deploy": statistics.summary(),
@@ -66,7 +65,6 @@ class Replay:
         print(json_text(report) if self.json else "\n".join([*notes, *_lines(report)]) + "\n", end="")
 
     def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
-        """Show the recording until Ctrl-C."""
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import serve_until_interrupted
             from pixel2catch.viewer.replay import RecordingPage
@@ -74,12 +72,15 @@ class Replay:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    from pixel2catch.cli.deploy import lines
-
-    yield from lines(report["deploy"])
+    yield from summary_lines(report["deploy"])
     same = report["decided"]
-    yield f"decided on {same['num_then']} images then, {same['num_now']} now, {same['num_both']} both times"
-    for part, differs in same.items():
+    yield (
+        f"images with targets: {same['num_then']} in the recording, {same['num_now']} in the replay, "
+        f"{same['num_both']} in both"
+    )
+    for part, difference in same.items():
         if not part.startswith("num_"):
-            median, most = differs["median"], differs["max"]
-            yield f"{part}: targets differ by {median:.4f} rad in the median, {most:.4f} at most"
+            yield (
+                f"{part}: difference of the targets [rad]: median {difference['median']:.4f}, "
+                f"max {difference['max']:.4f}"
+            )

@@ -11,7 +11,7 @@ import torch
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.camera.image import Pixels
 from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, DatasetWriter
-from pixel2catch.deployment.recorder import ORDERS, SERVO
+from pixel2catch.deployment.recorder import SERVO, TARGETS
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
@@ -95,7 +95,7 @@ def _read(
             time, topic = 1e-9 * nanoseconds, connection.topic
             if topic == SERVO.name:
                 servo.append(Command.of(messages.read_float_array(data)))
-            elif topic == ORDERS.name:
+            elif topic == TARGETS.name:
                 orders.append((time, JointTargets.of(messages.read_float_array(data))))
             elif topic == profile.operator.status.name:
                 box = messages.read_json(data)["box"]

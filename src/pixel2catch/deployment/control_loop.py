@@ -1,76 +1,100 @@
-"""The loop of a deployment: images and servo statuses come in, commands, a status and a recording go out.
-
-Control steps are equally long, as in training, and nearly all images come in time.
-"""
+"""The control loop of a deployment, between camera, servo and operator, in real or in stepped time."""
 
 import json
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import floor, inf
-from typing import Any
+from random import Random
+from typing import Any, final
 
 import numpy as np
 
-from pixel2catch.camera.image import Box, Image
-from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.operator_requests import OperatorRequests
-from pixel2catch.deployment.perception_thread import ConcurrentPerception, PerceptionResult
+from pixel2catch.camera.image import Box
+from pixel2catch.deployment.operator import OperatorRequests
+from pixel2catch.deployment.perception import ImageSubscriber, PerceptionRunner
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-from pixel2catch.deployment.recorder import ORDERS, Connection
+from pixel2catch.deployment.recorder import SERVO, TARGETS, DeploymentRecorder
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
-from pixel2catch.errors import DeploymentError, NonFiniteError
+from pixel2catch.errors import DeploymentError, InvalidValueError, NonFiniteError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import OperatorTopics
-from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import JointTargets, Mode
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
+from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, link
+from pixel2catch.servo.process import Servo, ServoSetup
 
 POLL = 0.002
-"""Longest real time between two looks at servo and network [s]; an image ends it. Source: ours."""
+"""Longest real time between two polls of servo and network [s]; an image ends the wait. Source: ours."""
 
 BUSY_POLL = 0.005
-"""The same while an image is looked at, in the same process; that look's end ends it [s].
+"""Poll interval while an image is processed in this process [s]; the result ends the wait. Source: ours: more
+polls would take a tenth of the processor from perception."""
 
-Source: ours: as often as otherwise they would take a tenth of the time from perception."""
-
-SILENCE = 1.0  #: Time after a good image from which it is said that there is none [s]. Source: ours.
-QUANTILE = 0.9  #: Share of the images that are looked at in time. Source: ours.
-NUM_LOOKS = 60  #: Looks that a timer learns from: two to four seconds. Source: ours.
-SHIFT = 0.0005  #: How far a control step may be longer or shorter than it should be [s]. Source: ours.
+SILENCE = 1.0  #: Time after a good image from which its box is not reported [s]. Source: ours.
+QUANTILE = 0.9  #: Share of the images that are processed before their decision. Source: ours.
+NUM_AGES = 60  #: Processed images that the decision time is taken from: two to four seconds. Source: ours.
+SHIFT = 0.0005  #: Largest change of a control step's length [s]. Source: ours.
 
 GRACE = 0.15 * CONTROL_DT
-"""How long a decision waits for a look that should be done [s]: without it the box is a control step older.
+"""Time by which a decision waits for a result that is due [s]; without it the box is a control step older.
 Source: ours."""
 
 
-class DecisionTimer:
-    """Says when to decide, once in every control step, whether there is a new image or not.
+@dataclass(frozen=True, kw_only=True)
+class Connection:
+    """Network, servo, clock and recording of a deployment."""
 
-    Where images come as regularly, it decides as long after their exposure as nine of ten of the last looks
-    took, or whole control steps later: perception may take longer than a step.
+    transport: Transport  #: The node on the network.
+    servo: LoopEnd  #: This end of the link to the servo process.
+    servo_dt: float  #: Time between two ticks of the servo [s].
+    clock: Clock
+    recording: DeploymentRecorder | None
+
+    def receive(self) -> Iterator[Command]:
+        """Yield and record the servo's commands since the last call.
+
+        Raises:
+            DeploymentError: The servo process has ended.
+        """
+        for command in self.servo.receive():
+            if self.recording:
+                self.recording.record_row(SERVO, command.row, command.time)
+            yield command
+        if self.servo.is_closed:
+            raise DeploymentError(
+                "the servo process has ended, nothing guards the robot: press its stop. Its error is above."
+            )
+
+
+class DecisionTimer:
+    """Sets the times of the decisions, one in every control step, with or without a new image.
+
+    With regular images it decides when `QUANTILE` of the last ones were processed, counted from their
+    exposure, or whole control steps later where perception takes longer than a step.
     """
 
     def __init__(self, begin: float) -> None:
-        """Decide first at this time [s]."""
-        self.due = begin  #: When to decide next [s].
-        self._ages: deque[float] = deque(maxlen=NUM_LOOKS)
+        """Set the first decision to a time [s]."""
+        self.due = begin  #: Time of the next decision [s].
+        self._ages: deque[float] = deque(maxlen=NUM_AGES)
         self._age, self._moment = 0.0, begin
 
     def learn(self, stamp: float, end: float) -> None:
-        """Learn from a look at an image that was taken at one time and had been looked at, at another [s]."""
+        """Use an image that was exposed at one time and processed at another [s]."""
         self._ages.append(end - stamp)
         self._age = float(np.quantile(self._ages, QUANTILE))
         self._moment = stamp + self._age
 
     def is_due(self, now: float, stamp: float | None) -> bool:
-        """Whether to decide now [s], while an image that was taken at a time [s] is looked at, or none."""
-        is_late = stamp is not None and stamp + self._age <= self.due + GRACE
-        return now >= self.due + (GRACE if is_late else 0.0)
+        """Return whether to decide now [s]; the stamp is of the image that is being processed, if any [s]."""
+        is_expected = stamp is not None and stamp + self._age <= self.due + GRACE
+        return now >= self.due + (GRACE if is_expected else 0.0)
 
     def advance(self, now: float, *, is_even: bool) -> None:
-        """A decision is made now [s]: set the time of the next one; it has to be even with others or not."""
-        num_steps = max(floor((now - self.due) / CONTROL_DT), 0) + 1  # what is over is left out
+        """Set the next decision after one at a time [s], in even steps if the policy has started."""
+        num_steps = max(floor((now - self.due) / CONTROL_DT), 0) + 1
         self.due += num_steps * CONTROL_DT
         error = (self._moment - self.due + 0.5 * CONTROL_DT) % CONTROL_DT - 0.5 * CONTROL_DT
         most = SHIFT if is_even else inf
@@ -78,36 +102,48 @@ class DecisionTimer:
 
 
 class ControlLoop:
-    """Runs a control loop: images are looked at while the policy decides at even times."""
+    """Processes images, decides in even control steps, and sends joint targets to the servo."""
 
     def __init__(
         self,
         pipeline: PolicyPipeline,
-        images: ImageSubscriber,
+        camera: CameraSpec,
         connection: Connection,
-        topics: OperatorTopics,
-        executor: Executor,
+        profile: Profile,
+        executor: Executor | None = None,
+        perception_time: Callable[[], float] = float,
     ) -> None:
-        """Announce and listen; the executor looks at images, at one at a time."""
+        """Subscribe and announce.
+
+        Args:
+            pipeline: Perception and policy.
+            camera: The camera that the policy was trained for.
+            connection: Network, servo, clock and recording.
+            profile: Topics of camera and operator.
+            executor: One thread for perception; None for the caller's, in stepped time.
+            perception_time: Draws how long perception takes for an image in stepped time [s].
+        """
         self.statistics = RunStatistics()
-        self._pipeline, self._images = pipeline, images
-        self._connection, self._clock = connection, connection.clock
-        self._recording = connection.recording
-        self._requests = OperatorRequests(connection.transport, topics, self.statistics)
-        self._status = connection.transport.publisher(topics.status)
+        self._pipeline, self._connection = pipeline, connection
+        self._clock, self._recording = connection.clock, connection.recording
+        self._images = ImageSubscriber(
+            connection.transport, profile.camera, camera, connection.clock, assumes_age=pipeline.knows_age
+        )
+        self._perception = PerceptionRunner(pipeline, connection.clock, executor, perception_time)
+        self._requests = OperatorRequests(connection.transport, profile.operator, self.statistics)
+        self._status = connection.transport.publisher(profile.operator.status)
         self._joint_pos = np.full(pipeline.num_joints, np.nan)
         self._mode = int(Mode.IDLE)
-        self._perception = ConcurrentPerception(pipeline, executor, connection.clock)
-        self._look: PerceptionResult | None = None
+        self._times: dict[str, float] | None = None
         self._box: Box | None = None
         self._sent: JointTargets | None = None
         self._timer = DecisionTimer(connection.clock.now())
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
-        """Go from control step to control step, with the status of each, until it is over.
+        """Run until it is over; the function gets the status of every control step.
 
         Raises:
-            DeploymentError: The servo process is gone.
+            DeploymentError: The servo process has ended.
             PerceptionError: The first image has the wrong size.
         """
         while not is_over():
@@ -118,107 +154,164 @@ class ControlLoop:
                 self._wait()
 
     def _wait(self) -> None:
-        """Wait for an image or, while one is looked at, for what is seen, but not for long."""
         left = self._timer.due - self._clock.now()
-        if not self._perception.is_free:
+        if self._perception.stamp is not None:
             self._perception.wait(min(BUSY_POLL, left) if left > 0.0 else POLL)
         elif left > 0.0:
             self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
-        """Have images looked at, and decide when it is time, whether that is done or not.
+        """Receive, process images and, when it is time, decide.
 
-        Returned is the status of a control step that was made; it raises what `run` does.
+        Returns:
+            The status of a control step, if one was made; raises what `run` raises.
         """
-        self._hear()
+        self._receive()
         image = self._images.newest()
         if self._recording:
             self._recording.record_images(self._images.received)
         if image:
             self._perception.offer(image)
-            self._show_servo(image)
-        if look := self._perception.go_on():
-            self._look, self._box = look, look.box
-            self._timer.learn(look.box.stamp, look.end)
+            if self._sent and self._mode in ACTIVE:  # at once: the age of an image depends on no decision
+                self._connection.servo.send(self._with_image(self._sent, image.stamp))
+        if box := self._perception.poll():
+            self._box, self._times = box, self._perception.times
+            self._timer.learn(box.stamp, self._times["looked"])
         now = self._clock.now()
         if not self._timer.is_due(now, self._perception.stamp):
             return None
-        look, self._look = self._look, None
-        took = look.end - look.begin if look else 0.0
-        joint_targets, complaint = self._decide()
-        self._timer.advance(now, is_even=joint_targets is not None)
-        return self._conclude(joint_targets, complaint, look, began=now - took)
+        targets, complaint = self._decide()
+        self._timer.advance(now, is_even=targets is not None)
+        return self._finish_step(targets, complaint, now)
 
-    def _hear(self) -> None:
-        """Take what servo and operator have said."""
-        for command in self._connection.hear():
+    def _receive(self) -> None:
+        """Receive the servo's commands and the operator's prompts."""
+        for command in self._connection.receive():
             self.statistics.note_command(command, self._connection.servo_dt)
-            self._images.remember(command.time, command.joint_pos)
+            self._images.add_joints(command.time, command.joint_pos)
             self._joint_pos = command.joint_pos
             if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
-                self._perception.begin(None)
+                self._perception.begin_throw(None)
                 self._requests.stopped_by = ""
             self._mode = command.mode
-        for prompt in self._requests.take():
-            self._perception.begin(prompt)
+        for prompt in self._requests.take_prompts():
+            self._perception.begin_throw(prompt)
 
-    def _show_servo(self, image: Image) -> None:
-        """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
-        if self._sent and self._mode in ACTIVE:
-            newest, is_sound = min(image.stamp, self._clock.now()), not self._problem
-            told = replace(self._sent, image_stamp=newest, is_perception_sound=is_sound)
-            self._connection.servo.send(told)
+    def _decide(self) -> tuple[JointTargets | None, str]:
+        """Return the joint targets, if the policy can decide, and what went wrong."""
+        try:
+            targets = self._pipeline.decide(self._joint_pos, self._clock.now())
+        except (NonFiniteError, DeploymentError) as error:
+            return None, str(error)
+        if targets is None:
+            return None, ""
+        self.statistics.note_targets(targets)
+        return self._with_image(targets, self._images.stamp), ""
 
-    def _conclude(
-        self,
-        joint_targets: JointTargets | None,
-        complaint: str,
-        look: PerceptionResult | None,
-        *,
-        began: float,
-    ) -> dict[str, Any]:
-        """Send a command, and publish and record what happened in a control step that began at a time [s].
-
-        There is a look if an image has been looked at since the last one.
-        """
-        if joint_targets and self._mode in ACTIVE:
-            self._connection.servo.send(joint_targets)
-            self._sent = joint_targets
-        end = self._clock.now()
-        box = self._box if end - self._images.stamp < SILENCE else None
-        if self._mode in ACTIVE:
-            self.statistics.count_step(took=end - began, is_missed=look is None)
-        if self._mode in ACTIVE and joint_targets and look:
-            times = {"received": look.received, "begun": look.begin, "looked": look.end, "decided": end}
-            self.statistics.count_stages(look.box.stamp, times)
-        trouble = self._recording.trouble if self._recording else ""
-        of_image = self._images.message or (box.message if box else "")
-        message = self._requests.complaint or self._problem or of_image or complaint
-        sight = self._pipeline.sight
-        message = self._images.take_notice() or message
-        message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
-        status = self.statistics.status(box, message, sight.at(end), end - sight.box_stamp)
-        self._status.publish(messages.text(json.dumps(status)))
-        if self._recording:
-            if joint_targets:
-                self._recording.record_row(ORDERS, joint_targets.row, end)
-            self._recording.record_messages()
-        return status
+    def _with_image(self, targets: JointTargets, stamp: float) -> JointTargets:
+        """Return targets with the exposure time of the newest image [s] and the state of perception."""
+        stamp = min(stamp, self._clock.now())
+        return replace(targets, image_stamp=stamp, is_perception_sound=not self._problem)
 
     @property
     def _problem(self) -> str:
-        """Why perception cannot be trusted; empty if it can."""
         return self._images.problem or self._pipeline.sight.problem
 
-    def _decide(self) -> tuple[JointTargets | None, str]:
-        """A command, if there can be one, and what is wrong; the servo is told of the newest image."""
-        now = self._clock.now()
-        try:
-            joint_targets = self._pipeline.decide(self._joint_pos, now)
-        except (NonFiniteError, DeploymentError) as error:
-            return None, str(error)
-        if joint_targets is None:
-            return None, ""
-        self.statistics.note_targets(joint_targets)
-        newest, is_sound = min(self._images.stamp, now), not self._problem
-        return replace(joint_targets, image_stamp=newest, is_perception_sound=is_sound), ""
+    def _finish_step(self, targets: JointTargets | None, complaint: str, now: float) -> dict[str, Any]:
+        """Send the targets; publish and record the control step."""
+        is_active, times, self._times = self._mode in ACTIVE, self._times, None
+        if targets and is_active:
+            self._connection.servo.send(targets)
+            self._sent = targets
+        end = self._clock.now()
+        if is_active:
+            took = end - now + (times["looked"] - times["begun"] if times else 0.0)
+            self.statistics.count_step(took=took, is_missed=times is None)
+        if targets and is_active and times:
+            self.statistics.count_stages({**times, "decided": end})
+        status = self._make_status(complaint, end)
+        self._status.publish(messages.text(json.dumps(status)))
+        if self._recording:
+            if targets:
+                self._recording.record_row(TARGETS, targets.row, end)
+            self._recording.record_messages()
+        return status
+
+    def _make_status(self, complaint: str, now: float) -> dict[str, Any]:
+        box = self._box if now - self._images.stamp < SILENCE else None
+        message = self._requests.complaint or self._problem or self._images.message
+        message = message or (box.message if box else "") or complaint
+        message = self._images.take_notice() or message
+        trouble = self._recording.trouble if self._recording else ""
+        message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
+        sight = self._pipeline.sight
+        return self.statistics.status(box, message, sight.at(now), now - sight.box_stamp)
+
+
+@final
+class StepClock(Clock):
+    """Time that passes only while somebody waits; the time of day is the same."""
+
+    def __init__(self, wait: Callable[[float], None]) -> None:
+        """Start at 0; the function runs what happens until a time [s]."""
+        self.time, self._wait = 0.0, wait
+
+    def now(self) -> float:
+        """See `Clock.now`."""
+        return self.time
+
+    def stamp(self) -> float:
+        """See `Clock.stamp`."""
+        return self.time
+
+    def sleep_until(self, moment: float) -> None:
+        """See `Clock.sleep_until`."""
+        self._wait(moment)
+
+
+def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callable[[], float]:
+    """Return a function that draws perception times evenly from `least` to `least + jitter` [s].
+
+    Raises:
+        InvalidValueError: A time is negative.
+    """
+    if least < 0.0 or jitter < 0.0:
+        raise InvalidValueError(
+            f"perception takes {1e3 * least:g} ms, and up to {1e3 * jitter:g} ms more; give 0 or more"
+        )
+    random = Random(seed)
+    return lambda: least + jitter * random.random()
+
+
+class SteppedServo:
+    """A servo in this process that ticks when it is told to, and the connection of a control loop to it."""
+
+    def __init__(
+        self,
+        setup: ServoSetup,
+        nodes: tuple[Transport, Transport],
+        clock: Clock,
+        recording: DeploymentRecorder | None,
+    ) -> None:
+        """Use the nodes of servo and control loop, which may be the same."""
+        self._ends, self.profile = link(), setup.profile
+        (loop_end, servo_end), (node, loop_node) = self._ends, nodes
+        self._servo = Servo(servo_end, node, setup, clock)
+        self.connection = Connection(
+            transport=loop_node, servo=loop_end, servo_dt=setup.limits.dt, clock=clock, recording=recording
+        )
+
+    def tick(self) -> None:
+        """Tick once.
+
+        Raises:
+            Exception: An unexpected error of the servo.
+        """
+        self._servo.tick()
+        if self._servo.unforeseen:
+            raise self._servo.unforeseen
+
+    def close(self) -> None:
+        """Close the link."""
+        for end in self._ends:
+            end.close()

@@ -1,33 +1,43 @@
-"""All that must be right before a robot is armed, in the order in which it is mended: for `doctor`.
+"""Survey of a laboratory's network for `doctor --robot`, and checks of what was found. Nothing is sent.
 
-What judges a survey of the network is a pure function: it says what it found, or raises `Broken` with what to
-do.
+A check returns what it found, or raises `Broken` with what to do, or `Absent` where it does not apply.
 """
 
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf, pi
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy import ndarray
 
 from pixel2catch.deployment import machine
-from pixel2catch.deployment.image_subscriber import EARLIEST, other_lens
-from pixel2catch.deployment.survey import Heard, Survey
+from pixel2catch.deployment.perception import EARLIEST, lens_difference
+from pixel2catch.errors import DeploymentError
 from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Controller, Profile, RobotPart
-from pixel2catch.ros2.transport import Endpoint, Topic
+from pixel2catch.ros2.transport import Clock, Endpoint, Subscription, Topic, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.workcells import find_workcell
 
-RATE_SHARE = 0.95  #: Share of a driver's rate that must arrive. Source: ours.
-MOST_RATE_SHARE = 1.5  #: Share of it that one driver cannot exceed. Source: ours.
-CLOCK_ERROR = 0.02  #: How far clocks may be apart [s]. Source: training, docs/deployment.md.
-LEAST_IMAGES = 10  #: Images that tell whether the exposure is constant.
-MOST_CHANGE = 0.03  #: Share by which the brightness of a still scene may change. Source: ours.
-TREND = 0.8  #: Correlation with the time from which a change is a drift. Source: ours.
+DISCOVERY = 5.0  #: Real time within which all programs of the profile are found [s]. Source: ours.
+SECONDS = 2.0  #: Duration of listening then [s]: a change of lamps and exposure controls. Source: ours.
+DEPTHS = {messages.IMAGE: 16}  #: Messages kept between two polls by type: half a second of images.
+DEPTH = 2048  #: Likewise of other types: a second of joint states.
+THINNING = 4  #: Every so many rows and columns are used for the brightness [px].
+
+RATE_SHARE, MOST_RATE_SHARE = (
+    0.95,
+    1.5,
+)  #: Range of a driver's rate as a share of the profile's. Source: ours.
+CLOCK_ERROR = 0.02  #: Largest difference of two clocks [s]. Source: training, docs/deployment.md.
+LEAST_IMAGES = 10  #: Images from which a change of the exposure is visible. Source: ours.
+MOST_CHANGE = 0.03  #: Largest relative change of the brightness of a still scene. Source: ours.
+TREND = 0.8  #: Correlation with time from which a change is a drift. Source: ours.
 
 SAFETY_MODES = (
     *("undefined", "normal", "reduced", "protective stop", "recovery", "safeguard stop"),
@@ -40,14 +50,107 @@ ROBOT_MODES = (
     *("no controller", "disconnected", "confirm safety", "booting", "power off", "power on", "idle"),
     *("backdrive", "running", "updating firmware"),
 )
-"""By number, from -1 on. Source: `ur_dashboard_msgs/RobotMode`."""
+"""By number plus one. Source: `ur_dashboard_msgs/RobotMode`."""
+
+
+class _Photo(NamedTuple):
+    """What is kept of an image."""
+
+    stamp: float  #: Exposure time [s].
+    brightness: ndarray  #: Mean of its red, green and blue.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heard:
+    """Messages of a topic."""
+
+    readings: list[Any] = field(default_factory=list)  #: The decoded messages.
+    arrivals: list[float] = field(default_factory=list)  #: Time of day at arrival [s].
+    errors: list[str] = field(default_factory=list)  #: Why messages could not be decoded.
+
+
+@final
+class Survey:
+    """Programs on the network, and the messages of each topic that a robot publishes."""
+
+    def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
+        """Subscribe to the topics of a profile."""
+        self._transport, self._clock, self._profile = transport, clock, profile
+        status = profile.status
+        decoders: dict[Topic | None, Callable[[bytes], Any]] = {
+            profile.camera.image: self._read_image,
+            profile.camera.info: messages.read_camera_info,
+            status.safety_mode: messages.read_safety_mode,
+            status.robot_mode: messages.read_robot_mode,
+            status.program_running: messages.read_boolean,
+            status.speed_scaling: messages.read_number,
+        }
+        for part in profile.robots:
+            decoders[part.state_topic] = messages.read_joint_state
+            if part.controller:
+                decoders[part.controller.activity] = messages.read_active_controllers
+        self._readers: dict[Topic, tuple[Subscription, Callable[[bytes], Any]]] = {
+            topic: (transport.subscription(topic, DEPTHS.get(topic.type, DEPTH)), read)
+            for topic, read in decoders.items()
+            if topic
+        }
+        self.heard = {topic: Heard() for topic in self._readers}  #: The messages by topic.
+        self.endpoints: list[Endpoint] = []  #: Publishers and subscriptions of all other programs.
+
+    def others(self, topic: Topic, *, publish: bool) -> list[Endpoint]:
+        """Return the publishers, or the subscriptions, of a topic of this name and any type."""
+        return [each for each in self.endpoints if (each.topic, each.is_publisher) == (topic.name, publish)]
+
+    def of_type(self, topic: Topic, *, publish: bool) -> str:
+        """Return the names of the topics of this type that have a publisher, or a subscription."""
+        kind = (topic.type, publish)
+        return ", ".join(sorted({e.topic for e in self.endpoints if (e.type, e.is_publisher) == kind}))
+
+    def take(self) -> None:
+        """Run until everything of the profile is found, at most for `DISCOVERY`, then for `SECONDS`."""
+        end = time.monotonic() + DISCOVERY
+        while time.monotonic() < end and not self._is_complete:
+            self._transport.wait(0.1)
+            self.listen()
+        if not any(self.others(topic, publish=True) for topic in self._readers):
+            return
+        self.heard |= {topic: Heard() for topic in self._readers if not topic.is_latched}
+        end = self._clock.now() + SECONDS
+        while self._clock.now() < end:
+            self._transport.wait(0.05)
+            self.listen()
+
+    def listen(self) -> None:
+        """Take what has arrived."""
+        self.endpoints = self._transport.endpoints()
+        to_stamp = self._clock.stamp() - self._clock.now()
+        for topic, (subscription, read) in self._readers.items():
+            heard = self.heard[topic]
+            for message in subscription.take():
+                try:
+                    heard.readings.append(read(message.data))
+                    heard.arrivals.append(message.arrival + to_stamp)
+                except DeploymentError as error:
+                    heard.errors.append(str(error))
+
+    @property
+    def _is_complete(self) -> bool:
+        commands = (part.command_topic for part in self._profile.robots)
+        return all(self.others(topic, publish=True) for topic in self._readers) and all(
+            self.others(topic, publish=False) for topic in commands
+        )
+
+    def _read_image(self, data: bytes) -> _Photo:
+        image = messages.read_image(data)
+        self._profile.camera.require(image)
+        return _Photo(image.stamp, image.pixels[::THINNING, ::THINNING].mean(axis=(0, 1)))
 
 
 def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
-    """What was said on a topic that so many publish at the most, by its type, and that could be read."""
-    publishers = survey.publishers(topic)
+    """Return the messages of a topic that has one publisher, or up to a number, and the profile's type."""
+    publishers = survey.others(topic, publish=True)
     if not publishers:
-        alike = survey.of_type(topic, is_publisher=True)
+        alike = survey.of_type(topic, publish=True)
         hint = f"{topic.type} is published on {alike}" if alike else "nor any topic of that type"
         raise Broken(f"nobody publishes {topic.name}; {hint}: start the driver, or correct the profile")
     require_type(topic, publishers)
@@ -55,144 +158,139 @@ def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
         raise Broken(f"{len(publishers)} publishers of {topic.name}: one may be; end the others")
     heard = survey.heard[topic]
     if not heard.readings:
-        why = heard.errors[0] if heard.errors else "the network carries none: look at firewall and cables"
+        why = heard.errors[0] if heard.errors else "none arrives: check firewall and cables"
         raise Broken(f"no message on {topic.name}: {why}")
     return heard
 
 
 def heard_anyway(survey: Survey, topic: Topic, most: float = 1) -> Heard:
-    """The same for what needs messages of which another check says that they are missing."""
+    """Return the messages of a topic; `Absent` if there are none, because another check reports that."""
     try:
         return heard_of(survey, topic, most)
     except Broken as error:
-        raise Absent(f"not looked at without good messages on {topic.name}") from error
+        raise Absent(f"not checked without good messages on {topic.name}") from error
 
 
 def network(survey: Survey) -> str:
-    """Whether anybody is on the network."""
-    endpoints = survey.endpoints
-    publishers = sum(each.is_publisher for each in endpoints)
-    if not endpoints:
+    """Check that there are other programs."""
+    publishers = sum(each.is_publisher for each in survey.endpoints)
+    if not survey.endpoints:
         raise Broken(
-            "no other program is seen: compare ROS_DOMAIN_ID with the drivers', look at interface and "
-            "firewall (UDP from 7400 on), and at ROS_LOCALHOST_ONLY where they were started"
+            "no other program is found: compare ROS_DOMAIN_ID with the drivers', check interface and "
+            "firewall (UDP from 7400 on), and ROS_LOCALHOST_ONLY where they were started"
         )
-    return f"{publishers} publishers, {len(endpoints) - publishers} subscriptions of others"
+    return f"{publishers} publishers, {len(survey.endpoints) - publishers} subscriptions of others"
 
 
 def require_type(topic: Topic, endpoints: list[Endpoint]) -> None:
     """Refuse endpoints of other types."""
     types = sorted({each.type for each in endpoints})
     if types != [topic.type]:
-        raise Broken(
-            f"{topic.name} is of type {', '.join(types)}, the profile wants {topic.type}: correct it"
-        )
+        raise Broken(f"{topic.name} is of type {', '.join(types)}, the profile has {topic.type}: correct it")
 
 
 def joint_states(survey: Survey, part: RobotPart, limits: ServoLimits) -> str:
-    """Whether all joints of a part are heard, at the driver's rate and without pauses."""
+    """Check that all joints of a part are published, at the driver's rate and without pauses."""
     heard = heard_of(survey, part.state_topic, inf)
     wanted = {theirs.name_in_state for theirs in part.joints.values()}
-    said = {name for reading in heard.readings for name in reading.names}
-    if missing := sorted(wanted - said):
+    found = {name for reading in heard.readings for name in reading.names}
+    if missing := sorted(wanted - found):
         raise Broken(
-            f"{part.state_topic.name} lacks {', '.join(missing)}; it has {', '.join(sorted(said))}: correct "
+            f"{part.state_topic.name} lacks {', '.join(missing)}; it has {', '.join(sorted(found))}: correct "
             "name_in_state in the profile, or the driver's prefix"
         )
     own = [place for place, reading in enumerate(heard.readings) if wanted & set(reading.names)]
     stamps = np.array([heard.readings[place].stamp for place in own])
     arrivals = np.array([heard.arrivals[place] for place in own])
     age = float(limits.joints.position_age[part.ids].min())
-    hint = "see the driver's update_rate, cables, processor load"
+    hint = "check the driver's update_rate, cables and processor load"
     return f"{len(wanted)} joints, {require_rate(stamps, arrivals, part.rate_hz, age, hint)}"
 
 
 def require_rate(stamps: ndarray, arrivals: ndarray, rate: float, age: float, hint: str) -> str:
-    """Refuse fewer or more messages in a second [Hz], and pauses longer than an age that is a fault [s]."""
+    """Refuse a wrong rate [Hz], and pauses longer than an age [s] that stops the robot."""
     times = np.unique(stamps)
     if len(times) < 3:
-        raise Broken(
-            f"{len(times)} different stamps: the driver stands still, or does not stamp its messages"
-        )
+        raise Broken(f"{len(times)} different stamps: the driver hangs, or does not stamp its messages")
     found = (len(times) - 1) / (times[-1] - times[0])
     pause, jitter = np.diff(arrivals).max(), np.diff(arrivals).std()
-    said = f"{found:.1f} Hz, jitter {1e3 * jitter:.1f} ms, longest pause {1e3 * pause:.0f} ms"
+    measured = f"{found:.1f} Hz, jitter {1e3 * jitter:.1f} ms, longest pause {1e3 * pause:.0f} ms"
     if found < RATE_SHARE * rate:
-        raise Broken(f"{said}: {rate:g} Hz are needed; {hint}")
+        raise Broken(f"{measured}: {rate:g} Hz are needed; {hint}")
     if found > MOST_RATE_SHARE * rate:
-        raise Broken(f"{said}: {rate:g} Hz are expected; do two drivers say the same?")
+        raise Broken(f"{measured}: {rate:g} Hz are expected; end a second driver of the same joints")
     if pause > age:
-        raise Broken(f"{said}: the servo stops after {1e3 * age:.0f} ms; free the processor, use a cable")
-    return said
+        raise Broken(f"{measured}: the servo stops after {1e3 * age:.0f} ms; free the processor, use a cable")
+    return measured
 
 
 def images(survey: Survey, camera: CameraProfile, limits: ServoLimits) -> str:
-    """Whether images come in the right size, encoding and rate."""
+    """Check size, encoding and rate of the images."""
     heard = heard_of(survey, camera.image)
     if heard.errors:
         raise Broken(heard.errors[-1])
     stamps = np.array([reading.stamp for reading in heard.readings])
-    hint = "expose for less than 33 ms, take another USB 3 port, look at the processor's load"
+    hint = "expose for less than 33 ms, use another USB 3 port, check the processor load"
     rate = require_rate(stamps, np.array(heard.arrivals), 1.0 / CONTROL_DT, limits.image_age, hint)
     return f"{camera.width} x {camera.height} {camera.encoding}, {rate}"
 
 
 def exposure(survey: Survey, camera: CameraProfile) -> str:
-    """Whether images of a still scene stay equally bright in every colour."""
+    """Check that images of a still scene keep their brightness in every colour."""
     readings = heard_anyway(survey, camera.image).readings
     if len(readings) < LEAST_IMAGES:
-        raise Absent(f"{len(readings)} images are too few to tell")
+        raise Absent(f"{len(readings)} images are too few")
     brightness = np.array([reading.brightness for reading in readings])
     mean = brightness.mean(axis=0)
     change = np.ptp(brightness, axis=0) / np.maximum(mean, 1.0)
-    said = f"brightness {mean.mean():.0f} of 255, changes by {100.0 * change.max():.1f} %"
+    measured = f"brightness {mean.mean():.0f} of 255, changes by {100.0 * change.max():.1f} %"
     if change.max() <= MOST_CHANGE:
-        return said
+        return measured
     course = brightness[:, change.argmax()]
     if abs(np.corrcoef(course, np.arange(len(course)))[0, 1]) > TREND:
-        raise Broken(f"{said}, in one direction: turn automatic exposure and white balance off")
+        raise Broken(f"{measured}, in one direction: turn automatic exposure and white balance off")
     raise Broken(
-        f"{said}, up and down: if nothing moved in the image, lamps flicker; expose for 10 ms at 50 Hz of "
-        "mains, 8.3 ms at 60 Hz, or use lamps with direct current"
+        f"{measured}, up and down: if nothing moves in the image, lamps flicker; expose for 10 ms at 50 Hz "
+        "of mains, 8.3 ms at 60 Hz, or use lamps with direct current"
     )
 
 
-def lens(survey: Survey, camera: CameraProfile, known: CameraSpec) -> str:
-    """Whether the camera's lens and size are those of a calibration."""
+def lens(survey: Survey, camera: CameraProfile, expected: CameraSpec) -> str:
+    """Check that lens and image size are those of the calibrated camera."""
     if camera.info is None:
         raise Absent("the profile has no topic for it")
     found = heard_of(survey, camera.info).readings[-1].camera
     if (found.width, found.height) != (camera.width, camera.height):
         raise Broken(
-            f"{camera.info.name} is of {found.width} x {found.height}, the profile says {camera.width} x "
+            f"{camera.info.name} is of {found.width} x {found.height}, the profile has {camera.width} x "
             f"{camera.height}: set the camera's driver to that"
         )
-    if difference := other_lens(found, known):
+    if difference := lens_difference(found, expected):
         raise Broken(difference)
     return f"fx {found.fx:.1f}, fy {found.fy:.1f}, cx {found.cx:.1f}, cy {found.cy:.1f}, as calibrated"
 
 
 def clocks(survey: Survey, profile: Profile, limits: ServoLimits) -> str:
-    """Whether stamps are of the clock of this machine; the shortest ways tell the offset."""
-    said = []
+    """Check that stamps are of this machine's clock, by the youngest messages."""
+    measured = []
     bounds = {part.state_topic: (-CLOCK_ERROR, CLOCK_ERROR) for part in profile.robots}
     bounds[profile.camera.image] = (EARLIEST, limits.image_age)
     for topic, (earliest, latest) in bounds.items():
         heard = heard_anyway(survey, topic, 1 if topic == profile.camera.image else inf)
         ages = np.array(heard.arrivals) - [reading.stamp for reading in heard.readings]
         age = float(np.quantile(ages, 0.1))
-        said.append(f"{topic.name} {1e3 * age:.1f} ms")
+        measured.append(f"{topic.name} {1e3 * age:.1f} ms")
         if not earliest <= age <= latest:
             raise Broken(
-                f"{said[-1]} old when it arrives, by its stamps; from {1e3 * earliest:.0f} to "
-                f"{1e3 * latest:.0f} ms can be: synchronise the machines (chrony or PTP), and have the "
-                "driver write the time of measurement into header.stamp"
+                f"{measured[-1]} old at arrival by its stamps, valid are {1e3 * earliest:.0f} to "
+                f"{1e3 * latest:.0f} ms: synchronise the machines (chrony or PTP), and let the driver write "
+                "the time of measurement into header.stamp"
             )
-    return f"ages at arrival: {', '.join(said)}"
+    return f"ages at arrival: {', '.join(measured)}"
 
 
 def speed_scaling(survey: Survey, topic: Topic) -> str:
-    """Whether the robot runs at its full speed."""
+    """Check that the robot runs at its full speed."""
     percent = heard_of(survey, topic).readings[-1]
     if percent < 99.95:
         raise Broken(f"{percent:.1f} %: push the slider on the pendant to 100 %, let the program run")
@@ -200,39 +298,39 @@ def speed_scaling(survey: Survey, topic: Topic) -> str:
 
 
 def mode(survey: Survey, topic: Topic, wanted: int, names: tuple[str, ...], first: int = 0) -> str:
-    """Whether the robot is in a mode, by its number and the names of all, from the first number on."""
+    """Check that the robot is in a mode; the names of all modes start at the first number."""
     found = heard_of(survey, topic).readings[-1]
-    said = f"{names[found - first] if 0 <= found - first < len(names) else 'unknown'} ({found})"
+    measured = f"{names[found - first] if 0 <= found - first < len(names) else 'unknown'} ({found})"
     if found != wanted:
-        raise Broken(f"{said}, not {names[wanted - first]}: mend it at the pendant")
-    return said
+        raise Broken(f"{measured}, not {names[wanted - first]}: correct it at the pendant")
+    return measured
 
 
 def program_running(survey: Survey, topic: Topic) -> str:
-    """Whether the driver's program runs on the robot."""
+    """Check that the driver's program runs on the robot."""
     if not heard_of(survey, topic).readings[-1]:
-        raise Broken("External Control does not run: press play on the pendant, look at its host address")
+        raise Broken("External Control does not run: press play on the pendant, check its host address")
     return "External Control runs"
 
 
 def commands(survey: Survey, part: RobotPart) -> str:
-    """Whether one driver takes the commands of a part, and nobody sends any."""
+    """Check that one driver receives the commands of a part, and no other program sends any."""
     topic = part.command_topic
-    takers, senders = survey.subscriptions(topic), survey.publishers(topic)
+    receivers, senders = survey.others(topic, publish=False), survey.others(topic, publish=True)
     if senders:
         raise Broken(f"{len(senders)} other publishers of {topic.name}: end that program before arming")
-    if not takers:
-        alike = survey.of_type(topic, is_publisher=False)
-        hint = f"; {topic.type} is taken on {alike}" if alike else ""
-        raise Broken(f"nobody takes {topic.name}{hint}: load the controller, or correct the profile")
-    require_type(topic, takers)
-    if len(takers) > 1:
-        raise Broken(f"{len(takers)} subscribers of {topic.name}: one driver may take it; end the others")
+    if not receivers:
+        alike = survey.of_type(topic, publish=False)
+        hint = f"; {topic.type} is received on {alike}" if alike else ""
+        raise Broken(f"nobody receives {topic.name}{hint}: load the controller, or correct the profile")
+    require_type(topic, receivers)
+    if len(receivers) > 1:
+        raise Broken(f"{len(receivers)} subscribers of {topic.name}: one driver may be; end the others")
     return f"{topic.name}: one driver, no other publisher"
 
 
 def controller(survey: Survey, wanted: Controller) -> str:
-    """Whether the controller that takes the commands is active, as it is from homing on."""
+    """Check that the controller that receives the commands is active, as it must be after homing."""
     if wanted.name not in heard_of(survey, wanted.activity).readings[-1]:
         raise Absent(
             f"{wanted.name} is not active: switch to it when the arm is at its start pose, before arming"
@@ -240,14 +338,14 @@ def controller(survey: Survey, wanted: Controller) -> str:
     return f"{wanted.name} is active"
 
 
-def poses(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:
-    """How far a part is from the pose in which it may be armed; joints in joint order [rad]."""
+def pose(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:
+    """Check that the joints of a part are near the start pose; all in joint order [rad]."""
     joint_pos = np.full(len(home), np.nan)
     for reading in heard_anyway(survey, part.state_topic, inf).readings:
         part.merge(reading, joint_pos)
     away = np.abs(joint_pos - home)[part.ids]
     if np.isnan(away).any():
-        raise Absent("not looked at without all joints")
+        raise Absent("not checked without all joints")
     far = [
         f"{joint} {value * 180.0 / pi:.0f}°"
         for joint, value, most in zip(part.joints, away, near[part.ids], strict=True)
@@ -259,9 +357,12 @@ def poses(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:
 
 
 def checks_of_laboratory(
-    profile: Profile, survey: Survey, known: CameraSpec, *, is_loopback: bool
+    profile: Profile, survey: Survey, camera: CameraSpec, *, is_loopback: bool
 ) -> list[Check]:
-    """What is found on this machine and on the network; real time does not matter beside a twin."""
+    """Return the checks of this machine and of the network, in the order in which to correct them.
+
+    Beside a twin on this machine (loopback) the settings for real time need not be good.
+    """
     limits = ServoLimits.of(find_workcell(profile.workcell))
     settings: dict[str, Callable[[], str]] = {
         "cores": machine.cores,
@@ -272,20 +373,8 @@ def checks_of_laboratory(
         "receive buffers": machine.receive_buffers,
     }
     found = [check(name, probe, is_needed=not is_loopback) for name, probe in settings.items()]
-    judged = {
-        "DDS settings": partial(machine.dds_settings, is_loopback),
-        **_of_network(profile, survey, known, limits),
-    }
-    return found + [check(name, probe, is_needed=True) for name, probe in judged.items()]
-
-
-def _of_network(
-    profile: Profile, survey: Survey, known: CameraSpec, limits: ServoLimits
-) -> dict[str, Callable[[], str]]:
-    """What to judge of a survey, by name."""
-    home = np.array([joint.home for joint in find_workcell(profile.workcell).joints])
-    status, camera, robots = profile.status, profile.camera, profile.robots
-    said = (
+    status, robots = profile.status, profile.robots
+    topics = (
         (
             "robot mode",
             partial(mode, wanted=messages.RUNNING_ROBOT_MODE, names=ROBOT_MODES, first=-1),
@@ -299,16 +388,21 @@ def _of_network(
         ("program", program_running, status.program_running),
         ("speed scaling", speed_scaling, status.speed_scaling),
     )
-    probes: dict[str, Callable[[], str]] = {"network": partial(network, survey)}
-    probes |= {name: partial(probe, survey, topic) for name, probe, topic in said if topic}
+    probes: dict[str, Callable[[], str]] = {
+        "DDS settings": partial(machine.dds_settings, is_loopback),
+        "network": partial(network, survey),
+    }
+    probes |= {name: partial(probe, survey, topic) for name, probe, topic in topics if topic}
     probes |= {f"joints of {part.name}": partial(joint_states, survey, part, limits) for part in robots}
-    probes["images"] = partial(images, survey, camera, limits)
-    probes["exposure"] = partial(exposure, survey, camera)
-    probes["lens"] = partial(lens, survey, camera, known)
+    probes["images"] = partial(images, survey, profile.camera, limits)
+    probes["exposure"] = partial(exposure, survey, profile.camera)
+    probes["lens"] = partial(lens, survey, profile.camera, camera)
     probes["clocks"] = partial(clocks, survey, profile, limits)
     probes |= {f"commands to {part.name}": partial(commands, survey, part) for part in robots}
-    controllers = {part.name: part.controller for part in robots if part.controller}
-    probes |= {f"controller of {n}": partial(controller, survey, c) for n, c in controllers.items()}
+    for part in robots:
+        if part.controller:
+            probes[f"controller of {part.name}"] = partial(controller, survey, part.controller)
+    home = np.array([joint.home for joint in find_workcell(profile.workcell).joints])
     near = limits.joints.start_error
-    probes |= {f"pose of {part.name}": partial(poses, survey, part, home, near) for part in robots}
-    return probes
+    probes |= {f"pose of {part.name}": partial(pose, survey, part, home, near) for part in robots}
+    return found + [check(name, probe, is_needed=True) for name, probe in probes.items()]

@@ -1,4 +1,4 @@
-"""What the machine of a deployment must be set to, and how: probes that `doctor` runs. Nothing is changed."""
+"""Checks of this machine for `doctor --robot`: settings that a deployment needs. They change nothing."""
 
 import os
 import resource
@@ -11,29 +11,27 @@ from pixel2catch.ros2.transport import ROS_ON_LOOPBACK, RealClock
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import SERVO_PRIORITY, scheduled
 
-GUIDE = "docs/laboratory.md"  #: Where the steps are.
+GUIDE = "docs/laboratory.md"  #: Page with the steps.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
-LEAST_BUFFER = 4_000_000
-"""Bytes that may wait in a socket: four images. Source: ours, measured with 30 images a second."""
-
+LEAST_BUFFER = 4_000_000  #: Least receive buffer of a socket [bytes]: four images. Source: ours.
 NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
 
-SPOKEN = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-"""Values of RMW_IMPLEMENTATION whose messages plain DDS hears; the first is the default of ROS 2."""
+MIDDLEWARE = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+"""Values of RMW_IMPLEMENTATION that plain DDS can receive from; the first is the default of ROS 2."""
 
 
 def cores(root: Path = Path("/")) -> str:
-    """How many cores this process may use, and which are kept free of others."""
+    """Check the number of cores of this process; name the isolated ones."""
     number = len(os.sched_getaffinity(0))
     path = root / "sys/devices/system/cpu/isolated"
     isolated = path.read_text().strip() if path.exists() else ""
     if number < LEAST_CORES:
-        raise Broken(f"{number} cores; servo, policy, perception and drivers want {LEAST_CORES}")
+        raise Broken(f"{number} cores; servo, policy, perception and drivers need {LEAST_CORES}")
     return f"{number} cores, isolated: {isolated or 'none'}"
 
 
 def kernel(root: Path = Path("/")) -> str:
-    """Whether the kernel is made for real time."""
+    """Check that the kernel is a real-time kernel."""
     flag = root / "sys/kernel/realtime"
     if flag.exists() and flag.read_text().strip() == "1":
         return "PREEMPT_RT"
@@ -41,19 +39,19 @@ def kernel(root: Path = Path("/")) -> str:
 
 
 def real_time() -> str:
-    """Whether the servo may ask for real-time scheduling."""
+    """Check that the servo may use real-time scheduling."""
     with scheduled(os.SCHED_FIFO, SERVO_PRIORITY) as is_granted:
         if is_granted:
             return f"priority {SERVO_PRIORITY} of SCHED_FIFO is granted"
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     raise Broken(
-        f"the limit rtprio is {limit}, the servo asks for priority {SERVO_PRIORITY}: write "
-        f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in anew ({GUIDE})"
+        f"the limit rtprio is {limit}, the servo needs priority {SERVO_PRIORITY}: write "
+        f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in again ({GUIDE})"
     )
 
 
 def ticks(limits: ServoLimits) -> str:
-    """How late this process wakes up at the servo's pace, with its priority where that is granted."""
+    """Check how late this process wakes up at the servo's rate, with its priority if that is granted."""
     clock, worst = RealClock(), 0.0
     with scheduled(os.SCHED_FIFO, SERVO_PRIORITY):
         due = clock.now()
@@ -62,14 +60,15 @@ def ticks(limits: ServoLimits) -> str:
             clock.sleep_until(due)
             worst = max(worst, clock.now() - due)
             due = max(due, clock.now() - limits.dt)
-    said = f"of {NUM_TICKS} ticks of {1e3 * limits.dt:g} ms the latest came {1e3 * worst:.2f} ms late"
+    measured = f"of {NUM_TICKS} ticks of {1e3 * limits.dt:g} ms the latest came {1e3 * worst:.2f} ms late"
     if worst > limits.tick_age / 2.0:
-        raise Broken(f"{said}, the servo stops at {1e3 * limits.tick_age:g} ms: end other programs ({GUIDE})")
-    return said
+        stop = f"the servo stops at {1e3 * limits.tick_age:g} ms"
+        raise Broken(f"{measured}, {stop}: end other programs ({GUIDE})")
+    return measured
 
 
 def governor(root: Path = Path("/")) -> str:
-    """What chooses the clock of the cores."""
+    """Check the governor of the cores' frequency."""
     paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     if not paths:
         raise Absent("the system does not tell, as in virtual machines")
@@ -80,7 +79,7 @@ def governor(root: Path = Path("/")) -> str:
 
 
 def receive_buffers(root: Path = Path("/")) -> str:
-    """How much may wait in a socket until it is read."""
+    """Check the largest receive buffer of a socket."""
     path = root / "proc/sys/net/core/rmem_max"
     if not path.exists():
         raise Absent("the system does not tell, as in containers")
@@ -96,17 +95,15 @@ def receive_buffers(root: Path = Path("/")) -> str:
 def dds_settings(
     is_loopback: bool, environment: Mapping[str, str] = os.environ, root: Path = Path("/")
 ) -> str:
-    """What the environment says of the network; ROS_DOMAIN_ID must be that of the drivers."""
-    domain = domain_id()
-    middleware = environment.get("RMW_IMPLEMENTATION", "")
-    if middleware not in SPOKEN:
-        raise Broken(f"RMW_IMPLEMENTATION is {middleware}, which DDS does not hear: take {SPOKEN[1]}")
+    """Check the environment variables of the network; ROS_DOMAIN_ID must be the drivers'."""
+    domain, middleware = domain_id(), environment.get("RMW_IMPLEMENTATION", "")
+    if middleware not in MIDDLEWARE:
+        raise Broken(f"RMW_IMPLEMENTATION is {middleware}, which DDS cannot receive: use {MIDDLEWARE[1]}")
     if is_loopback:
         return f"domain {domain}, this machine only"
-    # drivers that were started so are not heard by plain DDS
     kept = [f"{name}={value}" for name, value in ROS_ON_LOOPBACK.items() if environment.get(name) == value]
     if kept:
-        raise Broken(f"{kept[0]}: drivers started so keep to themselves; unset it for them and here")
+        raise Broken(f"{kept[0]}: drivers with this setting stay on their machine; unset it there and here")
     if configured := environment.get("CYCLONEDDS_URI"):
         return f"domain {domain}, CYCLONEDDS_URI {configured}"
     states = sorted(root.glob("sys/class/net/*/operstate"))

@@ -1,41 +1,118 @@
-"""The operator's side of a deployment: the dead-man's switch, requests, and what there is to know."""
+"""The operator: requests as the control loop receives them, and the console and keys that send them."""
 
+import errno
 import json
-from collections.abc import Callable
-from contextlib import suppress
+import os
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, suppress
 from math import inf
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple, final
 
-from pixel2catch.deployment.switches import Keys, Press, Switches
+from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
+from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.ros2.transport import Clock, Message, Transport
 
+DEPTH = 64  #: Messages kept between two polls.
+UNKNOWN_SENDER = "an unknown program"  #: A sender that has left, or that the network does not name.
+
+
+class OperatorRequests:
+    """Receives the prompts of one program, and counts who requests a stop.
+
+    The first program that sends a prompt is the only one that may, as long as it is on the network. Where
+    the network does not name senders, prompts are refused as soon as there are several publishers.
+    """
+
+    def __init__(self, transport: Transport, topics: OperatorTopics, statistics: RunStatistics) -> None:
+        """Subscribe; stop requests and refused prompts are counted by sender."""
+        self._transport, self._topics, self._statistics = transport, topics, statistics
+        self._prompts = transport.subscription(topics.prompt, DEPTH)
+        self._stops = transport.subscription(topics.stop, DEPTH, only_watches=True)
+        self._pointer = 0
+        self.complaint = ""  #: Why the last prompt was refused; empty if it was not.
+        self.stopped_by = ""  #: Sentence about the last stop request; empty without one.
+
+    def take_prompts(self) -> Iterator[Prompt]:
+        """Yield the valid prompts since the last call; count the stop requests."""
+        for message in self._stops.take():
+            if _is_true(message):
+                who = self._transport.other_publishers(self._topics.stop).get(message.sender, UNKNOWN_SENDER)
+                self.stopped_by = f"The stop was requested by {who}."
+                self._statistics.stop_requests[who] += 1
+        for message in self._prompts.take():
+            self.complaint = self._refusal(message)
+            if not self.complaint:
+                try:
+                    yield read_prompt(message.data)
+                except DeploymentError as error:
+                    self.complaint = str(error)
+
+    def _refusal(self, message: Message) -> str:
+        known, sender = self._transport.other_publishers(self._topics.prompt), message.sender
+        if sender and self._pointer not in known:
+            self._pointer = sender
+        if sender == self._pointer and (sender or len(known) < 2):
+            return ""
+        who = known.get(sender, UNKNOWN_SENDER) if sender else " or ".join(known.values())
+        self._statistics.refused_prompts[who] += 1
+        return (
+            f"a prompt of {who} was refused: {known.get(self._pointer, 'only one program')} points at the "
+            "object. End one of them; a program that was killed counts for 10 s."
+        )
+
+
+def _is_true(message: Message) -> bool:
+    with suppress(DeploymentError):
+        return messages.read_boolean(message.data)
+    return False
+
+
+def read_prompt(data: bytes) -> Prompt:
+    """Read a prompt message.
+
+    Raises:
+        DeploymentError: It is not a box in an image.
+    """
+    try:
+        xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
+    except (DeploymentError, ValueError, TypeError, KeyError, OverflowError) as error:
+        raise DeploymentError(
+            f'a prompt is not {{"box": [xmin, ymin, xmax, ymax]}} in pixels ({error}).'
+        ) from error
+    if not (-inf < xmin < xmax < inf and -inf < ymin < ymax < inf):
+        raise DeploymentError(
+            f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty or infinite: give xmin < xmax, "
+            "ymin < ymax."
+        )
+    return BoxPrompt(box=(xmin, ymin, xmax, ymax))
+
+
 SWITCH_TIME = 0.04
-"""Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
+"""Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of the servo's timeout."""
 
-FARTHEST = 1e6  #: Distance from the image's corner at which no box is [px], and a latency that is none [ms].
-SHOWN_LATENCIES = ("p50", "p90", "p99")  #: What is shown of the latency.
-DEPTH = 64  #: Messages that are kept from one look to the next.
+FARTHEST = 1e6  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
+SHOWN_LATENCIES = ("p50", "p90", "p99")  #: Percentiles that a valid status has.
 SEVERAL = {"mode": "several", "message": "", "stopped_by": [], "refused": [], "found": []}
-"""The status while several programs say what the deployment does: nobody knows which of them is right."""
-
-HELD_UP = 0.2  #: Time between two looks at the keys after which what they tell is old [s]. Source: ours.
+"""The status while several programs publish one: either may be that of the robot."""
 
 
 class OperatorConsole:
-    """What an operator has at hand; call `watch` more often than `SWITCH_TIME`."""
+    """Sends the operator's requests and receives the status; call `watch` every `SWITCH_TIME` or sooner."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
-        """Announce and listen, with the switch let go."""
+        """Announce the requests, with the switch released."""
         self._clock = clock
         self._switch, self._arm, self._stop, self._prompt = (
             transport.publisher(topic) for topic in (topics.dead_man, topics.arm, topics.stop, topics.prompt)
         )
         self._transport, self._status_topic = transport, topics.status
         self._statuses = transport.subscription(topics.status, DEPTH)
-        self._said, self._next_switch = False, -inf
+        self._sent, self._next_switch = False, -inf
         self.holds = False  #: Whether the dead-man's switch is held.
         self.status: dict[str, Any] = {}  #: Newest status of the deployment; empty before the first.
 
@@ -45,11 +122,11 @@ class OperatorConsole:
         return self.status.get("mode", "")
 
     def arm(self) -> None:
-        """Ask to arm."""
+        """Request arming."""
         self._arm.publish(messages.boolean(True))
 
     def stop(self) -> None:
-        """Ask to stop."""
+        """Request a stop."""
         self._stop.publish(messages.boolean(True))
 
     def point(self, box: list[float]) -> None:
@@ -57,79 +134,156 @@ class OperatorConsole:
         self._prompt.publish(messages.text(json.dumps({"box": box})))
 
     def watch(self) -> None:
-        """Say that the switch is held, or once that it was let go; hear the newest status."""
+        """Send the state of the switch: repeatedly while held, once when released. Receive the status."""
         now = self._clock.now()
-        if self.holds != self._said or (self.holds and now >= self._next_switch):
+        if self.holds != self._sent or (self.holds and now >= self._next_switch):
             self._switch.publish(messages.boolean(self.holds))
-            self._said, self._next_switch = self.holds, now + SWITCH_TIME
+            self._sent, self._next_switch = self.holds, now + SWITCH_TIME
         arrived = self._statuses.take()
-        said = newest(arrived, self.status)
+        found = newest(arrived, self.status)
         if arrived and self._transport.num_other_publishers(self._status_topic) > 1:
-            said = dict(SEVERAL)  # another one's word that it stands still is not that of the robot
-        self.status = said if _is_status(said) else self.status
+            found = dict(SEVERAL)
+        self.status = found if is_status(found) else self.status
 
 
-def newest(arrived: list[Message], known: dict[str, Any]) -> dict[str, Any]:
-    """The newest message of a topic of JSON that is one; the known one before where there is none."""
+def newest(arrived: list[Message], default: dict[str, Any]) -> dict[str, Any]:
+    """Return the newest message that is a JSON object; the default without one."""
     for message in reversed(arrived):
         with suppress(DeploymentError):
             return messages.read_json(message.data)
-    return known
+    return default
 
 
-def _is_status(said: dict[str, Any]) -> bool:
-    """Whether it is the status of a deployment, as far as operators and pages need it."""
-    box, latency = said.get("box"), said.get("latency_ms")
-    if box is not None and not (isinstance(box, list) and len(box) == 4 and all(map(_is_near, box))):
+def is_status(found: dict[str, Any]) -> bool:
+    """Return whether a message has the entries of a status that operators and pages read."""
+    box, latency = found.get("box"), found.get("latency_ms")
+    if box is not None and not (isinstance(box, list) and len(box) == 4 and all(map(_is_shown, box))):
         return False
     if latency is not None and not (
-        isinstance(latency, dict) and all(_is_near(latency.get(name)) for name in SHOWN_LATENCIES)
+        isinstance(latency, dict) and all(_is_shown(latency.get(name)) for name in SHOWN_LATENCIES)
     ):
         return False
-    lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
+    lists = [found.get(name) for name in ("stopped_by", "refused", "found")]
     if not all(isinstance(each, list) for each in lists):
         return False
-    texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
+    texts = [found.get("mode"), found.get("message"), *(text for each in lists for text in each or ())]
     return all(isinstance(text, str) for text in texts)
 
 
-def _is_near(value: Any) -> bool:
-    """Whether a value is a number that can be shown."""
+def _is_shown(value: Any) -> bool:
     return isinstance(value, int | float) and abs(value) < FARTHEST
 
 
-POLL = 0.005  #: Time between two looks at the keys [s]. Source: ours.
+EVENT = struct.Struct("@llHHi")
+"""Seconds, microseconds, type, code and value of an input event. Source: Linux, `struct input_event`."""
+
+SYNC, KEY = 0, 1  #: Types of events. Source: Linux, `EV_SYN` and `EV_KEY`.
+DROPPED = 3  #: Code of a `SYNC` after lost events. Source: Linux, `SYN_DROPPED`.
+MOST_EVENTS = 64  #: Events read at once.
+DEVICES = Path("/dev/input/by-id")  #: Folder of the permanent names of input devices.
+
+
+class Press(NamedTuple):
+    """A key that was pressed or released."""
+
+    code: int
+    is_down: bool
+
+
+@final
+class Switches(AbstractContextManager["Switches"]):
+    """The keys of a Linux input device: a pedal, a gamepad or a keyboard."""
+
+    def __init__(self, device: Path) -> None:
+        """Open a device such as /dev/input/by-id/usb-…-event-kbd.
+
+        Raises:
+            DeploymentError: It cannot be opened.
+        """
+        try:
+            self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            found = ", ".join(sorted(map(str, DEVICES.glob("*-event-*")))) or "there is none in " + str(
+                DEVICES
+            )
+            fix = f"name an input device: {found}"
+            if error.errno == errno.EACCES:
+                fix = "add yourself to the group 'input', and log in again"
+            raise DeploymentError(f"{device} cannot be opened ({error.strerror}); {fix}") from error
+        self.pressed: set[int] = set()  #: Codes of the keys that are pressed.
+
+    def poll(self) -> list[Press]:
+        """Return what was pressed and released since the last call.
+
+        Raises:
+            DeploymentError: The device was unplugged.
+        """
+        presses: list[Press] = []
+        for kind, code, value in self._events():
+            if (kind, code) == (SYNC, DROPPED):
+                self.pressed.clear()  # a release may be lost: keys must be pressed again
+            elif kind == KEY and value in (0, 1):
+                presses.append(Press(code, value == 1))
+                (self.pressed.add if value else self.pressed.discard)(code)
+        return presses
+
+    def _events(self) -> Iterator[tuple[int, int, int]]:
+        try:
+            data = os.read(self._file, MOST_EVENTS * EVENT.size)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.pressed.clear()
+            raise DeploymentError("the input device with the dead-man's switch is gone; plug it in again")
+        for *_, kind, code, value in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
+            yield kind, code, value
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the device."""
+        os.close(self._file)
+
+
+POLL = 0.005  #: Time between two polls of the keys [s]. Source: ours.
+HELD_UP = 0.2  #: Time between two polls after which old presses do not count [s]. Source: ours.
 
 
 def operate_by_keys(
     console: OperatorConsole,
     switches: Switches,
-    keys: Keys,
+    keys: tuple[Sequence[int], Sequence[int], Sequence[int]],
     clock: Clock,
     is_over: Callable[[], bool],
     report: Callable[[list[Press], dict[str, Any]], None],
 ) -> None:
-    """Hold, arm and stop as the keys say until it is over, and let go of the switch then.
+    """Hold, arm and stop by keys until it is over; then release the switch.
 
-    It begins with the switch let go, whatever is pressed already. What was pressed and the newest status are
-    reported all the time.
+    Args:
+        console: Sends the requests.
+        switches: The input device. A key that is pressed before the start has to be pressed again.
+        keys: Codes of the keys that hold, arm and stop.
+        clock: The clock of the deployment.
+        is_over: Ends it.
+        report: Gets the presses and the newest status in every poll.
 
     Raises:
-        DeploymentError: The device is gone.
+        DeploymentError: The device was unplugged.
     """
+    hold, arm, stop = keys
     try:
-        looked = clock.now()
+        now = clock.now()
         while not is_over():
-            presses, before, looked = switches.poll(), looked, clock.now()
+            presses, before, now = switches.poll(), now, clock.now()
             down = {press.code for press in presses if press.is_down}
-            if looked - before > HELD_UP:  # this program hung: who holds or asks to arm must press anew
+            if now - before > HELD_UP:  # this program was suspended: hold and arm must be pressed again
                 switches.pressed.clear()
-                down.difference_update(keys.arm)
-            console.holds = not switches.pressed.isdisjoint(keys.hold)
+                down.difference_update(arm)
+            console.holds = not switches.pressed.isdisjoint(hold)
             console.watch()
-            if not down.isdisjoint(keys.stop):
+            if not down.isdisjoint(stop):
                 console.stop()
-            elif not down.isdisjoint(keys.arm):
+            elif not down.isdisjoint(arm):
                 console.arm()
             report(presses, console.status)
             clock.sleep_until(clock.now() + POLL)

@@ -1,13 +1,12 @@
-"""What a deployment saw and did, as a rosbag2 (MCAP) for `identify`, `track` and ROS's tools."""
+"""Recording of a deployment as a rosbag2 (MCAP), for `identify`, `track`, `replay` and the tools of ROS 2."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock, Thread
-from typing import Literal, NamedTuple, final
+from typing import Literal, final
 
 import numpy as np
 from rosbags.interfaces import Connection as BagConnection
@@ -18,41 +17,34 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
-from pixel2catch.servo.link import RECORDER_PRIORITY, Command, LoopEnd, give_way
+from pixel2catch.servo.link import RECORDER_PRIORITY, give_way
 
 MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
 
-
-Convert = Callable[[bytes], bytes]  #: Makes what is written of what was recorded, such as a smaller image.
-
-
-class _Entry(NamedTuple):
-    topic: Topic
-    data: bytes
-    stamp: int
-    convert: Convert
+Convert = Callable[[bytes], bytes]  #: Makes the message to write from the recorded one, such as a JPEG.
 
 
 @final
 class BagRecorder(AbstractContextManager["BagRecorder"]):
-    """Writes messages in a thread of its own; use it as a context manager, which ends the file properly.
+    """Writes messages in its own thread. Use it as a context manager, which completes the file.
 
-    A slow or full disk never holds up the caller: what cannot be written is dropped and counted. After a kill
-    the file has all but the last moments, and `mcap recover` makes it readable.
+    A slow or full disk never delays the caller: messages that cannot be written are dropped and counted.
+    After a kill the file lacks the last moments only, and `mcap recover` makes it readable.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Begin a recording, a new folder.
+        """Start a recording in a new folder.
 
         Raises:
-            DeploymentError: It exists, or cannot be made.
+            DeploymentError: The folder exists or cannot be made.
         """
         self.num_written: Counter[str] = Counter()  #: Messages written, by topic.
         self.num_dropped: Counter[str] = Counter()  #: Messages lost, by topic.
-        self.problem = ""  #: What keeps messages from being written; empty if nothing does.
+        self.problem = ""  #: Why nothing can be written; empty if messages can.
+        self.unconverted = ""  #: Why the last message that could not be converted was dropped; empty if none.
         self._connections: dict[Topic, BagConnection] = {}
         self._waiting, self._lock = 0, Lock()
-        self._queue: SimpleQueue[_Entry | None] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[Topic, bytes, int, Convert] | None] = SimpleQueue()
         try:
             self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
@@ -64,19 +56,19 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self._thread.start()
 
     def record(self, topic: Topic, data: bytes, stamp: float, convert: Convert = bytes) -> None:
-        """Keep a message of this time, `Clock.stamp` [s]; any thread may call this.
+        """Record a message of a time of day [s], converted in the recorder's thread. Any thread may call it.
 
-        It is converted in the recorder's thread; if that is refused, it is dropped.
+        A message whose conversion raises is dropped and counted.
         """
         with self._lock:
             if self.problem or self._waiting + len(data) > MOST_WAITING:
                 self.num_dropped[topic.name] += 1
                 return
             self._waiting += len(data)
-        self._queue.put(_Entry(topic, data, round(stamp * 1e9), convert))
+        self._queue.put((topic, data, round(stamp * 1e9), convert))
 
     def close(self) -> None:
-        """Write what waits, and end the file."""
+        """Write the waiting messages, and complete the file."""
         if not self._thread.is_alive():
             return
         self._queue.put(None)
@@ -95,52 +87,56 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
     def _write_all(self) -> None:
         give_way(RECORDER_PRIORITY)
         while entry := self._queue.get():
-            is_written = not self.problem and self._write(entry)
+            topic, data, stamp, convert = entry
+            is_written = not self.problem and self._write(topic, data, stamp, convert)
             with self._lock:
-                self._waiting -= len(entry.data)
-                (self.num_written if is_written else self.num_dropped)[entry.topic.name] += 1
+                self._waiting -= len(data)
+                (self.num_written if is_written else self.num_dropped)[topic.name] += 1
 
-    def _write(self, entry: _Entry) -> bool:
-        """Write a message; whether that went well."""
-        topic = entry.topic
+    def _write(self, topic: Topic, data: bytes, stamp: int, convert: Convert) -> bool:
+        """Return whether a message was written; whatever goes wrong, the deployment continues."""
         try:
-            data = entry.convert(entry.data)
-        except DeploymentError:
+            converted = convert(data)
+        except Exception as error:  # only this message is lost
+            self.unconverted = f"{type(error).__name__}: {error}"
             return False
         try:
             if topic not in self._connections:
                 self._connections[topic] = self._writer.add_connection(
                     topic.name, topic.type, typestore=STORE
                 )
-            self._writer.write(self._connections[topic], entry.stamp, data)
-        except Exception as error:  # whatever it is, the robot goes on
+            self._writer.write(self._connections[topic], stamp, converted)
+        except Exception as error:  # nothing can be written any further
             self.problem = f"{type(error).__name__}: {error}"
             return False
         return True
 
 
-SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `Command.row`.
-ORDERS = Topic(
-    name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY
-)  #: Its orders, `JointTargets.row`.
-DEPTH = 512  #: Messages that are kept between two control steps.
-LONGEST = 0.5  #: Time between two looks after which messages may be lost [s]. Source: ours, half of `DEPTH`.
-HELD_UP = "the recording may lack messages, as this program was held up: end others, and record anew."
-RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
-Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.
+SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: `Command.row` of every tick.
+TARGETS = Topic(name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY)  #: `JointTargets.row`.
+DEPTH = 512  #: Messages kept between two control steps.
+LONGEST = 0.5  #: Time between two polls after which messages may be lost [s]. Source: ours, half of `DEPTH`.
+HELD_UP = "the recording may lack messages, because this program was delayed: end others, and record again."
+RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]; readers of bags sort by time.
+ImageStorage = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones take 27 MB/s.
 
 
 class DeploymentRecorder:
-    """Records a deployment; what is sent over the network is recorded as everybody else hears it."""
+    """Records a deployment: the messages on the network, and rows of servo and policy."""
 
     def __init__(
-        self, recorder: BagRecorder, transport: Transport, profile: Profile, clock: Clock, images: Images
+        self,
+        recorder: BagRecorder,
+        transport: Transport,
+        profile: Profile,
+        clock: Clock,
+        images: ImageStorage,
     ) -> None:
-        """Begin to listen to joint states, commands and operator; the loop does not wake for any of them."""
+        """Subscribe to joint states, commands, robot status and operator, without ending any wait."""
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
-        self._looked, self._has_gaps = np.inf, False
+        self._polled, self._has_gaps = np.inf, False
         topics = profile.told | {part.command_topic for part in profile.robots}
         topics |= {*vars(profile.operator).values()}
         self._subscriptions = [
@@ -149,17 +145,17 @@ class DeploymentRecorder:
 
     @property
     def trouble(self) -> str:
-        """What keeps the recording from being whole, in words; empty if nothing does."""
+        """Why the recording lacks messages; empty if it is complete."""
         recorder, num_lost = self._recorder, sum(self._recorder.num_dropped.values())
         if not (num_lost or recorder.problem):
             return HELD_UP if self._has_gaps else ""
-        reason = recorder.problem or "the disk is too slow, or a message is damaged"
+        reason = recorder.problem or recorder.unconverted or "the disk is too slow"
         return (
-            f"the recording lacks {num_lost} messages ({reason}): free or change the disk, and record anew."
+            f"the recording lacks {num_lost} messages ({reason}): free or change the disk, and record again."
         )
 
     def require_whole(self) -> None:
-        """Complain of a recording that has ended and is not whole.
+        """Refuse a recording that has ended and lacks messages.
 
         Raises:
             DeploymentError: Messages are missing.
@@ -168,16 +164,16 @@ class DeploymentRecorder:
             raise DeploymentError(self.trouble)
 
     def record_messages(self) -> None:
-        """Record what has arrived since the last call, which must not be longer ago than `LONGEST`."""
+        """Record what has arrived since the last call; call it every `LONGEST` or sooner."""
         now = self._clock.now()
-        self._has_gaps |= now - self._looked > LONGEST
-        self._looked = now
+        self._has_gaps |= now - self._polled > LONGEST
+        self._polled = now
         for topic, subscription in self._subscriptions:
             for message in subscription.take():
                 self._write(topic, message.data, message.arrival)
 
     def record_images(self, received: list[Message]) -> None:
-        """Record images."""
+        """Record image messages."""
         topic = self._profile.camera.image
         for message in received:
             if self._images == "jpeg":
@@ -186,38 +182,10 @@ class DeploymentRecorder:
                 self._write(topic, message.data, message.arrival)
 
     def record_row(self, topic: Topic, row: np.ndarray, time: float) -> None:
-        """Record numbers of this time, `Clock.now` [s]."""
+        """Record numbers of a time, `Clock.now` [s]."""
         self._write(topic, messages.float_array(row), time)
 
     def _write(self, topic: Topic, data: bytes, time: float, convert: Convert = bytes) -> None:
-        """Record a message of a moment of `Clock.now` [s]; those of one moment keep their order."""
         stamp = self._clock.stamp() - (self._clock.now() - time)
-        self._last[topic] = max(stamp, self._last.get(topic, stamp) + RESOLUTION)
+        self._last[topic] = max(stamp, self._last.get(topic, stamp) + RESOLUTION)  # keeps their order
         self._recorder.record(topic, data, self._last[topic], convert)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Connection:
-    """Network, servo, clock and recording."""
-
-    transport: Transport  #: The node of the network.
-    servo: LoopEnd  #: The control loop's end of the link to the servo process.
-    servo_dt: float  #: Time between two ticks of the servo [s].
-    clock: Clock
-    recording: DeploymentRecorder | None
-
-    def hear(self) -> Iterator[Command]:
-        """Yield what the servo has said since the last call, and record it.
-
-        Raises:
-            DeploymentError: The servo process is gone.
-        """
-        for command in self.servo.receive():
-            if self.recording:
-                self.recording.record_row(SERVO, command.row, command.time)
-            yield command
-        if self.servo.is_closed:
-            raise DeploymentError(
-                "the servo process has ended, and nothing guards the robot: press its stop. What the process "
-                "said of the reason is above."
-            )

@@ -1,20 +1,17 @@
-"""A deployment on a recording: what it would have decided of what was seen and measured then.
+"""Replay of a recorded deployment: recorded images, joint positions and operator, new decisions."""
 
-Nothing moves: the images and joint positions are those of then, whatever is decided now.
-"""
-
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
 
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo, perception_times
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.recorder import SERVO, TARGETS, BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.statistics import RunStatistics
-from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
@@ -29,17 +26,15 @@ from pixel2catch.servo.link import Command, JointTargets
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
-LONGEST = 3600 * 10**9  #: Of a recording that is replayed [ns]; each control step is gone through.
+LONGEST = 3600 * 10**9  #: Longest recording that is replayed [ns]. Source: ours.
 
 
 @final
 class BagPlayer(AbstractContextManager["BagPlayer"]):
-    """Publishes a rosbag2 on a network; use it as a context manager. JPEG images go out raw, as they were."""
+    """Publishes some topics of a rosbag2; JPEG images become raw ones. Use it as a context manager."""
 
     def __init__(self, path: Path, node: Transport, topics: set[Topic]) -> None:
-        """Announce what is played, and open a recording: the bag's folder, or its .mcap or .db3 file.
-
-        The rest of the recording is passed over.
+        """Open a recording (a bag's folder, .mcap or .db3 file), and announce its topics.
 
         Raises:
             PerceptionError: It cannot be read.
@@ -48,7 +43,7 @@ class BagPlayer(AbstractContextManager["BagPlayer"]):
         self._bag = ExitStack()
         reader = self._bag.enter_context(opened_bag(path))
         if reader.end_time - reader.start_time > LONGEST:
-            raise PerceptionError(f"{path}: lasts longer than an hour; cut it, or mend its times.")
+            raise PerceptionError(f"{path}: lasts longer than an hour; cut it, or correct its times.")
         self.start = 1e-9 * reader.start_time  #: Time of the first message, since the epoch [s].
         self._messages = reader.messages()
         self._next = self._read()
@@ -63,14 +58,14 @@ class BagPlayer(AbstractContextManager["BagPlayer"]):
         return self._next is None
 
     def play(self, until: float) -> None:
-        """Publish what was recorded up to a time since the epoch [s].
+        """Publish the messages up to a time since the epoch [s].
 
         Raises:
-            PerceptionError: The recording cannot be read further.
+            PerceptionError: The rest of the recording cannot be read.
         """
         while self._next is not None and self._next[0] <= until:
             _, name, kind, data = self._next
-            with suppress(DeploymentError):  # one that is damaged is as lost as on a network
+            with suppress(DeploymentError):  # a damaged message is skipped
                 if kind == COMPRESSED_IMAGE:
                     name, kind, data = name.removesuffix(SUFFIX), messages.IMAGE, uncompress(data)
                 if (name, kind) in self._publishers:
@@ -78,11 +73,10 @@ class BagPlayer(AbstractContextManager["BagPlayer"]):
             self._next = self._read()
 
     def _read(self) -> tuple[float, str, str, bytes] | None:
-        """Time [s], topic, type and CDR of the next message."""
         try:
             message = next(self._messages, None)
-        except Exception as error:  # a damaged bag makes the library raise whatever it likes
-            raise PerceptionError(f"the recording cannot be read further ({error}).") from error
+        except Exception as error:  # the library raises any error for a damaged bag
+            raise PerceptionError(f"the rest of the recording cannot be read ({error}).") from error
         if message is None:
             return None
         connection, time, data = message
@@ -90,21 +84,20 @@ class BagPlayer(AbstractContextManager["BagPlayer"]):
 
 
 def replay(
-    recording: Path,
-    out: Path,
-    profile: Profile,
-    camera: CameraSpec,
-    pipeline: PolicyPipeline,
-    perception_time: float = 0.01,
+    recording: Path, out: Path, profile: Profile, camera: CameraSpec, pipeline: PolicyPipeline
 ) -> RunStatistics:
-    """Replay the recording of a deployment, and return what happened.
+    """Decide again on a recording, and return what happened.
 
-    It must have images; out is a new folder for a recording of this deployment, without them. Profile and
-    camera are those of then; perception takes so long for an image [s].
+    Args:
+        recording: A recording of a deployment, with images.
+        out: New folder for the recording of this replay, without images.
+        profile: Profile of the recorded deployment.
+        camera: Camera of the recorded deployment.
+        pipeline: Perception and policy.
 
     Raises:
         PerceptionError: The recording cannot be read.
-        DeploymentError: It has no images of the robot's camera, or there is something at `out`.
+        DeploymentError: It has no images of the profile's camera, or `out` exists.
     """
     _require_images(recording, profile)
     with ExitStack() as stack:
@@ -112,28 +105,33 @@ def replay(
         player = stack.enter_context(BagPlayer(recording, broker.node(clock), played_topics(profile)))
         clock.time = player.start
         node = broker.node(clock)
-        recorder = stack.enter_context(BagRecorder(out))
-        new = DeploymentRecorder(recorder, node, profile, clock, "none")
+        recorder = DeploymentRecorder(
+            stack.enter_context(BagRecorder(out)), node, profile, clock, images="none"
+        )
         limits = ServoLimits.of(find_workcell(profile.workcell))
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=True)
-        servo = SteppedServo(setup, (node, node), clock, new)
+        servo = SteppedServo(setup, (node, node), clock, recorder)
         stack.callback(servo.close)
-        loop = SteppedLoop(servo, camera, pipeline, perception_times(perception_time))
+        times = perception_times(PERCEPTION_TIME)
+        loop = ControlLoop(pipeline, camera, servo.connection, profile, perception_time=times)
 
         def run_until(moment: float) -> None:
             while clock.time < moment:
                 clock.time += limits.dt
                 player.play(clock.time)
                 servo.tick()
-                loop.look()
+                loop.poll()
 
         while not player.is_over:
             run_until(clock.time + CONTROL_DT)
         return loop.statistics
 
 
+PERCEPTION_TIME = 0.01  #: Time that perception takes for an image in a replay [s]. Source: ours.
+
+
 def played_topics(profile: Profile) -> set[Topic]:
-    """What a deployment listens to: nobody else commands the robot, and its status is said anew."""
+    """Return the topics that a deployment subscribes to."""
     operator, camera = profile.operator, profile.camera
     topics = {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
     return profile.told | {topic for topic in topics if topic}
@@ -145,55 +143,52 @@ def _require_images(recording: Path, profile: Profile) -> None:
         topics = sorted({connection.topic for connection in reader.connections})
     if not any(topic.startswith(name) for topic in topics):
         raise DeploymentError(
-            f"{recording} has no images on {name}, but {', '.join(topics) or 'nothing'}: record with "
-            "--record-images jpeg or raw, and replay with the profile of then."
+            f"{recording} has no images on {name}; its topics are {', '.join(topics) or 'none'}: record with "
+            "--record-images jpeg or raw, and replay with the profile of the recording."
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecordedTargets:
-    """The policy's targets of a recording."""
-
-    #: When the images were taken that were decided on, since the epoch [s].
-    time: Float[np.ndarray, " num_commands"]
-    target: Float[np.ndarray, "num_commands num_joints"]  #: Targets in joint order [rad].
-
-
-def recorded_targets(recording: Path) -> RecordedTargets:
-    """Read what was decided on every image, at first, from a recording of a deployment.
+def recorded_targets(recording: Path) -> list[JointTargets]:
+    """Return the first targets for every image of a recording; `image_stamp` is since the epoch [s].
 
     Raises:
         PerceptionError: It cannot be read.
     """
-    targets: dict[float, tuple[float, np.ndarray]] = {}
+    first: dict[float, JointTargets] = {}
     offset = 0.0
     with opened_bag(recording) as reader:
-        wanted = [each for each in reader.connections if each.topic in (ORDERS.name, SERVO.name)]
+        wanted = [each for each in reader.connections if each.topic in (TARGETS.name, SERVO.name)]
         for connection, time, data in reader.messages(wanted):
             row = messages.read_float_array(data)
             if connection.topic == SERVO.name:
                 offset = 1e-9 * time - Command.of(row).time
             else:
-                order = JointTargets.of(row)
-                taken = order.image_stamp
-                targets.setdefault(taken, (taken + offset, order.joint_pos_target))
-        times, rows = [time for time, _ in targets.values()], [target for _, target in targets.values()]
-        return RecordedTargets(time=np.array(times), target=np.array(rows).reshape(len(rows), -1))
+                targets = JointTargets.of(row)
+                stamp = targets.image_stamp
+                first.setdefault(stamp, replace(targets, image_stamp=stamp + offset))
+    return list(first.values())
 
 
-def compare(then: RecordedTargets, now: RecordedTargets, workcell: WorkcellSpec) -> dict[str, Any]:
-    """How alike a deployment and its replay are.
+def compare(
+    then: Sequence[JointTargets], now: Sequence[JointTargets], workcell: WorkcellSpec
+) -> dict[str, Any]:
+    """Compare the targets of a deployment with those of its replay.
 
-    Numbers of images that were decided on then, now, and both times; median and largest difference of the
-    targets of every joint group, such as arm and hand [rad], if there are any of both.
+    Returns:
+        Numbers of images with targets in the deployment, in the replay and in both; for every joint group,
+        such as arm and hand, median and maximum of the difference of its worst joint [rad].
     """
-    report: dict[str, Any] = {"num_then": len(then.time), "num_now": len(now.time), "num_both": 0}
-    if not (len(then.time) and len(now.time)):
+    report: dict[str, Any] = {"num_then": len(then), "num_now": len(now), "num_both": 0}
+    if not (then and now):
         return report
-    nearest = np.abs(now.time[:, None] - then.time).argmin(axis=1)
-    is_same = np.abs(now.time - then.time[nearest]) < 0.25 * CONTROL_DT
+    stamps_then, stamps_now = (np.array([each.image_stamp for each in given]) for given in (then, now))
+    nearest = np.abs(stamps_now[:, None] - stamps_then).argmin(axis=1)
+    is_same = np.abs(stamps_now - stamps_then[nearest]) < 0.25 * CONTROL_DT
     report["num_both"] = int(is_same.sum())
-    difference = np.abs(now.target - then.target[nearest])[is_same]
+    targets_then, targets_now = (
+        np.array([each.joint_pos_target for each in targets]) for targets in (then, now)
+    )
+    difference = np.abs(targets_now - targets_then[nearest])[is_same]
     for group in workcell.groups if len(difference) else ():
         worst = difference[:, workcell.columns(group.name)].max(axis=1)
         report[group.name] = {"median": float(np.median(worst)), "max": float(worst.max())}

@@ -1,4 +1,4 @@
-"""What a deployment says of itself while it runs, and afterwards."""
+"""Counts and durations of a deployment: its status in every control step, and the summary at its end."""
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
@@ -8,24 +8,23 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.camera.image import Box, Verdict
-from pixel2catch.deployment.sight import Sight
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
 
-BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one holds from [s]. Source: ours.
+BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
 STAGES = ("received", "begun", "looked", "decided")
-"""What happens to an image: it arrives, perception begins and ends, and its command is given to the servo."""
+"""Stages of an image: it arrives, perception begins, perception ends, its targets are sent to the servo."""
 
-ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
+ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))  #: Modes in which control steps count.
 
 
 class Histogram:
-    """Counts durations, however many; a percentile is the mean of the bin that it is in."""
+    """Counts any number of durations; a percentile is the mean of its bin."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Start empty."""
         self._counts = np.zeros(round(LONGEST / BIN) + 1, dtype=np.int64)
         self._sums, self._longest = np.zeros(len(self._counts)), 0.0
 
@@ -37,7 +36,7 @@ class Histogram:
         self._longest = max(self._longest, duration)
 
     def milliseconds(self, *percentages: int) -> dict[str, float] | None:
-        """Percentiles, the longest duration and how many there were [ms]; none if there were none."""
+        """Return percentiles, longest duration [ms] and count; None if it is empty."""
         total = np.cumsum(self._counts)
         if not total[-1]:
             return None
@@ -48,58 +47,54 @@ class Histogram:
 
     @property
     def by_ms(self) -> list[int]:
-        """How many durations there were of 0 to 1 ms, 1 to 2 ms, and so on, up to the longest."""
+        """Counts of the durations of 0 to 1 ms, 1 to 2 ms, and so on, up to the longest."""
         starts = np.arange(0, len(self._counts), NUM_MS)
         return np.trim_zeros(np.add.reduceat(self._counts, starts), "b").tolist()
 
 
 @dataclass(kw_only=True)
 class RunStatistics:
-    """Counts what happens, from control step to control step."""
+    """Statistics of a deployment so far."""
 
     num_steps: int = 0  #: Control steps in which the robot was armed or moved; only these count.
-    num_missed: int = 0  #: Control steps for which no new image had come, or been looked at, in time.
-    num_overruns: int = 0  #: Control steps whose image took longer than one.
-    stops: Counter[str] = field(default_factory=Counter)  #: How often the robot was stopped, by the reasons.
-    #: How often it could not be armed, by the reasons.
-    refusals: Counter[str] = field(default_factory=Counter)
-    #: Servo ticks in which a command was held back, by what.
-    clamps: Counter[str] = field(default_factory=Counter)
-    stop_requests: Counter[str] = field(default_factory=Counter)  #: Messages that asked to stop, by who sent.
-    #: Prompts that were not heeded, by who sent.
-    refused_prompts: Counter[str] = field(default_factory=Counter)
-    num_ticks: int = 0  #: Servo ticks heard of.
+    num_missed: int = 0  #: Control steps without a new image that was processed in time.
+    num_overruns: int = 0  #: Control steps in which perception and policy took longer than a step.
+    stops: Counter[str] = field(default_factory=Counter)  #: Stops by reason.
+    refusals: Counter[str] = field(default_factory=Counter)  #: Refused requests to arm by reason.
+    clamps: Counter[str] = field(default_factory=Counter)  #: Servo ticks in which a limit changed a command.
+    stop_requests: Counter[str] = field(default_factory=Counter)  #: Stop requests by sender.
+    refused_prompts: Counter[str] = field(default_factory=Counter)  #: Refused prompts by sender.
+    num_ticks: int = 0  #: Servo ticks received.
     num_late_ticks: int = 0  #: Servo ticks that came more than a tick late.
     _latencies: Histogram = field(default_factory=Histogram)
     _stages: dict[str, Histogram] = field(default_factory=lambda: {name: Histogram() for name in STAGES})
-    _thinking: Histogram = field(default_factory=Histogram)
+    _computing: Histogram = field(default_factory=Histogram)
     _ticks: Histogram = field(default_factory=Histogram)
-    _latency: float | None = None
-    _sent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    _sent: deque[JointTargets] = field(default_factory=lambda: deque(maxlen=8))
     _last: Command | None = None
     _refused: int = 0
     _clamped: int = 0
 
     def count_step(self, *, took: float, is_missed: bool) -> None:
-        """Note a control step of an armed robot: what perception and policy took, without waiting [s]."""
+        """Count a control step, with the computing time of perception and policy [s]."""
         self.num_steps += 1
         self.num_missed += is_missed
         if not is_missed:
-            self._thinking.count(took)
+            self._computing.count(took)
             self.num_overruns += took > CONTROL_DT
 
-    def count_stages(self, stamp: float, times: dict[str, float]) -> None:
-        """Note when each of `STAGES` was done with an image that was taken at a time [s]."""
-        for name, time in times.items():
-            self._stages[name].count(time - stamp)
+    def count_stages(self, times: dict[str, float]) -> None:
+        """Count the age of an image at each of `STAGES`, from the times of all and of its exposure [s]."""
+        for name, stage in self._stages.items():
+            stage.count(times[name] - times["exposed"])
 
-    def note_targets(self, joint_targets: JointTargets) -> None:
-        """Note a command by the image that it was decided on, of which the servo is not told."""
-        self._sent.append((joint_targets.target_stamp, joint_targets.image_stamp))
+    def note_targets(self, targets: JointTargets) -> None:
+        """Keep targets with the stamp of the image that they were decided on."""
+        self._sent.append(targets)
 
     def note_command(self, command: Command, dt: float) -> None:
-        """Note a tick of the servo, which is to come every so often [s]."""
-        last = self._last
+        """Count a tick of the servo, whose period is `dt` [s]."""
+        last, self._last = self._last, command
         self.num_ticks += 1
         self._ticks.count(command.duration)
         self._refused |= command.refused
@@ -107,22 +102,26 @@ class RunStatistics:
         self.clamps.update(flag_names(Clamp, command.clamped))
         if command.refused:
             self.refusals[", ".join(flag_names(Fault, command.refused))] += 1
-        if last is not None:
-            self.num_late_ticks += command.time - last.time > 2.0 * dt + 1e-4
-            if command.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
-                self.stops[", ".join(flag_names(Fault, command.stopped_by))] += 1
-            if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
-                image_stamp = dict(self._sent).get(command.target_stamp, command.image_stamp)
-                self._latency = command.time - image_stamp
-                self._latencies.count(self._latency)
-        self._last = command
+        if last is None:
+            return
+        self.num_late_ticks += command.time - last.time > 2.0 * dt + 1e-4
+        if command.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
+            self.stops[", ".join(flag_names(Fault, command.stopped_by))] += 1
+        if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
+            image_stamps = {targets.target_stamp: targets.image_stamp for targets in self._sent}
+            image_stamp = image_stamps.get(command.target_stamp, command.image_stamp)
+            self._latencies.count(command.time - image_stamp)
 
     def status(
-        self, box: Box | None, message: str, sight: Sight | None = None, age: float = inf
+        self, box: Box | None, message: str, visibility: str | None = None, age: float = inf
     ) -> dict[str, Any]:
-        """What is going on now, and what is known of the object, if one matters, last seen so long ago [s].
+        """Return the status of a control step; refusals and clamps are those since the last one.
 
-        Requests that were refused are said once.
+        Args:
+            box: Box of the newest image; None without a recent image.
+            message: What is wrong.
+            visibility: Whether the object is seen; None where there is no object.
+            age: Age of the newest box [s].
         """
         last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
@@ -133,8 +132,8 @@ class RunStatistics:
             "refused": flag_names(Fault, refused),
             "clamped": flag_names(Clamp, clamped),
             "box": list(box.edges) if box and box.is_valid else None,
-            "verdict": str(box.verdict) if box else sight and str(Verdict.NO_IMAGE),
-            "object": sight and str(sight),
+            "verdict": str(box.verdict) if box else visibility and str(Verdict.NO_IMAGE),
+            "object": visibility and str(visibility),
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": self._latencies.milliseconds(50, 90, 99),
             "num_missed": self.num_missed,
@@ -142,7 +141,7 @@ class RunStatistics:
         }
 
     def summary(self) -> dict[str, Any]:
-        """All of it; latencies are from the middle of an image's exposure on."""
+        """Return all statistics; latencies count from the middle of an image's exposure."""
         latency = self._latencies.milliseconds(*PERCENTAGES)
         return {
             "num_steps": self.num_steps,
@@ -150,7 +149,7 @@ class RunStatistics:
             "num_overruns": self.num_overruns,
             "image_to_command_ms": latency and {**latency, "by_ms": self._latencies.by_ms},
             "stages_ms": {name: times.milliseconds(*PERCENTAGES) for name, times in self._stages.items()},
-            "thinking_ms": self._thinking.milliseconds(*PERCENTAGES),
+            "thinking_ms": self._computing.milliseconds(*PERCENTAGES),
             "servo_tick_ms": self._ticks.milliseconds(*PERCENTAGES),
             "num_ticks": self.num_ticks,
             "num_late_ticks": self.num_late_ticks,

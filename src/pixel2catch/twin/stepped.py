@@ -10,10 +10,16 @@ from typing import Any, final
 import numpy as np
 
 from pixel2catch.camera.image import Pixels
+from pixel2catch.deployment.control_loop import (
+    Connection,
+    ControlLoop,
+    StepClock,
+    SteppedServo,
+    perception_times,
+)
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
-from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
-from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.robot_mask import RobotMask
@@ -62,7 +68,7 @@ class SteppedTwin:
         camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), clock_error)
         self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
         #: Called after every cycle of the drivers, each `HOP` later than the one before.
-        self.followers: tuple[Callable[[], None], ...] = ()
+        self.followers: tuple[Callable[[], object], ...] = ()
 
     def _wait(self, moment: float) -> None:
         """Run cycles until a moment [s], or shortly after."""
@@ -106,9 +112,10 @@ class SteppedRehearsal:
         setup = ServoSetup(profile=twin.profile, limits=limits)
         times = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
         self._servo = SteppedServo(setup, (broker.node(clock), node), clock, self._recording)
-        loop = SteppedLoop(self._servo, self.lab.camera, pipeline, times)
+        connection, profile = self._servo.connection, twin.profile
+        loop = ControlLoop(pipeline, self.lab.camera, connection, profile, perception_time=times)
         self.statistics, self._topics = loop.statistics, twin.profile.operator
-        twin.followers = (self._servo.tick, loop.look)
+        twin.followers = (self._servo.tick, loop.poll)
 
     @cached_property
     def operator(self) -> RehearsalOperator:

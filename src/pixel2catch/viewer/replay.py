@@ -6,9 +6,9 @@ from typing import Any, final
 
 import numpy as np
 
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import BagPlayer
-from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.video import draw_box
 from pixel2catch.ros2 import messages

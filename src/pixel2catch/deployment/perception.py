@@ -1,0 +1,314 @@
+"""Images from their arrival to their box: received, checked, and processed one at a time."""
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, wait
+from dataclasses import replace
+from functools import partial
+from math import inf
+
+import numpy as np
+
+from pixel2catch.camera.image import Box, Image
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
+from pixel2catch.errors import DeploymentError
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.perception.segmenter import Prompt
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import CameraProfile
+from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Transport
+from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
+from pixel2catch.servo.limits import Joints
+
+DEPTH = 4  #: Images kept between two polls; only the newest is processed. Source: ours.
+JOINT_MEMORY = 0.5  #: Time for which joint positions are kept [s]. Source: ours; images arrive sooner.
+LENS_TOLERANCE = 0.02  #: Relative difference of focal lengths, and of centres by the width. Source: ours.
+
+EARLIEST, LATEST = -0.05, 0.5
+"""Range of the age of an image at arrival by its stamp [s]. Outside it the stamp is of another clock.
+Source: ours."""
+
+NUM_EQUAL = 4
+"""Number of equal images in a row that shows a frozen camera; sensor noise changes every image. Source: ours;
+a camera that is read faster than it exposes repeats single images."""
+
+THINNING = 8  #: Every so many rows and columns are compared before all [px]. Source: ours.
+DISTRUST_TIME = 1.0
+"""Time for which images are refused after one that is older than the one before [s]. Source: ours."""
+
+
+class ImageChecks:
+    """Checks whether the images can come from one working camera."""
+
+    def __init__(self, transport: Transport, profile: CameraProfile, clock: Clock) -> None:
+        """Start without a problem."""
+        self._transport, self._profile, self._clock = transport, profile, clock
+        self._last: Image | None = None
+        self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
+        self._several_cameras = self._wrong_size = self._older = ""
+
+    @property
+    def problem(self) -> str:
+        """Why the images cannot be used; empty if they can."""
+        if self._num_equal >= NUM_EQUAL:
+            name = self._profile.image.name
+            return f"the image on {name} is frozen: its pixels do not change. Restart the camera's driver."
+        is_distrusted = self._clock.now() < self._distrusted_until
+        return self._several_cameras or self._wrong_size or (self._older if is_distrusted else "")
+
+    def count_cameras(self) -> None:
+        """Look every `POLL_TIME` whether several programs publish images."""
+        if (now := self._clock.now()) < self._next_poll:
+            return
+        self._next_poll = now + POLL_TIME
+        topics = [topic for topic in (self._profile.image, self._profile.info) if topic]
+        shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
+        self._several_cameras = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
+
+    def is_new(self, image: Image) -> bool:
+        """Check the next image; return whether it differs from the previous one."""
+        last, self._last, self._wrong_size = self._last, image, ""
+        try:
+            self._profile.require(image)
+        except DeploymentError as error:
+            self._wrong_size = str(error)
+        if last is None or self._wrong_size:
+            self._num_equal = 1
+            return not self._wrong_size
+        if 0.0 < image.stamp < last.stamp:
+            self._distrusted_until = self._clock.now() + DISTRUST_TIME
+            self._older = (
+                f"an image on {self._profile.image.name} is {last.stamp - image.stamp:.2g} s older than "
+                "the one before: end a second camera or recording; or a clock was set, wait a second."
+            )
+        is_repeated = image.stamp == last.stamp != 0.0
+        is_equal = are_equal(last.pixels, image.pixels)
+        self._num_equal = self._num_equal + (not is_repeated) if is_equal else 1
+        return not is_equal
+
+
+def are_equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two images have the same pixels; a few of them are compared first."""
+    few = slice(None, None, THINNING)
+    return np.array_equal(one[few, few], other[few, few]) and np.array_equal(one, other)
+
+
+class ImageSubscriber:
+    """Receives images, checks them, and adds the joint positions at their time."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        profile: CameraProfile,
+        camera: CameraSpec,
+        clock: Clock,
+        *,
+        assumes_age: bool = False,
+    ) -> None:
+        """Subscribe to the camera.
+
+        Args:
+            transport: The network.
+            profile: Topics, size and encoding of the camera.
+            camera: The camera that the policy was trained for.
+            clock: The clock of the images' stamps.
+            assumes_age: Whether images without a usable stamp count as `ASSUMED_AGE` control steps old at
+                arrival. If not, their stamp is used as it is, and the servo refuses them.
+        """
+        self._profile, self._camera, self._clock = profile, camera, clock
+        self._checks = ImageChecks(transport, profile, clock)
+        self._images = transport.subscription(profile.image, DEPTH)
+        self._lens = transport.subscription(profile.info) if profile.info else None
+        self._joints: deque[tuple[float, Joints]] = deque()
+        self._wrong_lens = self._ahead = self._notice = ""
+        self._assumes_age, self._is_stamped = assumes_age, False
+        self.received: list[Message] = []  #: Messages that the last call of `newest` took, for a recording.
+        self.message = ""  #: Why the last image could not be read; empty if it could.
+        self.stamp = -inf  #: Exposure time of the newest usable image [s].
+
+    def add_joints(self, time: float, joint_pos: Joints) -> None:
+        """Keep measured joint positions [rad] of a time [s], for the images of that time."""
+        self._joints.append((time, joint_pos))
+        while self._joints[0][0] < time - JOINT_MEMORY:
+            self._joints.popleft()
+
+    @property
+    def problem(self) -> str:
+        """Why no image can be used, such as another lens than the calibrated one; empty if they can."""
+        return self._checks.problem or self._wrong_lens or self._ahead
+
+    def newest(self) -> Image | None:
+        """Return the newest image since the last call, stamped by `Clock.now`; None without a usable one."""
+        self._check_lens()
+        self._checks.count_cameras()
+        self.received = self._images.take()
+        newest: Image | None = None
+        for message in self.received:
+            try:
+                image = messages.read_image(message.data)
+            except DeploymentError as error:
+                self.message = str(error)
+                continue
+            self.message = self._ahead = ""
+            is_new = self._checks.is_new(image)
+            if self.problem:
+                continue
+            stamp = self._exposure_time(image, message.arrival)
+            if (ahead := stamp - self._clock.now()) > -EARLIEST:
+                name = self._profile.image.name
+                self._ahead = f"images on {name} are {ahead:.2g} s in the future: synchronise the clocks."
+                continue
+            self.stamp = stamp
+            if is_new:
+                newest = replace(image, stamp=stamp, joint_pos=self._joints_at(stamp))
+        return None if self.problem else newest
+
+    def take_notice(self) -> str:
+        """Return once that the camera's stamps are unusable; empty otherwise."""
+        notice, self._notice = self._notice, ""
+        return notice
+
+    def _exposure_time(self, image: Image, arrival: float) -> float:
+        """Exposure time by the stamp; after the first usable stamp, an old one is a late image."""
+        stamp = self._clock.now() - (self._clock.stamp() - image.stamp)
+        has_stamp, was_stamped = image.stamp != 0.0, self._is_stamped
+        is_usable = has_stamp and EARLIEST <= arrival - stamp <= LATEST
+        self._is_stamped = is_usable or (was_stamped and has_stamp)
+        if self._is_stamped or not self._assumes_age:
+            return stamp
+        if was_stamped or self.stamp == -inf:
+            age = arrival - stamp
+            found = f"have stamps of {abs(age):.2g} s {'ago' if age > 0.0 else 'ahead'}"
+            self._notice = (
+                f"images on {self._profile.image.name} {found if has_stamp else 'have no stamps'}: each "
+                f"counts as {1e3 * ASSUMED_AGE * CONTROL_DT:.0f} ms old at arrival. Let the driver write the "
+                "exposure time into header.stamp, and synchronise the clocks of the two machines."
+            )
+        return arrival - ASSUMED_AGE * CONTROL_DT
+
+    def _joints_at(self, time: float) -> Joints | None:
+        if not self._joints:
+            return None
+        _, joint_pos = min(self._joints, key=lambda known: abs(known[0] - time))
+        return None if np.isnan(joint_pos).any() else joint_pos
+
+    def _check_lens(self) -> None:
+        for message in self._lens.take() if self._lens else ():
+            try:
+                self._wrong_lens = lens_difference(
+                    messages.read_camera_info(message.data).camera, self._camera
+                )
+            except DeploymentError as error:
+                self._wrong_lens = str(error)
+
+
+def lens_difference(found: CameraSpec, expected: CameraSpec) -> str:
+    """Return how a camera's lens differs from the expected one, and what to do; empty if it does not."""
+    theirs, ours = ((each.fx, each.fy, each.cx, each.cy) for each in (found, expected))
+    scale = np.array((expected.fx, expected.fy, expected.width, expected.width))
+    if (np.abs(np.subtract(theirs, ours)) <= LENS_TOLERANCE * scale).all():
+        return ""
+    given, wanted = (", ".join(f"{number:.1f}" for number in each) for each in (theirs, ours))
+    return (
+        f"the camera has fx, fy, cx, cy of {given}, the policy's camera {wanted}: calibrate the camera, and "
+        "train with 'train --camera'."
+    )
+
+
+ROUNDING = 1e-9  #: Difference up to which two times are equal [s].
+
+LONGEST_WAIT = 0.25 * CONTROL_DT
+"""Time after which a waiting image is dropped, because a younger one is about to arrive [s]. Source: ours,
+from simulated perception times of 27 to 110 ms."""
+
+
+class PerceptionRunner:
+    """Runs perception on one image at a time. Of the images that arrive meanwhile, the newest waits.
+
+    With an executor perception runs in its thread. Without one it runs at once in the caller's thread, and
+    its result counts after a stated time of the clock, so that stepped time can rehearse slow perception.
+    """
+
+    def __init__(
+        self,
+        pipeline: PolicyPipeline,
+        clock: Clock,
+        executor: Executor | None = None,
+        duration: Callable[[], float] = float,
+    ) -> None:
+        """Start without an image.
+
+        Args:
+            pipeline: Perceives, and gets the boxes.
+            clock: The clock of the images' stamps.
+            executor: One thread; None for the caller's.
+            duration: Draws how long perception takes for an image in the caller's thread [s].
+        """
+        self._pipeline, self._clock, self._executor, self._duration = pipeline, clock, executor, duration
+        self._waiting: tuple[Image, float] | None = None
+        self._running: Future[Box] | None = None
+        self._due = -inf
+        self._started: dict[str, float] = {}
+        self._on_end: Callable[[], None] | None = None
+        #: When the image of the newest box was exposed, received, begun and looked at [s].
+        self.times: dict[str, float] = {}
+
+    @property
+    def stamp(self) -> float | None:
+        """Exposure time of the image that is being processed [s]; None without one."""
+        return self._started["exposed"] if self._running else None
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the result, at most for a real time [s]."""
+        if self._running and self._executor:
+            wait((self._running,), seconds)
+        else:
+            self._clock.sleep_until(min(self._due, self._clock.now() + seconds))
+
+    def begin_throw(self, prompt: Prompt | None) -> None:
+        """Start a new throw; the result of an image that is being processed will be dropped."""
+        self._pipeline.forget()
+        point = partial(self._pipeline.point, prompt)
+        if self._running:
+            self._on_end = point
+        else:
+            point()
+
+    def offer(self, image: Image) -> None:
+        """Process an image that has just arrived, unless a newer one arrives before its turn."""
+        self._waiting = (image, self._clock.now())
+
+    def poll(self) -> Box | None:
+        """Give a new box of this throw to the pipeline and return it; start with the next image.
+
+        Raises:
+            PerceptionError: The first image has the wrong size.
+        """
+        box = self._finish()
+        now = self._clock.now()
+        if self._waiting and now - self._waiting[1] > LONGEST_WAIT:
+            self._waiting = None
+        if self._waiting and not self._running:
+            self._start(*self._waiting, now)
+        return box
+
+    def _start(self, image: Image, received: float, now: float) -> None:
+        self._waiting, self._started = None, {"exposed": image.stamp, "received": received, "begun": now}
+        if self._executor:
+            self._running = self._executor.submit(self._pipeline.perceive, image, now)
+        else:
+            self._running, self._due = Future(), now + self._duration()
+            self._running.set_result(self._pipeline.perceive(image, now))
+        self._running.add_done_callback(lambda _: self._pipeline.settle())  # while the policy decides
+
+    def _finish(self) -> Box | None:
+        if not (self._running and self._running.done() and self._clock.now() >= self._due - ROUNDING):
+            return None
+        box, self._running = self._running.result(), None
+        if self._on_end:
+            self._on_end()
+            self._on_end = None
+            return None
+        self._pipeline.remember(box)
+        self.times = {**self._started, "looked": self._clock.now()}
+        return box

@@ -1,0 +1,359 @@
+"""Images from the network to a box: arrival, checks of the camera, and one image at a time."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
+from queue import SimpleQueue
+from threading import Event, current_thread
+
+import numpy as np
+import pytest
+from loop_lab import BOX, HOME, PROFILE, RED, Surroundings, new_pipeline, picture, remembering, surroundings
+
+from domains import PATIENCE
+from pixel2catch.camera.image import Image, Pixels, Verdict
+from pixel2catch.deployment.control_loop import StepClock, perception_times
+from pixel2catch.deployment.perception import (
+    DISTRUST_TIME,
+    LONGEST_WAIT,
+    NUM_EQUAL,
+    ImageSubscriber,
+    PerceptionRunner,
+)
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.perception.segmenter import (
+    BoxPrompt,
+    ColorThreshold,
+    ImageMotion,
+    Prompt,
+    Segmentation,
+    Segmenter,
+)
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import Topic
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+
+
+def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscriber:
+    return ImageSubscriber(
+        around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock, assumes_age=assumes_age
+    )
+
+
+def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time():
+    with surroundings() as around:
+        images = images_in(around)
+        assert images.newest() is None
+        for edge in (100, 200, 300):
+            around.show(picture((edge, 100, edge + 20, 130)), age=0.1)
+        now = around.clock.now()
+        for age in (0.15, 0.1, 0.05, 0.0):
+            images.add_joints(now - age, HOME + age)
+        image = images.newest()
+        assert image is not None
+        assert image.pixels[110, 310].tolist() == [200, 30, 20]
+        assert around.clock.now() - image.stamp == pytest.approx(0.1, abs=0.01)
+        assert image.joint_pos == pytest.approx(HOME + 0.1)
+        assert images.newest() is None
+
+
+@pytest.mark.parametrize("assumes_age", [True, False])
+def test_images_from_the_future_are_refused(assumes_age: bool):
+    """Up to 50 ms ahead is the error of a clock; more, after usable stamps, is a clock that was set."""
+    with surroundings() as around:
+        images = images_in(around, assumes_age=assumes_age)
+        for age, is_good in ((0.02, True), (-0.03, True), (-1.0, False)):
+            around.show(picture(), age=age)
+            assert (images.newest() is not None) == is_good
+            assert ("synchronise the clocks" in images.problem) == (not is_good)
+        assert images.stamp < around.clock.now() + 0.03
+
+
+def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
+    """Age of an image with this stamp in its header, in control steps."""
+    around.camera.publish(messages.image(picture(), stamp))
+    image = images.newest()
+    assert image is not None
+    assert images.stamp == image.stamp
+    return (around.clock.now() - image.stamp) / CONTROL_DT
+
+
+@pytest.mark.parametrize(
+    ("age", "words"),
+    [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")],
+)
+def test_images_without_a_usable_stamp_are_as_old_as_training_assumes(age: float | None, words: str):
+    """This is reported once."""
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        for notice in (words, ""):
+            stamp = 0.0 if age is None else around.clock.stamp() - age
+            assert age_of_next(images, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
+            found = images.take_notice()
+            assert notice in found
+            assert bool(found) == bool(notice)
+
+
+@pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
+def test_usable_stamps_are_used(age: float):
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        found = age_of_next(images, around, around.clock.stamp() - age)
+        assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
+        assert images.take_notice() == ""
+
+
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp():
+    """Not after usable stamps, and not for a policy without ages: it is as old as its stamp."""
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        age_of_next(images, around, around.clock.stamp() - 0.02)
+        around.clock.sleep_until(around.clock.now() + 3.0)
+        for late in (images, images_in(around)):
+            assert age_of_next(late, around, around.clock.stamp() - 2.0) > 59.0
+            assert late.take_notice() == ""
+
+
+def test_an_image_that_cannot_be_read_is_skipped_and_reported():
+    with surroundings() as around:
+        images = images_in(around)
+        around.camera.publish(messages.image(picture(), 1.0)[:1000])
+        assert images.newest() is None
+        assert images.message
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.message == ""
+
+
+def test_another_lens_than_the_calibrated_one_is_refused():
+    with surroundings() as around:
+        images, info = images_in(around), PROFILE.camera.info
+        assert info is not None
+        lens = around.lab.publisher(info)
+        right = messages.camera_info(RGB_CAMERA, 0.0)
+        longer, unknown = (
+            messages.camera_info(replace(RGB_CAMERA, fx=fx), 0.0) for fx in (1.05 * RGB_CAMERA.fx, np.nan)
+        )
+        for sent in (right, longer, unknown, b"garbage", right):
+            is_good = sent == right
+            lens.publish(sent)
+            around.show(picture())
+            assert (images.newest() is not None) is is_good
+            assert (images.problem == "") is is_good
+
+
+def test_a_frozen_image_is_found_though_its_stamps_are_fresh():
+    with surroundings() as around:
+        images, frozen, found = images_in(around), picture(), list[tuple[bool, bool]]()
+        for _ in range(NUM_EQUAL + 2):
+            around.show(frozen)
+            found.append((images.newest() is not None, bool(images.problem)))
+        assert found == [(True, False)] + [(False, False)] * (NUM_EQUAL - 2) + [(False, True)] * 3
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.problem == ""
+
+
+def test_images_that_repeat_once_or_with_their_stamp_are_no_fault():
+    with surroundings() as around:
+        images = images_in(around)
+        for _ in range(NUM_EQUAL):
+            twice = picture()
+            for is_new in (True, False):
+                around.show(twice)
+                assert (images.newest() is not None) is is_new
+                assert images.problem == ""
+        same = messages.image(picture(), around.clock.stamp())
+        for _ in range(2 * NUM_EQUAL):
+            around.camera.publish(same)
+            images.newest()
+        assert images.problem == ""
+
+
+@pytest.mark.parametrize("topic", [PROFILE.camera.image, PROFILE.camera.info])
+def test_a_second_camera_is_refused_while_it_is_there(topic: Topic):
+    with surroundings() as around:
+        images = images_in(around)
+        own = around.camera if topic == PROFILE.camera.image else around.lab.publisher(topic)
+        around.show(picture())
+        assert images.newest() is not None
+        other = around.broker.node(around.clock)
+        with other:
+            other.publisher(topic)
+            around.clock.sleep_until(around.clock.now() + 0.21)
+            around.show(picture())
+            assert images.newest() is None
+            assert topic.name in images.problem
+        around.clock.sleep_until(around.clock.now() + 0.21)
+        around.show(picture())
+        assert images.newest() is not None
+        assert own
+
+
+def test_images_that_are_older_than_the_one_before_are_refused_for_a_while():
+    """Two cameras by turns, or a recording that starts again."""
+    with surroundings() as around:
+        images = images_in(around)
+        for age in (0.02, 0.06, 0.02):
+            around.show(picture(), age=age)
+        assert images.newest() is None
+        assert "older than the one before" in images.problem
+        around.clock.sleep_until(around.clock.now() + DISTRUST_TIME)
+        around.show(picture())
+        assert images.newest() is not None
+
+
+def test_images_of_another_size_are_refused():
+    with surroundings() as around:
+        images = images_in(around)
+        around.show(np.zeros((240, 320, 3), dtype=np.uint8))
+        assert images.newest() is None
+        assert "320 x 240" in images.problem
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.problem == ""
+
+
+PROMPT = BoxPrompt(box=BOX)
+TICK, LATENCY = 0.002, 0.015
+
+
+def processed(took: Callable[[], float], seconds: float) -> list[tuple[float, float]]:
+    """Exposure and end of perception of the images of a camera of 30 Hz [s], by a loop of 500 Hz."""
+    clock = StepClock(lambda _: pytest.fail("nobody waits"))
+    runner = PerceptionRunner(new_pipeline(controller=remembering()), clock, duration=took)
+    runner.begin_throw(PROMPT)
+    found: list[tuple[float, float]] = []
+    num_images = 0
+    while clock.time < seconds:
+        if clock.time >= num_images * CONTROL_DT + LATENCY:
+            runner.offer(Image(pixels=picture(), stamp=num_images * CONTROL_DT))
+            num_images += 1
+        if box := runner.poll():
+            assert box.verdict is Verdict.SEEN
+            assert runner.times["begun"] >= runner.times["received"] >= box.stamp + LATENCY
+            found.append((box.stamp, runner.times["looked"]))
+        clock.time += TICK
+    return found
+
+
+@pytest.mark.parametrize(("took", "every"), [(0.03, 1), (0.06, 2), (0.098, 3)])
+def test_slow_perception_skips_images_and_begins_with_a_fresh_one(took: float, every: int):
+    stamps, ends = np.transpose(processed(perception_times(took), 1.0))
+    assert np.diff(stamps) == pytest.approx(every * CONTROL_DT)
+    assert (ends - stamps).max() <= LATENCY + took + 2.0 * TICK
+
+
+def test_an_image_that_waits_for_too_long_is_dropped():
+    """A result after 40 ms comes in time for the image that waits, one after 56 ms does not."""
+    for took, most in ((0.04, LONGEST_WAIT), (0.056, 2.0 * TICK)):
+        stamps, ends = np.transpose(processed(perception_times(took), 1.0))
+        assert (ends - stamps - took - LATENCY).max() <= most + 2.0 * TICK
+
+
+def test_perception_times_are_drawn_from_a_range_by_a_seed():
+    drawn = [perception_times(0.06, 0.01, seed=3) for _ in range(2)]
+    times = np.array([[time() for _ in range(200)] for time in drawn])
+    assert np.array_equal(times[0], times[1])
+    assert 0.06 <= times.min() < 0.061 < 0.069 < times.max() <= 0.07
+    with pytest.raises(InvalidValueError, match="-10 ms more"):
+        perception_times(0.06, -0.01)
+
+
+class SuspendedSegmenter(Segmenter):
+    """Waits in every image until it may go on."""
+
+    def __init__(self) -> None:
+        self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
+        self.settled_by = SimpleQueue[str]()
+
+    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+        self._wait()
+        return self._segmenter.start(image, prompt, motion)
+
+    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+        self._wait()
+        return self._segmenter.track(image, motion)
+
+    def settle(self) -> None:
+        self.settled_by.put(current_thread().name)
+
+    def reset(self) -> None:
+        self._segmenter.reset()
+
+    def _wait(self) -> None:
+        self.has_begun.set()
+        assert self.may_go_on.wait(PATIENCE)
+        self.may_go_on.clear()
+
+
+class ThreadBench:
+    """Perception in a thread that ends when it is told to."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.clock = StepClock(lambda _: None)
+        self.segmenter = SuspendedSegmenter()
+        self.pipeline = new_pipeline(self.segmenter, remembering())
+        self.runner = PerceptionRunner(self.pipeline, self.clock, executor)
+
+    def show(self, stamp: float) -> None:
+        self.clock.time = stamp
+        self.runner.offer(Image(pixels=picture(), stamp=stamp))
+        assert self.runner.poll() is None
+        assert self.segmenter.has_begun.wait(PATIENCE)
+        self.segmenter.has_begun.clear()
+
+    def end(self) -> bool:
+        """End the perception; return whether there is a box of this throw."""
+        self.segmenter.may_go_on.set()
+        while self.runner.stamp is not None:
+            if self.runner.poll():
+                return True
+            self.runner.wait(PATIENCE)
+        return False
+
+
+@pytest.fixture
+def bench() -> Iterator[ThreadBench]:
+    with ThreadPoolExecutor(1, thread_name_prefix="perception") as executor:
+        yield ThreadBench(executor)
+
+
+def test_decisions_go_on_during_perception_which_learns_in_its_thread(bench: ThreadBench):
+    bench.runner.begin_throw(PROMPT)
+    bench.show(1.0)
+    assert bench.pipeline.decide(HOME, 1.01) is None
+    assert bench.segmenter.settled_by.empty()
+    assert bench.end()
+    assert bench.segmenter.settled_by.get(timeout=PATIENCE) == "perception_0"
+    bench.show(1.1)
+    for now in (1.11, 1.11 + CONTROL_DT):
+        targets = bench.pipeline.decide(HOME, now)
+        assert targets is not None
+        assert (targets.target_stamp, targets.image_stamp) == (now, 1.0)
+    assert bench.end()
+    targets = bench.pipeline.decide(HOME, 1.2)
+    assert targets is not None
+    assert targets.image_stamp == 1.1
+
+
+def test_a_box_of_the_throw_before_is_dropped(bench: ThreadBench):
+    """The prompt counts from the next image on."""
+    bench.runner.begin_throw(PROMPT)
+    bench.show(1.0)
+    bench.runner.begin_throw(None)
+    bench.runner.begin_throw(PROMPT)
+    assert not bench.end()
+    assert bench.pipeline.decide(HOME, 1.1) is None
+    bench.show(1.1)
+    assert bench.end()
+    assert bench.pipeline.decide(HOME, 1.2)
+
+
+def test_an_error_in_the_thread_is_raised_in_the_loop(bench: ThreadBench):
+    bench.runner.begin_throw(PROMPT)
+    bench.runner.offer(Image(pixels=picture()[:100], stamp=0.0))
+    bench.runner.poll()
+    with pytest.raises(PerceptionError, match="480"):
+        bench.end()
