@@ -23,7 +23,7 @@ from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.fit import LATENCY_UNIT, FitCfg, fit_dynamics
 from pixel2catch.identification.identify import estimates
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.report_tables import UNKNOWN_WIDTH
+from pixel2catch.identification.report import UNKNOWN_WIDTH
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 LAG, FRICTION = "damping / stiffness", "frictionloss / stiffness"

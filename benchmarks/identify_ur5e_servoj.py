@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from identify_ur5 import target_error, tracking_error
 
+from pixel2catch.arrays import read_table
 from pixel2catch.identification.checks import check_recording, excess_time
 from pixel2catch.identification.fit import FILTER_PARAMETERS, LATENCY_UNIT, FitCfg, fit_dynamics
 from pixel2catch.identification.identify import estimates, stiff
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.tables import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 JOINTS = {0: "shoulder_pan_joint", 4: "wrist_2_joint", 5: "wrist_3_joint"}

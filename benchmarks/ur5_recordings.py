@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from pixel2catch.arrays import read_table
 from pixel2catch.identification.checks import check_recording
-from pixel2catch.identification.joints import joints_of
-from pixel2catch.identification.recording import Recording, require_motion
-from pixel2catch.identification.report_tables import check_grid
-from pixel2catch.identification.tables import read_table
+from pixel2catch.identification.recording import Recording, joints_of, require_motion
+from pixel2catch.identification.report import check_grid
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = joints_of(UR5E_ALLEGRO, "ur5e")
@@ -61,7 +60,7 @@ def read_log(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of one file, which has no line of names."""
     table = read_table(path, names=("time", *ARM))
     time, values = table.column("time"), table.columns(ARM)
-    require_motion(table.place, ARM, time, values)
+    require_motion(str(path), ARM, time, values)
     return time, values
 
 

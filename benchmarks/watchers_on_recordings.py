@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from ur5_recordings import read_ur5
 
-from pixel2catch.identification.tables import read_table
+from pixel2catch.arrays import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.servo.compilation import entry
 from pixel2catch.servo.laws import joint_faults, update_expected

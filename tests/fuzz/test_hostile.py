@@ -18,7 +18,7 @@ import torch
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from valid import ARM, KINDS, PIXELS
 
-from pixel2catch.archives import read_arrays
+from pixel2catch.arrays import read_arrays
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError

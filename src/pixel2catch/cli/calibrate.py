@@ -223,8 +223,8 @@ class Calibrate:
         """
         import torch
 
+        from pixel2catch.arrays import read_table
         from pixel2catch.identification.recording import require_motion
-        from pixel2catch.identification.tables import read_table
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
@@ -235,7 +235,7 @@ class Calibrate:
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
         joint_pos = table.columns(joints)
-        require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
+        require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos)
         names = table.texts(IMAGE_COLUMN)
         board, views, blank = CharucoBoard(self.square), [], []
         chain = first_chain(workcell)

@@ -1,80 +1,62 @@
-"""`pixel2catch excite`: motion that tells the joints' dynamics, and recordings of it by a simulated robot."""
+"""`pixel2catch excite`: motion that shows the joints' dynamics, and recordings of it by a simulated robot."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import (
-    AtMostFull,
-    DynamicsPath,
-    NewFolder,
-    OutputFile,
-    PhysicsRate,
-    Positive,
-    Seed,
-    Within,
-)
+from pixel2catch.checks import AtMostFull, DynamicsPath, NewFolder, OutputFile, Positive, Seed, Within
 from pixel2catch.cli.console import results_console, say, working
-from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.files import require_free_file
 
 if TYPE_CHECKING:
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.identification.rehearsal import Assessment
     from pixel2catch.robots.joint_dynamics import JointDynamics
-    from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excite:
-    """Draw motion that tells the joints' dynamics, try it in simulation, and write it as joint targets.
+    """Draw motion that shows the joints' dynamics, try it in simulation, and write it as joint targets.
 
-    It begins and ends at rest in the start pose. Written is only what a simulated robot follows within all
-    limits and at a distance from the table and from itself. Nothing is overwritten.
+    It begins and ends at rest in the start pose. It is only written if a simulated robot follows it within
+    all limits and keeps its distance from the table and from itself. Nothing is overwritten.
     """
 
-    #: Whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default: all of
-    #: the work cell.
+    #: Part whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default:
+    #: all.
     robot: str | None = None
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
     #: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
     out: Annotated[Path, OutputFile((".npz",))] | None = None
-    picture: Annotated[Path, OutputFile((".png",))] | None = (
-        None  #: File of a picture of commands and simulated motion, numbered likewise.
-    )
     seconds: Positive = 40.0  #: Duration of a trajectory [s].
-    #: Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
-    #: policy's, which it takes to tell the inertia of the arm's drives.
+    #: Factor on speeds, accelerations and jumps: begin small on a real robot. Full speed, 1, has jumps like a
+    #: policy's, which show the inertia of the arm's drives.
     speed: AtMostFull = 0.2
-    seed: Seed = 0  #: Seed of everything that is drawn; each further recording has the next.
+    seed: Seed = 0  #: Seed of the first trajectory; each further one has the next.
     recordings: Annotated[int, Within(1, 1000)] = (
         1  #: Number of trajectories; a fit needs two at least, one to be held out.
     )
-    dynamics: DynamicsPath | None = (
-        None  #: Dynamics file of the robot that tries them. Default: the nominal robot.
-    )
-    #: New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
+    #: Dynamics file of the simulated robot. Default: nominal; for --rehearse up to 40 % off, 12 ms late.
+    dynamics: DynamicsPath | None = None
+    #: New folder for recordings of a simulated robot, recording-1.npz and so on, and its dynamics,
+    #: truth.json.
     rehearse: NewFolder | None = None
-    #: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
-    truth: DynamicsPath | None = None
-    #: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
-    physics_hz: PhysicsRate = 480.0
 
     def run(self) -> None:
         """Draw, try, print and write."""
-        from numpy.random import default_rng
-
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
-        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
-        from pixel2catch.identification.report import motion_picture
+        from pixel2catch.identification.recording import joints_of
+        from pixel2catch.mdp.dynamics_file import DynamicsFile
+        from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.workcells import find_workcell
 
-        outs, pictures = self._numbered(self.out), self._numbered(self.picture)
-        for path in (*outs, *pictures):
+        outs = self._numbered()
+        for path in outs:
             require_free_file(path)
         workcell, found = find_workcell(self.workcell), []
-        dynamics, truth = (self._dynamics(path, workcell) for path in (self.dynamics, self.truth))
-        if self.truth is None:
-            truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
+        nominal = JointDynamics.nominal(specs=workcell.joints)
+        file = DynamicsFile.load(self.dynamics, workcell)
+        dynamics = file.dynamics.over(nominal).select(joints_of(workcell, self.robot))
         with working() as report:
             for i in range(self.recordings):
                 report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
@@ -83,46 +65,57 @@ class Excite:
                 found.append(find_excitation(cfg, dynamics, report))
             for (trajectory, _), path in zip(found, outs, strict=False):
                 trajectory.save(path)
-            for pair, path in zip(found, pictures, strict=False):
-                write_atomically({path: motion_picture(*pair)})
             if self.rehearse:
-                report("recording what a robot would have done")
-                trajectories = [trajectory for trajectory, _ in found]
-                cfg = RecorderCfg(physics_hz=self.physics_hz)
-                rehearse(self.rehearse, trajectories, truth, cfg, self.seed)
+                report("simulating the recordings")
+                self._rehearse(self.rehearse, [trajectory for trajectory, _ in found], dynamics)
         for trajectory, assessment in found:
             _print(trajectory, assessment)
-        written = [*outs, *pictures, *([self.rehearse] if self.rehearse else [])]
+        written = [*outs, *([self.rehearse] if self.rehearse else [])]
         say(f"wrote {', '.join(map(str, written)) or 'nothing: no --out, no --rehearse'}")
 
-    def _numbered(self, path: Path | None) -> list[Path]:
-        """The names of a file, one for each trajectory; none if it is not wanted."""
-        if path is None:
+    def _rehearse(self, folder: Path, trajectories: "list[Trajectory]", dynamics: "JointDynamics") -> None:
+        from numpy.random import default_rng
+
+        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+
+        truth = dynamics if self.dynamics else unlike_nominal(default_rng(self.seed), dynamics)
+        rehearse(folder, trajectories, truth, RecorderCfg(), self.seed)
+
+    def _numbered(self) -> list[Path]:
+        """Return the files, one for each trajectory; none without --out."""
+        if self.out is None:
             return []
         numbers = range(1, self.recordings + 1)
-        return [path] if self.recordings == 1 else [path.with_stem(f"{path.stem}-{i}") for i in numbers]
-
-    def _dynamics(self, path: Path | None, workcell: "WorkcellSpec") -> "JointDynamics":
-        """The dynamics of the robot's joints; what a file does not have is nominal."""
-        from pixel2catch.identification.joints import joints_of
-        from pixel2catch.mdp.dynamics_file import DynamicsFile
-        from pixel2catch.robots.joint_dynamics import JointDynamics
-
-        joints = joints_of(workcell, self.robot)
-        nominal = JointDynamics.nominal(specs=workcell.joints)
-        return DynamicsFile.load(path, workcell).dynamics.over(nominal).select(joints)
+        if self.recordings == 1:
+            return [self.out]
+        return [self.out.with_stem(f"{self.out.stem}-{i}") for i in numbers]
 
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
-    """Print what the simulated robot did."""
-    from pixel2catch.identification.report_tables import motion_grid
+    """Print the motion of the simulated robot, one line per joint, and its distances."""
+    import numpy as np
+    from rich.table import Table
 
-    console = results_console()
-    title = f"seed {trajectory.header['seed']}, simulated"
-    console.print(motion_grid(title, assessment).for_terminal())
+    from pixel2catch.identification.checks import num_reversals, smoothed
+
+    console, q = results_console(), assessment.recording.q
+    speed, acceleration = smoothed(assessment.recording.t_meas, q)
+    columns = ("joint", "verdict", "from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
+    table = Table(*columns, title=f"seed {trajectory.header['seed']}, simulated")
+    for j, check in enumerate(assessment.checks):
+        table.add_row(
+            check.joint or "",
+            check.verdict,
+            f"{q[:, j].min():.2f}",
+            f"{q[:, j].max():.2f}",
+            f"{assessment.speed[j]:.2f}",
+            f"{np.abs(acceleration[:, j]).max():.1f}",
+            f"{num_reversals(speed[:, j])}",
+            f"{100 * assessment.torque_share[j]:.0f}",
+        )
+    console.print(table)
     for clearance in assessment.clearances:
         console.print(clearance.sentence())
-    weak = sum(not check.is_good for check in assessment.checks)
-    if weak:
+    if weak := sum(not check.is_good for check in assessment.checks):
         advice = "raise --speed or --seconds"
-        console.print(f"{weak} joints are excited too weakly to tell their dynamics: {advice}.")
+        console.print(f"{weak} joints are excited too weakly to show their dynamics: {advice}.")

@@ -1,6 +1,6 @@
-"""`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
+"""`pixel2catch identify`: from recordings of a robot to a dynamics file and a report."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,19 +10,16 @@ from pixel2catch.checks import DynamicsPath, NewFolder, PhysicsRate
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from pixel2catch.identification.checks import Check
-    from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import Identification
-    from pixel2catch.identification.importers import Names
+    from pixel2catch.identification.importers import RecordedNames
     from pixel2catch.identification.recording import Recording
     from pixel2catch.robots.workcell import WorkcellSpec
 
-EXIT_UNFIT = 1  #: Exit status of --check if data cannot be fitted.
+EXIT_UNFIT = 1  #: Exit status of --check if a recording cannot be fitted.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,49 +27,41 @@ class Identify:
     """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
 
     A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
-    commands; or a folder with rtde.csv (columns timestamp, actual_q_0 to actual_q_5, if recorded actual_qd_0
-    to actual_qd_5) and commands.csv (t, q_0 to q_5); or an .npz file with the arrays joints (names), t_cmd,
-    q_cmd (a row a command), t_meas, q (a row a measurement), if recorded qd and effort. Times are in s,
-    positions in rad, speeds in rad/s, efforts in N·m; each of the two times has a clock of its own.
+    commands, or an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas, q (a
+    row per measurement), and qd and effort if recorded. Times are in s, positions in rad, speeds in rad/s,
+    efforts in N·m; commands and measurements may have different clocks.
     """
 
-    #: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
+    #: Files or folders: rosbag2 (.mcap, .db3) or .npz.
     recordings: Positional[tuple[Path, ...]]
-    #: Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
-    #: names, or arm, hand, or its own name. With --check it may be left out: what was recorded is checked.
+    #: Part whose joints are fitted: ur5e, allegro, ur5e_allegro; of another work cell, an arm or a hand by
+    #: its name, or arm, hand, or the work cell's name. Optional with --check: all recorded joints are
+    #: checked.
     robot: str | None = None
     #: New or empty folder for dynamics.json, report.html and result.json.
     out: NewFolder | None = None
-    #: Only check the data, of one joint or more, and fit nothing; the exit status is 1 if they cannot be
-    #: fitted.
+    #: Only check the data of one joint or more, without a fit; the exit status is 1 if they cannot be fitted.
     check: bool = False
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
-    #: The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
-    #: last of several.
+    #: The recording that judges the fit: its name or number (from 1), or none. Default: the last of several.
     hold_out: str | None = None
-    #: Robot profile, shipped or a .yaml, whose topics and joint names a bag has, as `record` writes it; in
-    #: place of --command-topic, --joint-states-topic and --rename.
+    #: Robot profile, shipped or a .yaml, with the topics and joint names of a bag.
     profile: str | None = None
-    #: Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where messages name
-    #: no joints. Default: the only one that can be it.
-    command_topic: tuple[str, ...] = ()
-    joint_states_topic: str = "/joint_states"  #: Topic of the measurements in a bag.
-    shift_commands: float = 0.0  #: Added to the times of the commands [s], where their clock is another.
-    rename: tuple[str, ...] = ()  #: Joints that have another name in the recordings, each OURS=THEIRS.
+    #: Topic of the commands in a bag, without --profile. Default: the only one that can have commands.
+    command_topic: str | None = None
     #: Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter: filter_gain
     #: filter_lookahead latency.
     free: tuple[str, ...] = ()
-    filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
-    start: DynamicsPath | None = None  #: Dynamics file to start from: what is not fitted stays as it says.
-    physics_hz: PhysicsRate = (
-        480.0  #: Physics steps in a second of the fit; more are more exact, and take longer.
-    )
-    json: bool = False  #: Print the numbers of the report as one JSON object.
+    filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of the servo of --start.
+    #: Dynamics file to start from; parameters that are not fitted keep its values.
+    start: DynamicsPath | None = None
+    physics_hz: PhysicsRate = 480.0  #: Physics rate of the fit [Hz]; more is more exact and slower.
 
     def run(self) -> None:
         """Check, fit, and write the report."""
+        from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
-        from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
+        from pixel2catch.identification.report import DYNAMICS, PAGE, check_grid, write_report
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -80,88 +69,75 @@ class Identify:
             self._check(workcell)
             return
         if self.robot is None or self.out is None:
-            raise InvalidValueError(
-                "say whose joints to fit, --robot, and where to write, --out; or --check to look at the data."
-            )
-        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter, workcell)
+            raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
+        start = start_of_fit(self.robot, self.start, self.filter, workcell)
+        default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
+        cfg = FitCfg(free=self.free or default, physics_dt=1.0 / self.physics_hz)
         with working() as report:
             recordings = self._read(workcell, report)
             report("checking the data")
             sources = checked(recordings, self.hold_out)
-        if not self.json:
-            _print_checks([(source.recording, source.checks) for source in sources])
+        for source in sources:
+            results_console().print(check_grid(source.recording.name, source.checks).for_terminal())
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            content = write_report(self.out, result, circumstances())
-        if self.json:
-            print(json_text(content), end="")
-        else:
-            _print_result(result)
-        say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")
+            write_report(self.out, result, circumstances())
+        _print_result(result)
+        say(f"wrote {self.out / DYNAMICS} and the report {self.out / PAGE}")
 
     def _check(self, workcell: "WorkcellSpec") -> None:
-        """Print what the checks of the data say; the exit status is 1 if one forbids a fit."""
+        """Print the data checks; exit with a status if one forbids a fit."""
         from pixel2catch.identification.checks import check_recording
+        from pixel2catch.identification.report import check_grid
 
         with working() as report:
             found = [(each, check_recording(each)) for each in self._read(workcell, report)]
-        if self.json:
-            content = {each.name: [asdict(check) for check in checks] for each, checks in found}
-            print(json_text(content), end="")
-        else:
-            _print_checks(found)
+        for recording, checks in found:
+            results_console().print(check_grid(recording.name, checks).for_terminal())
         if any(check.forbids_fit for _, checks in found for check in checks):
             raise SystemExit(EXIT_UNFIT)
 
-    def _fit_cfg(self) -> "FitCfg":
-        """How to fit; the rate is one that a training can have."""
-        from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
-        from pixel2catch.scene.scene import SceneCfg
-
-        default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
-        physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt
-        return FitCfg(free=self.free or default, physics_dt=physics_dt)
-
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
-        from pixel2catch.identification.importers import read_recording
+        from pixel2catch.identification.recording import Recording, joints_of
 
         if not self.recordings:
             raise InvalidValueError("there is no recording; give at least one.")
-        names, found = self._names(workcell), []
+        joints, found = joints_of(workcell, self.robot), []
+        names = self._names(joints) if self.profile or self.command_topic else None
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, self.robot, names, workcell, is_partial=self.check)
-            found.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
+            if path.suffix == ".npz":
+                whole = Recording.load(path, workcell, names.joints if names else {})
+                found.append(whole.select(joints, is_partial=self.check))
+            else:
+                from pixel2catch.identification.importers import read_rosbag
+
+                found.append(read_rosbag(path, joints, names, workcell, is_partial=self.check))
         return found
 
-    def _names(self, workcell: "WorkcellSpec") -> "Names":
-        """What the recordings call topics and joints."""
-        from pixel2catch.identification.importers import Names
-        from pixel2catch.identification.joints import joints_of
-
-        if self.profile is None:
-            return Names.parse(self.command_topic, self.joint_states_topic, self.rename, workcell)
+    def _names(self, joints: tuple[str, ...]) -> "RecordedNames":
+        """Return the recordings' names of topics and joints."""
+        from pixel2catch.identification.importers import RecordedNames
         from pixel2catch.ros2.profile import Profile
 
-        if self.command_topic or self.rename:
-            raise InvalidValueError("--profile says what --command-topic and --rename do; leave them out.")
-        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot))
-
-
-def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:
-    from pixel2catch.identification.report_tables import check_grid
-
-    for recording, checks in found:
-        results_console().print(check_grid(recording.name, checks).for_terminal())
+        if self.profile is None:
+            return RecordedNames(command_topics={str(self.command_topic): ()})
+        if self.command_topic:
+            raise InvalidValueError("--profile has the topics of the commands; leave out --command-topic.")
+        return RecordedNames.of(Profile.load(self.profile), joints)
 
 
 def _print_result(result: "Identification") -> None:
-    """Print errors and parameters as tables, then what is not known."""
+    """Print errors and parameters as tables, then what is not identified."""
     from rich.text import Text
 
-    from pixel2catch.identification.report import NOTHING_HELD_OUT
-    from pixel2catch.identification.report_tables import errors_grid, open_questions, parameters_grid
+    from pixel2catch.identification.report import (
+        NOTHING_HELD_OUT,
+        errors_grid,
+        open_questions,
+        parameters_grid,
+    )
 
     console = results_console()
     console.print(errors_grid(result).for_terminal())

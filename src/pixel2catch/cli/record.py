@@ -88,7 +88,7 @@ class Record:
     def _next_command(self, profile: "Profile", part: "RobotPart") -> str:
         source = f"--profile {self.link.robot.profile if self.lockstep is None else profile.name}"
         if self.lockstep and profile.name == f"twin_of_{profile.workcell}":  # a profile without a file
-            source = f"--workcell {profile.workcell} --command-topic {part.command_topic.name}={part.name}"
+            source = f"--workcell {profile.workcell} --command-topic {part.command_topic.name}"
         return (
             f"pixel2catch identify {self.out} ... --robot {part.name} {source} --out identified-{part.name}"
         )

@@ -1,7 +1,4 @@
-"""What a recording must be like before anything is fitted to it: checks as values.
-
-They look at speed, acceleration, elapsed time and lag, as the recorded positions tell them.
-"""
+"""Data checks: whether a recording can be fitted, from its clocks, speeds, accelerations and lag."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,100 +7,99 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import correlate, correlation_lags, savgol_filter
 
-from pixel2catch.identification.joints import specs_of
-from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.recording import Recording, specs_of
 from pixel2catch.robots.spec import JointSpec
 
-MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
+MIN_SAMPLES = 50  # least number of measurements (ours, half a second at 100 Hz)
 MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
 MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that of the measurements (ours)
 
 STALL_TIME = 0.01
-"""A step whose motion took so much longer than the clock says, and at least one more step, is a stall [s].
+"""Least excess of a stall: time that the motion of a step needs beyond the step and one more step [s].
 Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms."""
 
-LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
-STALL_ANGLE = 2e-3  # a stall is seen from this much motion on, beyond what is uncertain [rad] (ours)
-NOISE_FACTOR = 4.0  # standard deviations of noise that are no motion (ours)
-REPEATED_STEPS = 2.0  # a moving joint changes by so many of its encoder's steps from sample to sample (ours)
+LONG_STEP = 1.5  # least length of a long step, in medians (ours)
+STALL_ANGLE = 2e-3  # least motion in a stall, beyond noise and rounding [rad] (ours)
+NOISE_FACTOR = 4.0  # standard deviations of noise that do not count as motion (ours)
+REPEATED_STEPS = 2.0  # least change of a moving joint from sample to sample, in encoder steps (ours)
 MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
-PROGRESS_RANGE = (0.8, 1.25)  # change of positions over that by speeds (ours; degrees would give 0.017)
-MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
+PROGRESS_RANGE = (0.8, 1.25)  # change of positions over integral of speeds (ours; degrees would give 0.017)
+MOVING_SPEED = 0.02  # least speed of a moving joint [rad/s] (ours, 0.7 % of the arm's largest speed)
 MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
 LAG_RANGE = (-0.02, 0.3)
 """Plausible lag of the motion behind its command [s]. Source: ours; servoJ with a lookahead of 0.1 s lags by
-0.1 s and a few ms. A log of the controller's own target can seem late by half its step, because a command is
-taken to hold until the next."""
+0.1 s and a few ms. A log of the controller's own target can appear late by half its step, because commands
+hold until the next one here."""
 
-MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
+MOVED_ANGLE = 0.01  # least span of the positions of a joint that moved [rad] (ours)
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
-SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
-MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some tell the scale of the gains, many hide the rest)
-MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
-MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
-PEAK_QUANTILE = 0.995  # speeds and accelerations beyond are no peaks, but single bad samples (ours)
+SATURATED = 0.98  # least share of the torque limit that counts as saturated (ours)
+MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some show the scale of the gains, many hide the rest)
+MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ours)
+MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
+PEAK_QUANTILE = (
+    0.995  # quantile of speeds and accelerations that counts as their peak (ours; no single samples)
+)
 
 SMOOTHING = 0.1
-"""Length of the window in which a cubic is fitted for speed and acceleration [s]. Source: ours; 0.2 mrad of
-noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes."""
+"""Window of the cubic for speed and acceleration [s]. Source: ours; 0.2 mrad of noise at 500 Hz become
+0.07 rad/s², and motion up to about 5 Hz passes."""
 
-NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
-ROUNDING = 1e-9  # a change of positions that is none [rad]
-REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
-ADVICE = ("saturation", "excitation")  # checks that motion may fail and still be fitted
+NEIGHBOURS = 7  # steps whose median speed is that of the middle one, if no speed was recorded (ours)
+ROUNDING = 1e-9  # largest change of positions that is rounding [rad]
+REFINEMENTS = 10  # Gauss-Newton steps for the lag (ours; three are enough for sines)
+ADVICE = ("saturation", "excitation")  # checks that do not forbid a fit
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
-    """One answer about a recording."""
+class DataCheck:
+    """The result of one check of a recording."""
 
     name: str  #: what was checked
-    joint: str | None = None  #: the joint it is about; none if it is about the whole recording
-    is_good: bool | None  #: whether it passed; None if the recording cannot tell
-    is_advice: bool = False  #: whether the motion can be fitted even if it failed: the fit then tells less
+    joint: str | None = None  #: joint that was checked; None for the whole recording
+    is_good: bool | None  #: whether it passed; None if the recording does not show it
+    is_advice: bool = False  #: whether the motion can be fitted even if it failed, with a less certain result
     detail: str  #: the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:
-        """Whether nothing can be fitted to such a recording."""
+        """Return whether the recording must not be fitted."""
         return self.is_good is False and not self.is_advice
 
     @property
     def verdict(self) -> str:
-        """The answer in a word: BAD forbids a fit, weak means that it tells less."""
+        """Return one word: BAD forbids a fit, weak makes its result less certain."""
         if self.is_good is None:
             return "unknown"
         return "good" if self.is_good else "BAD" if self.forbids_fit else "weak"
 
 
-def check_recording(recording: Recording) -> list[Check]:
-    """All checks of a recording, or those of its clocks and motion alone if one of them failed."""
+def check_recording(recording: Recording) -> list[DataCheck]:
+    """Return all checks of a recording, or only those of its clocks and motion if one of them failed."""
     clocks = [_measurement_times(recording), _command_times(recording)]
     if all(clock.is_good for clock in clocks):
         clocks.append(_motion(recording))
     if not all(clock.is_good for clock in clocks):
         return clocks
-    lag = command_lag(recording)
+    lag = measured_lag(recording)
     samples = [_speeds(recording), _stalls(recording), _repeated_samples(recording)]
     return [*clocks, *samples, _clock_offset(lag), *_joint_checks(recording, lag or 0.0)]
 
 
-def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> Check:
-    """A check with its remedy if it failed; those of `ADVICE` forbid nothing."""
+def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> DataCheck:
     detail = found if is_good else found + remedy
-    return Check(name=name, joint=joint, is_good=is_good, is_advice=name in ADVICE, detail=detail)
+    return DataCheck(name=name, joint=joint, is_good=is_good, is_advice=name in ADVICE, detail=detail)
 
 
-def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> Check:
-    """A check of a clock, with what is wrong of it."""
+def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> DataCheck:
     span, step = time[-1] - time[0], 1e3 * time_step(time)
     found = f"{len(time)} times in {span:.1f} s, median step {step:.1f} ms{longest}"
     wrong = "".join(text for text, is_there in faults.items() if is_there)
     return _judged(name, not wrong, found, wrong)
 
 
-def _measurement_times(recording: Recording) -> Check:
+def _measurement_times(recording: Recording) -> DataCheck:
     steps = np.diff(recording.t_meas)
     num_equal, longest = int((steps == 0).sum()), float(steps.max())
     faults = {
@@ -114,7 +110,7 @@ def _measurement_times(recording: Recording) -> Check:
     return _clock("measurement times", recording.t_meas, f", longest {1e3 * longest:.1f} ms", faults)
 
 
-def _command_times(recording: Recording) -> Check:
+def _command_times(recording: Recording) -> DataCheck:
     num_equal = int((np.diff(recording.t_cmd) == 0).sum())
     is_long = bool(np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas))
     faults = {
@@ -124,8 +120,8 @@ def _command_times(recording: Recording) -> Check:
     return _clock("command times", recording.t_cmd, "", faults)
 
 
-def _motion(recording: Recording) -> Check:
-    """Whether anything moved at all, beyond the noise of the encoders."""
+def _motion(recording: Recording) -> DataCheck:
+    """Check that a joint moved, beyond the noise of the encoders."""
     window = max(1, round(SMOOTHING / time_step(recording.t_meas)))
     spans = np.ptp(uniform_filter1d(recording.q, window, axis=0), axis=0)
     most = int(np.argmax(spans))
@@ -137,63 +133,63 @@ def _motion(recording: Recording) -> Check:
     return _judged("motion", is_good, found, remedy)
 
 
-def _speeds(recording: Recording) -> Check:
-    """Whether the recorded speeds are the change of the positions, in rad/s."""
+def _speeds(recording: Recording) -> DataCheck:
+    """Check that the recorded speeds are the change of the positions, in rad/s."""
     if recording.qd is None:
-        return Check(name="speeds", is_good=None, detail="no speed was recorded")
+        return DataCheck(name="speeds", is_good=None, detail="no speed was recorded")
     ratio = progress(recording)
     found = f"the positions change by {ratio:.3g} of the recorded speeds"
     is_good = PROGRESS_RANGE[0] <= ratio <= PROGRESS_RANGE[1]
     return _judged("speeds", is_good, found, ": are the speeds in rad/s, the times in seconds?")
 
 
-def _stalls(recording: Recording) -> Check:
-    """Whether steps lasted longer than their times say: Δq against q̇·Δt.
+def _stalls(recording: Recording) -> DataCheck:
+    """Check that no step needed more time than its clock shows: Δq against q̇·Δt.
 
-    Not judged is a step whose own time is long: its clock did see the stall. What rounding and noise of the
-    positions may feign is no motion.
+    Steps whose own time is long are left out: their clock shows the stall.
     """
     excess, angle = excess_time(recording)
     step = time_step(recording.t_meas)
-    unsure = encoder_step(recording.q) + NOISE_FACTOR * np.sqrt(2.0) * position_noise(recording.q)
-    is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE + float(np.linalg.norm(unsure)))
+    uncertainty = encoder_step(recording.q) + NOISE_FACTOR * np.sqrt(2.0) * position_noise(recording.q)
+    is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE + float(np.linalg.norm(uncertainty)))
     is_stall &= np.diff(recording.t_meas) < LONG_STEP * step
     num_stalls, share = int(is_stall.sum()), float(is_stall.mean())
-    found = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times say"
+    found = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times"
     if num_stalls:
         found += f", {1e3 * float(np.median(excess[is_stall])):.0f} ms in the median"
     remedy = ": record the controller's time, not a count of loops"
     return _judged("stalls", share <= MAX_STALL_SHARE, found, remedy)
 
 
-def _repeated_samples(recording: Recording) -> Check:
-    """How often a sample is the one before although the robot moves, judged by five samples on each side.
+def _repeated_samples(recording: Recording) -> DataCheck:
+    """Check how often a sample repeats the one before while the robot moves.
 
-    A joint that moves by less than its encoder tells may well repeat itself.
+    A joint that moves by less than its encoder's step may repeat a sample.
     """
     change = np.abs(recording.q[10:] - recording.q[:-10])
     least = MOVING_SPEED * (recording.t_meas[10:] - recording.t_meas[:-10])[:, None]
     is_moving = (change > np.maximum(least, 10 * REPEATED_STEPS * encoder_step(recording.q))).any(1)
     is_repeated = (np.diff(recording.q, axis=0) == 0).all(1)[5:-4]
     if not is_moving.any():
-        return Check(name="repeated samples", is_good=None, detail="the robot does not move")
+        return DataCheck(name="repeated samples", is_good=None, detail="the robot does not move")
     share = float(is_repeated[is_moving].mean())
     found = f"{100 * share:.1f} % of the samples while moving"
     remedy = ": record at the controller's rate, not faster"
     return _judged("repeated samples", share <= MAX_REPEATED_SHARE, found, remedy)
 
 
-def _clock_offset(lag: float | None) -> Check:
+def _clock_offset(lag: float | None) -> DataCheck:
     if lag is None:
-        return Check(name="clock offset", is_good=None, detail="no motion follows a command")
+        return DataCheck(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
     found = f"the motion is {1e3 * lag:.1f} ms behind its command"
-    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
-    remedy += "(--shift-commands)"
+    remedy = (
+        f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the times of the commands"
+    )
     return _judged("clock offset", low <= lag <= high, found, remedy)
 
 
-def _joint_checks(recording: Recording, lag: float) -> Iterator[Check]:
+def _joint_checks(recording: Recording, lag: float) -> Iterator[DataCheck]:
     speed, acceleration = smoothed(recording.t_meas, recording.q)
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
@@ -204,30 +200,30 @@ def _joint_checks(recording: Recording, lag: float) -> Iterator[Check]:
         yield _excitation(spec, speed[:, column], acceleration[:, column])
 
 
-def _following(joint: str, command: np.ndarray, position: np.ndarray) -> Check:
+def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataCheck:
     name = "follows its command"
     has_moved = bool(np.ptp(position) >= MOVED_ANGLE)
     if np.ptp(command) < MOVED_ANGLE:
         remedy = "it moves without a command: are joints swapped?"
         detail = remedy if has_moved else "it is not commanded to move"
-        return Check(name=name, joint=joint, is_good=False if has_moved else None, detail=detail)
+        return DataCheck(name=name, joint=joint, is_good=False if has_moved else None, detail=detail)
     correlation = float(np.corrcoef(command, position)[0, 1]) if has_moved else 0.0
     remedy = ": are joints swapped, of another sign, or stopped?"
     return _judged(name, correlation >= MIN_CORRELATION, f"correlation {correlation:.3f}", remedy, joint)
 
 
-def _saturation(spec: JointSpec, effort: np.ndarray | None) -> Check:
+def _saturation(spec: JointSpec, effort: np.ndarray | None) -> DataCheck:
     if effort is None:
-        return Check(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
+        return DataCheck(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
     share = float((np.abs(effort) >= SATURATED * spec.effort_limit).mean())
     found = f"{100 * share:.1f} % of the samples at the limit of {spec.effort_limit:g} N·m"
     return _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
 
 
-def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
-    """Whether the joint was moved fast, hard and often enough to tell damping, armature and friction.
+def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:
+    """Check that speed, acceleration and reversals of a joint show damping, armature and friction.
 
-    The acceleration must let the armature's torque exceed the simulated joint's dry friction (ours).
+    At the least acceleration the armature's torque is the simulated joint's dry friction (ours).
     """
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
     reversals = num_reversals(speed)
@@ -246,35 +242,35 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
 
 
 def encoder_step(positions: np.ndarray) -> np.ndarray:
-    """Least change of each joint's positions [rad], of shape (joints,): they are rounded to that."""
+    """Return the least change of each joint's positions [rad], shape (joints,): their resolution."""
     changes = np.abs(np.diff(positions, axis=0))
     least = np.where(changes > ROUNDING, changes, np.inf).min(axis=0)
     return np.where(np.isfinite(least), least, 0.0)
 
 
 def position_noise(positions: np.ndarray) -> np.ndarray:
-    """Standard deviation of each joint's noise [rad], of shape (joints,), from its third differences.
+    """Return the standard deviation of each joint's noise [rad], shape (joints,), from third differences.
 
-    Those of motion are small, and a few stalls do not change their median. White noise σ has √20 σ there.
+    Those of motion are small, and a few stalls do not change their median. Those of white noise σ are √20 σ.
     """
     third = np.abs(np.diff(positions, 3, axis=0))
     return 1.4826 * np.median(third, axis=0) / np.sqrt(20.0)
 
 
 def num_reversals(speed: np.ndarray) -> int:
-    """Changes of direction, from a speed that counts to an opposite one that counts."""
+    """Return the number of changes of direction, between speeds of at least `MOVING_SPEED`."""
     signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
     return int((np.diff(signs) != 0).sum())
 
 
 def time_step(time: np.ndarray) -> float:
-    """Median of the steps that are not zero [s]; 0 if there are none."""
+    """Return the median of the steps that are not zero [s]; 0 if there are none."""
     steps = np.diff(time)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Speed [rad/s] and acceleration [rad/s²] of noisy positions, by a cubic around each sample."""
+    """Return speed [rad/s] and acceleration [rad/s²] of noisy positions, by a cubic around each sample."""
     dt = time_step(time)
     even = _resampled(np.arange(time[0], time[-1], dt), time, positions)
     window = min(max(5, 2 * round(SMOOTHING / dt / 2) + 1), len(even) - 1 + len(even) % 2)
@@ -283,10 +279,10 @@ def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """How much more time the joints' motion took than the clock says, step by step.
+    """Return the time that each step's motion needed beyond its clock [s], and the motion in that time [rad].
 
-    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s]; beside
-    it is returned the motion |q̇|·e that shows it [rad], both of shape (samples - 1,).
+    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|², the
+    motion |q̇|·e; both have the shape (samples - 1,).
     """
     steps = np.diff(recording.t_meas)[:, None]
     moved = np.diff(recording.q, axis=0)
@@ -297,7 +293,7 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def progress(recording: Recording) -> float:
-    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 if speeds are those of the positions."""
+    """Return the median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 for consistent speeds."""
     steps = np.diff(recording.t_meas)
     norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
     is_moving = norm > np.quantile(norm, 0.5)
@@ -305,11 +301,11 @@ def progress(recording: Recording) -> float:
     return float(np.median(1 + (excess / steps)[is_moving])) if is_moving.any() else 1.0
 
 
-def command_lag(recording: Recording) -> float | None:
-    """By how much the measured motion follows the commanded one [s]; None if nothing moved or was commanded.
+def measured_lag(recording: Recording) -> float | None:
+    """Return the lag of the measured motion behind its command [s]; None if nothing moved or was commanded.
 
-    The peak of the cross-correlation of the speeds, all joints together, tells it roughly, whenever the
-    clocks were started; then the lag τ is the one for which q(t) - q_cmd(t - τ) varies least.
+    The peak of the cross-correlation of the speeds of all joints gives a rough lag, whatever the offset of
+    the clocks; then the lag τ is the one for which q(t) - q_cmd(t - τ) varies least.
     """
     dt = time_step(recording.t_meas)
     grid_cmd = np.arange(recording.t_cmd[0], recording.t_cmd[-1] + dt, dt)
@@ -326,7 +322,7 @@ def command_lag(recording: Recording) -> float | None:
 
 
 def _refined_lag(recording: Recording, grid: np.ndarray, lag: float) -> float:
-    """Move a rough lag to where the tracking error, but for an offset of each joint, is least."""
+    """Return the lag near a rough one with the least tracking error, apart from an offset of each joint."""
     position = _resampled(grid, recording.t_meas, recording.q)
     speed, _ = smoothed(recording.t_meas, recording.q)
     for _ in range(REFINEMENTS):
@@ -341,7 +337,7 @@ def _refined_lag(recording: Recording, grid: np.ndarray, lag: float) -> float:
 
 
 def _step_speed(recording: Recording, moved: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Speed in each step [rad/s]: the mean of those recorded at its ends, or the median of its neighbours."""
+    """Return the speed in each step [rad/s]: the mean recorded at its ends, or the median of neighbours."""
     if recording.qd is not None:
         return (recording.qd[1:] + recording.qd[:-1]) / 2
     return median_filter(moved / np.maximum(steps, 1e-9), size=(NEIGHBOURS, 1), mode="nearest")

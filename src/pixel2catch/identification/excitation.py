@@ -1,11 +1,10 @@
-"""A trajectory that tells the joints' dynamics and that a robot can be let loose on.
+"""Draw a trajectory that shows the joints' dynamics and that a robot can follow.
 
-Rest in the start pose, a smooth move to the middle of the excitation, the kinds of motion one by one, a
-smooth move back, rest. What is drawn is simulated first; where it comes too near to a limit or an obstacle,
-the joints in question move less.
+It rests in the start pose, moves smoothly to the middle of the excitation, makes the kinds of motion one by
+one, moves back and rests. It is simulated first; joints that violate a limit or a distance move less.
 
-The kinds of motion are offsets from the middle of the excitation. Each is zero at both ends and keeps to an
-`Envelope`: smooth ones to speed and acceleration, targets that ramp to the speed, steps to the largest jump.
+The kinds of motion are offsets from the middle of the excitation. Each is zero at both ends and within an
+`Envelope`: smooth ones within speed and acceleration, ramps within the speed, steps within the largest jump.
 """
 
 import dataclasses
@@ -20,18 +19,25 @@ from numpy.random import Generator
 
 from pixel2catch.checks import Above, AtMostFull, Seed, require_valid
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.identification.joints import MOTION_RANGES, groups_of, joints_of, largest_step, specs_of
-from pixel2catch.identification.recording import REST, Trajectory
+from pixel2catch.identification.recording import (
+    MOTION_RANGES,
+    REST,
+    Trajectory,
+    groups_of,
+    joints_of,
+    largest_step,
+    specs_of,
+)
 from pixel2catch.identification.rehearsal import Assessment, assess
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RATE = 125.0
-"""Targets in a second [Hz]. Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four
+"""Rate of the targets [Hz]. Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four
 times a policy's 30 Hz."""
 
-STILL = ("start", "pause", "end")  # parts of a trajectory that are no excitation
+STILL = ("start", "pause", "end")  # parts of a trajectory without excitation
 PAUSE = 0.4  # rest in the middle after each kind of motion [s] (ours, three time constants of the arm)
 APPROACH = 1.5  # shortest time from the start pose to the middle of the excitation [s] (ours)
 MIN_MOTION = 12.0  # least time for all kinds of motion [s] (ours, half a second for each turn)
@@ -39,8 +45,8 @@ MIN_MOTION = 12.0  # least time for all kinds of motion [s] (ours, half a second
 MAX_SECONDS = 600.0
 """Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
 
-MAX_TRIES = 10  # tries until it is given up (ours)
-SPEED_SHARE = 0.8  # of the speed limit, that commands use at full speed (ours; joints pull at each other)
+MAX_TRIES = 10  # most tries to draw a trajectory (ours)
+SPEED_SHARE = 0.8  # share of the speed limit that commands use at full speed (ours; joints move each other)
 NUM_TONES = 9
 BAND = (0.25, 5.0)
 """Number and lowest and highest frequency of the sines [Hz]. Source: ours. Damping over stiffness of the
@@ -50,38 +56,38 @@ FADE = 0.4  # time in which sines fade in and out [s] (ours)
 DWELL = (0.25, 0.65)  # time between a joint's steps [s] (ours, 2 to 5 time constants of the arm)
 
 POLICY_PERIOD = 0.05
-"""Time between two targets like those of a policy [s]. Source: ours, 20 Hz: a little slower than our
-policies, so that the servos come nearer to the targets."""
+"""Time between two targets like those of a policy [s]. Source: ours, 20 Hz: slower than the policies, so that
+the servos come nearer to the targets."""
 
 SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
-NUM_TURNS = 6  # groups of joints that move in turns: a joint of the arm alone, and one of each finger
+NUM_TURNS = 6  # groups of joints that move in turns: one joint of the arm, and one of each finger
 Row = Float64[np.ndarray, " num_joints"]
 Offsets = Float64[np.ndarray, "num_times num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExcitationCfg:
-    """What to draw."""
+    """The trajectory to draw."""
 
-    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints move
-    robot: str | None = None  #: which of them: one of its parts; none is all
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: work cell of the joints
+    robot: str | None = None  #: part that moves; None moves all joints
     seconds: Annotated[float, Above(0.0, MAX_SECONDS)] = 40.0  #: duration, rest included [s]
     seed: Seed = 0  #: seed of everything that is drawn
     speed: AtMostFull = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn."""
+        """Refuse unknown parts and values out of range."""
         joints_of(self.workcell, self.robot)
         require_valid(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Envelope:
-    """What commands of some joints keep to; one entry per joint."""
+    """Limits of the commands of some joints, one entry per joint."""
 
     joints: tuple[str, ...]  #: their names
     home: Row  #: start pose [rad]
-    center: Row  #: middle of the excitation [rad]: next to the start pose, with room for `swing` at each side
+    center: Row  #: middle of the excitation [rad]: near the start pose, with room for `swing` on both sides
     swing: Row  #: farthest from the middle [rad]
     speed: Row  #: largest speed of a command [rad/s]
     acceleration: Row  #: largest acceleration of a smooth command [rad/s²]
@@ -95,10 +101,9 @@ class Envelope:
         shrunk: Mapping[str, float],
         workcell: WorkcellSpec = UR5E_ALLEGRO,
     ) -> "Envelope":
-        """The envelope of some joints, in joint order.
+        """Return the envelope of some joints, in joint order.
 
-        The speed is a factor on speed, acceleration and jumps, 1 is full; joints may be shrunk, by name, with
-        factors on everything.
+        `speed` is a factor on speed, acceleration and jumps; `shrunk` are factors on everything, by joint.
         """
         known, groups = specs_of(workcell), groups_of(workcell)
         specs = [known[name] for name in joints]
@@ -122,7 +127,7 @@ class Envelope:
         )
 
     def only(self, is_moved: np.ndarray) -> "Envelope":
-        """The same with the other joints at rest."""
+        """Return the envelope with the other joints at rest."""
         rows = {name: np.where(is_moved, getattr(self, name), 0.0) for name in ("swing", "step")}
         return dataclasses.replace(self, **rows)
 
@@ -131,7 +136,7 @@ Signal = Callable[[Generator, Envelope, int], Offsets]
 
 
 def multisine(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
-    """Sines of all joints at once, each joint with its own frequencies; all tones have about one speed."""
+    """Return sines of all joints at once, each joint with its own frequencies; all have about one speed."""
     time = np.arange(num_times)[:, None, None] / RATE
     shape = (NUM_TONES, len(envelope.joints))
     frequency = np.geomspace(*BAND, NUM_TONES)[:, None] * rng.uniform(0.9, 1.1, shape)
@@ -142,7 +147,7 @@ def multisine(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
 
 
 def slow_reversals(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
-    """Two or three slow turns there and back, for dry friction."""
+    """Return two or three slow turns there and back, for dry friction."""
     duration = num_times / RATE
     frequency = rng.integers(2, 4, len(envelope.joints)) / duration
     amplitude = rng.choice((-1.0, 1.0), len(frequency)) * SLOW_SPEED / (2 * np.pi * frequency)
@@ -151,7 +156,7 @@ def slow_reversals(rng: Generator, envelope: Envelope, num_times: int) -> Offset
 
 
 def steps(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
-    """Jumps of every joint at its own times; they load the drives' inertia up to the servos' torque limit."""
+    """Return jumps of every joint at its own times, which load the drives up to their torque limit."""
     bounds = np.minimum(envelope.swing, envelope.step)
     sizes = np.minimum(2 * envelope.swing, envelope.step)
     columns = [_steps(rng, bound, size, num_times) for bound, size in zip(bounds, sizes, strict=True)]
@@ -159,7 +164,7 @@ def steps(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
 
 
 def _steps(rng: Generator, bound: float, size: float, num_times: int) -> Float64[np.ndarray, " num_times"]:
-    """Levels of one joint within ± bound, each jump at most `size` and towards the other side."""
+    """Return levels of one joint within ± bound, each jump at most `size` and towards the other side."""
     shortest = round(RATE * DWELL[0])
     dwell = RATE * rng.uniform(*DWELL, num_times // shortest + 1)
     latest = max(1, num_times - 2 * shortest)
@@ -173,7 +178,7 @@ def _steps(rng: Generator, bound: float, size: float, num_times: int) -> Float64
 
 
 def policy_targets(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
-    """A random walk at 20 Hz with a ramp from target to target, as our environment sends a policy's."""
+    """Return a random walk at 20 Hz with a ramp from target to target, as the environment makes."""
     change = envelope.speed * POLICY_PERIOD
     times = np.arange(num_times) / RATE
     num_changes = int(times[-1] / POLICY_PERIOD)
@@ -187,7 +192,7 @@ def policy_targets(rng: Generator, envelope: Envelope, num_times: int) -> Offset
 
 
 def turns(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
-    """Steps of one group of joints after the other, so that no joint hides behind the pull of others."""
+    """Return steps of one group of joints after the other, so that joints hardly move each other."""
     turn = np.arange(len(envelope.joints)) % NUM_TURNS
     edges = np.linspace(0, num_times, NUM_TURNS + 1).astype(int)
     parts = [steps(rng, envelope.only(turn == k), int(num)) for k, num in enumerate(np.diff(edges))]
@@ -195,7 +200,7 @@ def turns(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
 
 
 def approach(envelope: Envelope) -> Offsets:
-    """From the start pose to the middle: a quintic polynomial without jerk at its ends.
+    """Return the way from the start pose to the middle: a quintic polynomial that starts and ends at rest.
 
     Its top speed is 15/8 of the mean one, its top acceleration 10/√3 of distance over time squared.
     """
@@ -211,13 +216,13 @@ def approach(envelope: Envelope) -> Offsets:
 
 
 def _faded(offsets: Offsets) -> Offsets:
-    """Let a signal begin and end at zero, smoothly."""
+    """Return a signal that begins and ends at zero smoothly."""
     time = np.minimum(np.arange(len(offsets)), np.arange(len(offsets))[::-1]) / RATE
     return np.sin(np.pi / 2 * np.minimum(1.0, time / FADE))[:, None] ** 2 * offsets
 
 
 def _room(envelope: Envelope, offsets: Offsets) -> Row:
-    """By how much each joint's signal could be larger within swing, speed and acceleration."""
+    """Return the factor by which each joint's signal reaches swing, speed or acceleration."""
     limits = (envelope.swing, envelope.speed, envelope.acceleration)
     peaks = [np.abs(np.diff(offsets, n, axis=0)).max(axis=0) * RATE**n for n in range(3)]
     return np.min(np.divide(limits, np.maximum(peaks, 1e-12)), axis=0)
@@ -236,35 +241,35 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 def find_excitation(
     cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
 ) -> tuple[Trajectory, Assessment]:
-    """Draw a trajectory, and shrink it until a robot of some dynamics, simulated, follows it without a fault.
+    """Draw a trajectory, and shrink it until a simulated robot follows it without violations.
 
-    Returns what that robot did, too; reports every try that was too much.
+    Return the motion of that robot, too. `report` gets a line about every try that failed.
 
     Raises:
-        InvalidValueError: If even small motion has faults.
+        InvalidValueError: Even small motion has violations.
     """
     shrunk: dict[str, float] = {}
     reasons = ""
     for _ in range(MAX_TRIES):
         trajectory = draw_excitation(cfg, shrunk)
         assessment = assess(trajectory, dynamics)
-        if not assessment.faults:
+        if not assessment.violations:
             return trajectory, assessment
         for joint in trajectory.joints:
-            factors = [fault.remedy for fault in assessment.faults if joint in fault.joints]
+            factors = [each.remedy for each in assessment.violations if joint in each.joints]
             shrunk[joint] = shrunk.get(joint, 1.0) * min(factors, default=1.0)
-        reasons = "; ".join(fault.text for fault in assessment.faults)
-        report(f"trying less motion, because {reasons}")
-    raise InvalidValueError(f"no safe excitation: at last, {reasons}. Try another seed or less speed.")
+        reasons = "; ".join(each.text for each in assessment.violations)
+        report(f"trying less motion: {reasons}")
+    raise InvalidValueError(
+        f"no safe excitation after {MAX_TRIES} tries: {reasons}. Try another --seed or less --speed."
+    )
 
 
 def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
-    """Draw one trajectory; whether a robot can follow it is not known yet.
-
-    Joints may be shrunk: their motion gets a factor.
+    """Draw one trajectory without a test in simulation; `shrunk` are factors on the motion, by joint.
 
     Raises:
-        InvalidValueError: If too little time is left for the kinds of motion.
+        InvalidValueError: Too little time is left for the kinds of motion.
     """
     rng = np.random.default_rng(cfg.seed)
     joints = joints_of(cfg.workcell, cfg.robot)
@@ -291,7 +296,7 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
 
 
 def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str, Offsets]]:
-    """All parts in order: their names, and offsets from the middle of the excitation."""
+    """Return all parts in order: their names, and offsets from the middle of the excitation."""
     there = approach(envelope)
     rest = np.repeat(there[:1], round(REST * RATE) + 1, axis=0)
     pause = np.zeros((round(PAUSE * RATE), len(envelope.joints)))

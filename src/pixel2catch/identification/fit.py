@@ -1,11 +1,10 @@
-"""The fit: the joint dynamics under which simulation moves as the robot did.
+"""Fit the joint dynamics under which the simulation moves as the robot did.
 
 Least squares on positions, in logarithms of the parameters (the latency in units of 10 ms), so that every
-parameter has a natural scale and stays positive. A broad prior about the start keeps in place what the
-recordings do not tell. Not `mujoco.sysid`: it compiles a model for every column of the Jacobian and applies
-commands open-loop, without the servos' torque limit and friction. Not `scipy.optimize.least_squares`: a
-Jacobian takes many simulations, so that it is used for several steps, and what moves different joints shares
-one simulation.
+parameter has a natural scale and stays positive. A broad prior about the start holds what the recordings do
+not determine. Not `mujoco.sysid`: it compiles a model for every column of the Jacobian and applies commands
+open-loop, without the servos' torque limit and friction. Not `scipy.optimize.least_squares`: a Jacobian takes
+many simulations, so it is used for several steps, and directions of different joints share one simulation.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,12 +12,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from pixel2catch.checks import Count, Positive, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.directions import Directions, Jacobian, NormalEquations, Point, Residuals
-from pixel2catch.identification.encoders import Encoders, encoders_of
 from pixel2catch.identification.intervals import (
     BLOCK,
     LATENCY_DEVIATION,
@@ -28,38 +24,41 @@ from pixel2catch.identification.intervals import (
     play_deviation,
 )
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.simulation import FIT_DT, RecordedMotion
+from pixel2catch.identification.simulation import FIT_DT, Encoders, RecordedMotion
 from pixel2catch.robots.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 
 SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency")
-"""What is fitted where commands reach the servo unfiltered."""
+"""Parameters that are fitted where commands reach the servo unfiltered."""
 
 FILTER_PARAMETERS = ("filter_gain", "filter_lookahead", "latency")
-"""What is fitted of the command path in front of a servo that is known."""
+"""Parameters that are fitted of the command path in front of a known servo."""
 
 SCALE = ("stiffness", "damping", "frictionloss", "armature")
-"""Parameters that are all torques over motion: positions alone leave their common scale open."""
+"""Parameters that are torques over motion: positions alone leave their common scale open."""
 
 LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
-"""What is fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
+"""Fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
 
 LATENCY_UNIT = 0.01  # latency that counts as much as a factor e of another parameter [s] (ours)
+PRIOR = 2.0  # standard deviation of the prior, in coordinates of the fit: a factor 7 (ours)
 MAX_FACTOR = 1e3  # largest factor between the start and the result of any other parameter (ours)
-LEAST_VALUE = 1e-9  # what a fit takes for 0 where it needs a logarithm
-COARSENESS = 2.0  # length of the time steps with which a fit begins, in those with which it ends (ours)
-COARSE_ROUNDS = 2  # evaluations of the Jacobian with these (ours)
-COARSE = 0.01  # share of the squares that is worth a step with coarse time steps (ours)
-ROUGH = 0.03  # share of the squares that is worth a step while only the lag moves (ours)
+LEAST_VALUE = 1e-9  # stands for 0 where the fit needs a logarithm
+MAX_ROUNDS = 4  # most evaluations of the Jacobian with the final time step (ours)
+COARSENESS = 2.0  # time step at the beginning of a fit over the final one (ours)
+COARSE_ROUNDS = 2  # evaluations of the Jacobian with that time step (ours)
+COARSE = 0.01  # least decrease of a coarse step, as a share of the squares (ours)
+ROUGH = 0.03  # least decrease of a step while only the lag moves, as a share of the squares (ours)
 OUTLYING = 4.0  # residual that counts half, in mean absolute ones (ours; lost commands are far beyond)
-FINE = 0.3  # step that is worth to be taken, in standard errors of what is fitted (ours)
-MAX_STEPS = 3  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
-DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at once, the best is taken (ours)
+FINE = 0.3  # least step, in standard errors of the fit (ours)
+MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away the Jacobian is different)
+MAX_STEPS = 3  # most steps with one Jacobian (ours; each is about a fifth of the one before, or useless)
+DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; their steps are tried at once, the best is taken (ours)
 
 
 class Linear(NamedTuple):
-    """What is fitted itself, not its logarithm: a unit that counts as a factor e of others, and the range."""
+    """A parameter that is fitted itself, not its logarithm."""
 
-    unit: float
+    unit: float  #: change that counts as much as a factor e of other parameters
     lower: float
     upper: float
 
@@ -72,48 +71,45 @@ LINEAR = {
 """Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by 1e-4 at most,
 clocks that are just being set by 5e-4."""
 
-CLOCKS = (
-    "latency",
-    "drift",
-)  # what the joints of a group share: their commands and measurements come together
+CLOCKS = ("latency", "drift")  # the joints of a group share them: their messages come together
 
 DIFFERENCE = 1e-2
 """Step of the finite differences, in the coordinates of the fit. Source: ours; much less than a 95 % interval
 of what is worth fitting, and more than the kinks that a torque limit makes."""
 
-LEAST_RESIDUAL = 1e-6  # residuals count as at least so large [rad] (ours, far below the noise of encoders)
+LEAST_RESIDUAL = 1e-6  # least size of residuals in weights [rad] (ours, far below the noise of encoders)
+Point = Float[np.ndarray, "num_joints num_columns"]
+Residuals = Float[np.ndarray, "num_settled num_joints"]
 Weight = Float[np.ndarray, "num_settled num_joints"]
 Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitCfg:
-    """How the dynamics are fitted."""
+    """What is fitted, and the time step."""
 
-    free: tuple[str, ...] = SERVO_PARAMETERS  #: what is fitted; other parameters keep their start values
-    prior: Positive = 2.0  #: deviation of what is known before, in coordinates of the fit: 2 is a factor 7
-    physics_dt: Positive = FIT_DT  #: time step of the simulation [s]
-    max_rounds: Count = 4  #: most evaluations of the Jacobian with this time step
+    free: tuple[str, ...] = SERVO_PARAMETERS  #: parameters that are fitted; others keep their start values
+    physics_dt: float = FIT_DT  #: time step of the simulation [s]
 
     def __post_init__(self) -> None:
-        """Refuse unknown parameters, none at all, and sizes that are not positive."""
+        """Refuse unknown parameters, none at all, and a time step that is not positive."""
         for name in self.free:
             if name not in PARAMETERS:
                 raise UnknownNameError("parameter", name, PARAMETERS)
         if not self.free:
             raise InvalidValueError(f"nothing is free to be fitted; name some of {', '.join(PARAMETERS)}")
-        require_valid(self)
+        if not self.physics_dt > 0.0:
+            raise InvalidValueError(f"physics_dt is {self.physics_dt}; it must be more than 0 s")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A fit and how well its recordings determine it."""
+    """A fit and how well the recordings determine it."""
 
     dynamics: JointDynamics  #: the fitted dynamics
     free: tuple[str, ...]  #: the parameters that were fitted
-    #: of each joint's free parameters, in the coordinates of the fit, with the prior and what models lack
+    #: of each joint's free parameters, in the coordinates of the fit, with the prior and the model's errors
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
-    prior: float  #: standard deviation of the prior: where it is not reduced, the recordings tell nothing
     encoders: Encoders  #: fitted play, and drift of the clocks
     encoder_deviations: Encoders  #: standard deviations of these
 
@@ -121,9 +117,9 @@ class Fit:
 def fit_dynamics(
     recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report = lambda _: None
 ) -> Fit:
-    """Fit the free parameters of every joint to recordings; hold whole ones out to judge the result.
+    """Fit the free parameters of every joint to recordings; `start` also has the other parameters.
 
-    The start has also the values of what is not free. Reports how far the fit is.
+    `report` gets lines about the progress.
 
     Raises:
         RecordingError: There is no recording, one is too short, or they are of different joints.
@@ -137,21 +133,76 @@ def fit_dynamics(
     directions = coarse.directions(coarse.names, is_coupled=True)
     point, _ = _solved(coarse, point, directions, COARSE_ROUNDS, COARSE)
     fine = _Problem(recordings, start, cfg, report)
-    point, jacobian = _solved(fine, point, directions, cfg.max_rounds, 0.0)
+    point, jacobian = _solved(fine, point, directions, MAX_ROUNDS, 0.0)
     covariance, num = fine.covariance(point, jacobian), len(cfg.free)
     deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * fine.unit
     return Fit(
         dynamics=fine.dynamics(point),
         free=cfg.free,
         covariance=covariance[:, :num, :num],
-        prior=cfg.prior,
         encoders=fine.encoders(point),
-        encoder_deviations=encoders_of(deviations[:, num:]),
+        encoder_deviations=_encoders_of(deviations[:, num:]),
     )
 
 
+def _encoders_of(columns: Float[np.ndarray, "num_joints num_columns"]) -> Encoders:
+    """Return encoders from columns: the play of each joint, then the drift in each recording."""
+    return Encoders(play=columns[:, 0].copy(), drift=columns[:, 1:].T.copy())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Directions:
+    """Directions in which a point can move."""
+
+    steps: Float[np.ndarray, "num_directions num_joints num_free"]  #: a unit step of each
+    affected: Bool[np.ndarray, "num_directions num_joints"]  #: joints whose motion each changes
+
+    def batches(self) -> list[list[int]]:
+        """Return the directions by number, in batches of which none affects a joint twice."""
+        batches: list[list[int]] = []
+        for number, joints in enumerate(self.affected):
+            fitting = (batch for batch in batches if not (self.affected[batch] & joints).any())
+            batch = next(fitting, None)
+            if batch is None:
+                batches.append([number])
+            else:
+                batch.append(number)
+        return batches
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jacobian:
+    """Derivatives of the simulated positions at a point."""
+
+    residuals: Residuals  #: simulated minus measured positions at the point [rad]
+    directions: Directions  #: the directions of the derivatives
+    #: change of the positions in simulations that move several directions each
+    changes: Float[np.ndarray, "num_simulations num_settled num_joints"]
+    source: Int[np.ndarray, " num_directions"]  #: the simulation that moved each direction
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalEquations:
+    """The squares about a point, as a quadratic function of the coordinates of some directions."""
+
+    directions: Directions
+    hessian: Float[np.ndarray, "num_directions num_directions"]  #: half the curvature: an inverse covariance
+    gradient: Float[np.ndarray, " num_directions"]  #: half of the derivatives
+
+    def step(self, damping: float) -> Point:
+        """Return the step to the least squares; Marquardt's damping makes it shorter and steeper."""
+        matrix = self.hessian + damping * np.diag(np.diagonal(self.hessian))
+        step = -np.linalg.solve(matrix, self.gradient)
+        return np.tensordot(step.clip(-MAX_STEP, MAX_STEP), self.directions.steps, axes=1)
+
+    @property
+    def decrease(self) -> float:
+        """Return the decrease of the squares without damping, if they were quadratic."""
+        return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
+
+
 class _Problem:
-    """How far simulation is from some recordings, at points: one row of free parameters per joint."""
+    """The distance of simulation from recordings, at points: one row of free parameters per joint."""
 
     def __init__(
         self, recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report
@@ -181,32 +232,32 @@ class _Problem:
         self.start = np.where(self._is_linear, values / self.unit, logarithms)
 
     def dynamics(self, point: Point) -> JointDynamics:
-        with np.errstate(over="ignore"):  # what is linear is no exponent
+        with np.errstate(over="ignore"):  # columns that are linear are no exponents
             values = np.where(self._is_linear, point * self.unit, np.exp(point))
         columns = {name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
         return self._dynamics.with_values(**columns)
 
     def encoders(self, point: Point) -> Encoders:
-        return encoders_of((point * self.unit)[:, self.num_free :])
+        return _encoders_of((point * self.unit)[:, self.num_free :])
 
     def bounded(self, point: Point) -> Point:
-        """The nearest point that a fit may try."""
+        """Return the nearest point within the bounds of the fit."""
         width = np.log(MAX_FACTOR)
         lower = np.where(self._is_linear, self._lower / self.unit, self.start - width)
         upper = np.where(self._is_linear, self._upper / self.unit, self.start + width)
         return point.clip(lower, upper)
 
     def directions(self, names: Sequence[str], is_coupled: bool) -> Directions:
-        """How some of the parameters, of which one is free at least, can move.
+        """Return the directions in which some of the parameters can move.
 
-        The commands of a group of joints arrive together, so that they share the change of latency; every
-        other parameter is a joint's own. What is a torque over motion moves with the stiffness: their common
-        scale shows weakly, and differences of large derivatives would not tell it. Coupled directions are
-        felt by the joints that the motion of a joint moves, too.
+        The joints of a group share the change of latency; every other parameter is a joint's own. All torques
+        over motion move with the stiffness: their common scale shows weakly, and differences of large
+        derivatives would not determine it. Coupled directions also affect the joints that the motion of a
+        joint moves.
         """
         groups, coupled = self._motion.groups, self._motion.coupled
         together = groups == np.array(list(dict.fromkeys(groups)))[:, None]
-        steps, felt_by = [], []
+        steps, affected = [], []
         for column, name in enumerate(self.names):
             along = np.arange(len(self.names)) == column
             if name == "stiffness":
@@ -215,18 +266,18 @@ class _Problem:
             for joints in moved if name in names else ():
                 steps.append(np.outer(joints, along).astype(float))
                 is_moving_others = is_coupled and column < self.num_free
-                felt_by.append(coupled[joints].any(axis=0) if is_moving_others else joints)
-        return Directions(steps=np.array(steps), felt_by=np.array(felt_by))
+                affected.append(coupled[joints].any(axis=0) if is_moving_others else joints)
+        return Directions(steps=np.array(steps), affected=np.array(affected))
 
     def covariance(
         self, point: Point, jacobian: Jacobian
     ) -> Float[np.ndarray, "num_joints num_columns num_columns"]:
-        """Covariance of each joint's row of a point that is a fit."""
+        """Return the covariance of each joint's row of a fitted point."""
         weight, starts = _information(jacobian.residuals), self._motion.block_starts(BLOCK)
         equations = self.normal_equations(point, jacobian, weight)
         scores = np.zeros((len(starts), len(equations.hessian)))
-        for j, is_felt in enumerate(jacobian.directions.felt_by.T):
-            moving = np.flatnonzero(is_felt)
+        for j, is_affected in enumerate(jacobian.directions.affected.T):
+            moving = np.flatnonzero(is_affected)
             columns = jacobian.changes[jacobian.source[moving], :, j]
             scores[:, moving] += block_scores(columns, weight[:, j] * jacobian.residuals[:, j], starts)
         steps = jacobian.directions.steps
@@ -249,19 +300,19 @@ class _Problem:
         self._report(f"fitting at {1.0 / self._cfg.physics_dt:.0f} Hz, {size:.3f} mrad")
 
     def residuals(self, points: Sequence[Point]) -> Float[np.ndarray, "num_points num_settled num_joints"]:
-        """Simulated minus measured positions [rad]."""
+        """Return simulated minus measured positions [rad]."""
         dynamics = [self.dynamics(point) for point in points]
         encoders = [self.encoders(point) for point in points]
         return self._motion.simulate(dynamics, encoders) - self._measured
 
     def squares(self, point: Point, residuals: Residuals, weight: Weight) -> float:
-        """Weighted squares of the residuals, and of the distance from the start over the prior."""
-        distance = (point - self.start) / self._cfg.prior
+        """Return the weighted squares of the residuals, and of the distance from the start over the prior."""
+        distance = (point - self.start) / PRIOR
         return float((weight * residuals**2).sum() + (distance**2).sum())
 
     def jacobian(self, point: Point, directions: Directions) -> Jacobian:
-        """How the positions change about a point; what moves different joints moves at once."""
-        batches = directions.together()
+        """Return how the positions change about a point; directions of different joints move at once."""
+        batches = directions.batches()
         shifts = [directions.steps[batch].sum(axis=0) for batch in batches]
         base, *shifted = self.residuals([point, *(point + DIFFERENCE * shift for shift in shifts)])
         source = np.zeros(len(directions.steps), dtype=int)
@@ -271,13 +322,13 @@ class _Problem:
         return Jacobian(residuals=base, directions=directions, changes=changes, source=source)
 
     def normal_equations(self, point: Point, jacobian: Jacobian, weight: Weight) -> NormalEquations:
-        """Those of `squares`, without the directions in which bounds forbid to follow the gradient."""
-        directions, prior, distance = jacobian.directions, self._cfg.prior, point - self.start
+        """Return those of `squares`, without directions in which a bound blocks the gradient."""
+        directions, distance = jacobian.directions, point - self.start
         steps = directions.steps
-        hessian = np.einsum("kja,lja->kl", steps, steps) / prior**2
-        gradient = np.einsum("kja,ja->k", steps, distance) / prior**2
-        for j, is_felt in enumerate(directions.felt_by.T):
-            moving = np.flatnonzero(is_felt)
+        hessian = np.einsum("kja,lja->kl", steps, steps) / PRIOR**2
+        gradient = np.einsum("kja,ja->k", steps, distance) / PRIOR**2
+        for j, is_affected in enumerate(directions.affected.T):
+            moving = np.flatnonzero(is_affected)
             columns = jacobian.changes[jacobian.source[moving], :, j]
             weighted = weight[:, j] * columns
             hessian[np.ix_(moving, moving)] += weighted @ columns.T
@@ -291,10 +342,7 @@ class _Problem:
 def _solved(
     problem: _Problem, point: Point, directions: Directions, max_rounds: int, least_share: float
 ) -> tuple[Point, Jacobian]:
-    """Move along some directions to where the squares are least; the point, residuals and Jacobian there.
-
-    A Jacobian takes many simulations, so that it is followed as far as it leads.
-    """
+    """Move along some directions to the least squares; return the point and the Jacobian there."""
     jacobian = problem.jacobian(point, directions)
     for _ in range(max_rounds - 1):
         followed, _ = _followed(problem, point, jacobian, least_share)
@@ -308,7 +356,7 @@ def _solved(
 def _followed(
     problem: _Problem, point: Point, jacobian: Jacobian, least_share: float
 ) -> tuple[Point, Residuals]:
-    """Take steps under the same Jacobian while they are worth it and lessen the squares."""
+    """Take steps with the same Jacobian while they lessen the squares enough."""
     residuals = jacobian.residuals
     for _ in range(MAX_STEPS):
         weight = _information(residuals)
@@ -329,7 +377,7 @@ def _followed(
 
 
 def _information(residuals: Residuals) -> Weight:
-    """What the square of each residual weighs [1/rad²]: one over their mean square, less where it is far off.
+    """Return the weight of each residual's square [1/rad²]: one over their mean square, less for outliers.
 
     These are the weights of Cauchy's distribution: a command that was lost counts little.
     """
@@ -340,7 +388,7 @@ def _information(residuals: Residuals) -> Weight:
 
 
 def correlation_time(residuals: Residuals) -> Float[np.ndarray, " num_joints"]:
-    """How many consecutive samples tell one independent thing: 1 for white noise, more for model errors.
+    """Return how many consecutive samples are one independent sample: 1 for white noise, else more.
 
     It is 1 plus twice the sum of the autocorrelations up to the first that is not positive.
     """

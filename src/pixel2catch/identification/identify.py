@@ -1,22 +1,21 @@
-"""From recordings to a dynamics file: where a fit starts, what is held out, how well the result is known."""
+"""From recordings to a dynamics file: the start of the fit, what is held out, intervals, ranges of gains."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from pixel2catch.checks import Range
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
-from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.encoders import Encoders
-from pixel2catch.identification.fit import LATENCY_UNIT, Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.checks import DataCheck, check_recording
+from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.intervals import CONFIDENCE
-from pixel2catch.identification.joints import groups_of, joints_of, parts
-from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.simulation import RecordedMotion
+from pixel2catch.identification.recording import Recording, groups_of, joints_of
+from pixel2catch.identification.simulation import Encoders, RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -24,92 +23,116 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0
 """Stiffness of the servo behind a command filter over the nominal one. Source: ours; the controller's
-feed-forward makes that servo look stiffer than positions can tell."""
+feed-forward makes that servo look stiffer than positions can show."""
 
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
-NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
-LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
+NO_HOLD_OUT = "none"  # value of `hold_out` that fits all recordings
+LAG = "damping / stiffness"  # name of the ratio that decides how far a joint lags behind its command
 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
-"""The ratios that decide how a joint follows its command, with their units."""
+"""Ratios that decide how a joint follows its command, with their units."""
 
-LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
+LEAST_HALF_WIDTH = 0.02  # least half-width of a range of gains (ours; gains drift with temperature and load)
+WELL_KNOWN = 0.1  # largest half-width of an interval of an identified parameter: 10 %, or 1 ms (ours)
+NOTABLE = 0.3  # least share of a weak direction's largest component of a parameter that is named (ours)
+
+
+class Remedy(NamedTuple):
+    """Unit of a parameter, and motion that shows the parameter in positions."""
+
+    unit: str
+    motion: str
+
+
+REMEDIES = {
+    "stiffness": Remedy("N·m/rad", "add motion that reaches the torque limit, or a known payload"),
+    "damping": Remedy("N·m·s/rad", "add faster motion"),
+    "frictionloss": Remedy("N·m", "add slow reversals"),
+    "armature": Remedy("kg·m²", "add steps and faster changes of speed"),
+    "latency": Remedy("ms", "add steps"),
+    "filter_gain": Remedy("1/s²", "add steps"),
+    "filter_lookahead": Remedy("s", "add 20 Hz targets of changing speed"),
+}
+
 PerJoint = Float[np.ndarray, " num_joints"]
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
-    """What is known before a fit."""
+class FitStart:
+    """The dynamics that a fit starts from."""
 
-    workcell: WorkcellSpec  #: whose joints are fitted
-    robot: str  #: what is fitted: one of its parts
+    workcell: WorkcellSpec  #: work cell of the joints
+    robot: str  #: part of the work cell that is fitted
     file: DynamicsFile | None  #: the dynamics file that was given, if any
-    before: JointDynamics  #: the robot's joints in it; those that are not in it are nominal
+    before: JointDynamics  #: its joint dynamics; nominal for joints that are not in it
     first: JointDynamics  #: the same, with a command filter in front where one is to be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedRecording:
-    """A recording and what its checks found."""
+    """A recording and its data checks."""
 
     recording: Recording
-    checks: tuple[Check, ...]
-    is_held_out: bool  #: whether it is not fitted, so that it tells how good the fit is
+    checks: tuple[DataCheck, ...]
+    is_held_out: bool  #: whether it judges the fit instead of being fitted
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion(CheckedRecording):
-    """A recording beside its simulation."""
+class SimulatedRecording(CheckedRecording):
+    """A recording and its simulation."""
 
-    before: Positions  #: simulated before the fit, at the measurements compared [rad]
-    after: Positions  #: and under the fitted ones
+    before: Positions  #: simulated with the dynamics before the fit, at the settled measurements [rad]
+    after: Positions  #: simulated with the fitted dynamics [rad]
 
     @property
     def time(self) -> Float[np.ndarray, " num_settled"]:
-        """Times of the measurements compared [s]."""
+        """Return the times of the settled measurements [s]."""
         return self.recording.t_meas[-len(self.after) :]
 
     @property
     def measured(self) -> Positions:
-        """Their positions [rad]."""
+        """Return the settled measurements [rad]."""
         return self.recording.q[-len(self.after) :]
 
     @property
     def command(self) -> Positions:
-        """The commands that held then [rad]."""
+        """Return the commands at the times of the settled measurements [rad]."""
         return self.recording.held(self.time)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A fit with what a reader needs to judge it."""
+    """A fit with the recordings that judge it."""
 
-    start: Start  #: what was known before
-    fit: Fit  #: what was fitted, and how well it is known
-    file: DynamicsFile  #: the result as training takes it, with the ranges in which it randomises the gains
-    motions: tuple[Motion, ...]
+    start: FitStart
+    fit: Fit
+    file: DynamicsFile  #: the result for training, with the ranges of its gains
+    motions: tuple[SimulatedRecording, ...]
     physics_dt: float  #: time step of the simulation [s]
 
-    def of(self, is_held_out: bool) -> tuple[Motion, ...]:
-        """The motions that were held out, or those that were fitted."""
+    def of(self, is_held_out: bool) -> tuple[SimulatedRecording, ...]:
+        """Return the motions that were held out, or those that were fitted."""
         return tuple(motion for motion in self.motions if motion.is_held_out == is_held_out)
 
 
 def start_of_fit(
     part: str, path: Path | None, fits_filter: bool, workcell: WorkcellSpec = UR5E_ALLEGRO
-) -> Start:
-    """Read what is known, from a dynamics file if there is one.
+) -> FitStart:
+    """Return the start of a fit of a part, from a dynamics file if there is one.
 
-    Without a file, the servo behind a filter that is to be fitted is taken to be stiff.
+    Without a file, the servo behind a filter that is to be fitted is stiff.
 
     Raises:
-        UnknownNameError: If there is no such part.
-        InvalidValueError: If the file cannot be read, or the part has joints without such a filter.
+        UnknownNameError: There is no such part.
+        InvalidValueError: The file cannot be read, or the filter of a hand is to be fitted.
     """
-    joints = joints_of(workcell, part)
-    if fits_filter:
-        _require_arm(part, joints, workcell)
+    joints, groups = joints_of(workcell, part), groups_of(workcell)
+    if fits_filter and any(groups[joint].role != "arm" for joint in joints):
+        raise InvalidValueError(
+            f"--filter fits an arm's command filter, but --robot {part} has a hand; identify the arm with "
+            "--filter, then the hand with --start and the dynamics file of the arm."
+        )
     file = DynamicsFile.load(path, workcell) if path else None
     nominal = JointDynamics.nominal(specs=workcell.joints)
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
@@ -119,38 +142,24 @@ def start_of_fit(
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
-    return Start(workcell=workcell, robot=part, file=file, before=before, first=first)
-
-
-def _require_arm(part: str, joints: Sequence[str], workcell: WorkcellSpec) -> None:
-    """Refuse a part that has joints of hands, whose commands no filter precedes."""
-    groups = groups_of(workcell)
-    if any(groups[joint].role != "arm" for joint in joints):
-        arm, hand = (
-            next(name for name, those in parts(workcell).items() if {groups[j].role for j in those} == {role})
-            for role in ("arm", "hand")
-        )
-        raise InvalidValueError(
-            f"--filter is an arm's and --robot is {part}; identify --robot {arm} with it, then --robot "
-            f"{hand} with the dynamics file of the first as --start: the result has both."
-        )
+    return FitStart(workcell=workcell, robot=part, file=file, before=before, first=first)
 
 
 def stiff(nominal: JointDynamics) -> JointDynamics:
-    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
+    """Return the stiff servos of a controller with feed-forward."""
     stiffness = STIFF_FACTOR * nominal.stiffness
     return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 
 
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
-    """Check recordings, and choose which one judges the fit.
+    """Check recordings, and choose the one that judges the fit.
 
-    It is that of a file name, with or without its folder and ending; or of a number, from 1; or `none`; if
-    nothing is said, the last of several.
+    `hold_out` is a file name, with or without its folder and ending, or a number from 1, or `none`; by
+    default it is the last of several.
 
     Raises:
-        UnknownNameError: If there is no such recording.
-        InvalidValueError: If one is given twice, the name is that of several, or nothing is left to fit.
+        UnknownNameError: There is no such recording.
+        InvalidValueError: A recording is given twice, the name fits several, or nothing is left to fit.
     """
     paths = [Path(recording.name) for recording in recordings]
     twice = sorted({str(path) for path in paths if paths.count(path) > 1})
@@ -183,17 +192,17 @@ def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, "
 
 
 def identify(
-    sources: Sequence[CheckedRecording], start: Start, cfg: FitCfg, report: Callable[[str], None]
+    sources: Sequence[CheckedRecording], start: FitStart, cfg: FitCfg, report: Callable[[str], None]
 ) -> Identification:
     """Fit the recordings that are not held out, and simulate all of them before and after.
 
     Raises:
-        RecordingError: A recording is not sound, or too short.
+        RecordingError: A recording fails a check that forbids a fit, or is too short.
         InvalidValueError: The start has no filter where one is to be fitted.
     """
     for source in sources:
-        faults = [check for check in source.checks if check.forbids_fit]
-        texts = [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in faults]
+        failed = [check for check in source.checks if check.forbids_fit]
+        texts = [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in failed]
         if texts:
             raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
     motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
@@ -202,40 +211,44 @@ def identify(
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
     is_out = np.array([source.is_held_out for source in sources])
-    encoders = Encoders.perfect(len(sources), len(fit.dynamics.joints)), found_encoders(fit, is_out)
+    encoders = Encoders.perfect(len(sources), len(fit.dynamics.joints)), _encoders_of_all(fit, is_out)
     before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
     motions = tuple(
-        Motion(**vars(source), before=path_before, after=path_after)
+        SimulatedRecording(**vars(source), before=path_before, after=path_after)
         for source, path_before, path_after in zip(sources, before, after, strict=True)
     )
-    file, fitted_joints = identified(fit, start), fit.dynamics.joints
-    worse = [name for name in file.worse_than_command if name not in fitted_joints]
+    old = start.file or DynamicsFile(dynamics=fit.dynamics, workcell=start.workcell)
+    worse = [name for name in old.worse_than_command if name not in fit.dynamics.joints]
     worse += worse_than_command([motion for motion in motions if motion.is_held_out])
-    file = dataclasses.replace(file, worse_than_command=tuple(worse))
+    file = dataclasses.replace(
+        old,
+        dynamics=fit.dynamics.over(old.dynamics),
+        gains=gain_ranges(fit, old.gains, start.workcell),
+        worse_than_command=tuple(worse),
+    )
     return Identification(start=start, fit=fit, file=file, motions=motions, physics_dt=cfg.physics_dt)
 
 
-def found_encoders(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -> Encoders:
-    """Encoders of all recordings; where nothing was fitted, the clocks drift as they do in the mean."""
-    mean = fit.encoders.drift.mean(axis=0)
-    drift = np.tile(mean, (len(is_held_out), 1))
+def _encoders_of_all(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -> Encoders:
+    """Return encoders of all recordings; clocks of those held out drift as in the mean of the others."""
+    drift = np.tile(fit.encoders.drift.mean(axis=0), (len(is_held_out), 1))
     drift[~is_held_out] = fit.encoders.drift
     return dataclasses.replace(fit.encoders, drift=drift)
 
 
-def worse_than_command(motions: Sequence[Motion]) -> list[str]:
-    """Joints of which the command alone predicts these motions better than the fitted simulation."""
+def worse_than_command(motions: Sequence[SimulatedRecording]) -> list[str]:
+    """Return the joints whose command alone predicts these motions better than the fitted simulation."""
     if not motions:
         return []
     errors = tracking_errors(motions)
     return [motions[0].recording.joints[j] for j in np.flatnonzero(errors["after"] > errors["command"])]
 
 
-def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
-    """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
+def tracking_errors(motions: Sequence[SimulatedRecording]) -> dict[str, PerJoint]:
+    """Return the root mean square of predicted minus measured positions of all motions, per joint [rad].
 
-    Predicted by the `command`, as if the joint were there at once, and by simulation `before` and `after`,
-    this one measured by encoders with the play and the drift that were found.
+    The prediction is the `command`, or the simulation `before` or `after` the fit, this one with the play and
+    the drift that were fitted.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
@@ -246,18 +259,17 @@ def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A parameter of every joint, or a ratio of two, which is often known where they are not."""
+    """A parameter of every joint, or a ratio of two parameters, which is often better known."""
 
     name: str  #: one of `PARAMETERS` or of `RATIOS`
     value: PerJoint
-    #: Half of the 95 % interval, in the coordinates of the fit: of the logarithm, so that 0.1 is ±10 %, and
-    #: for the latency of 10 ms. Where it is `CONFIDENCE * fit.prior`, the recordings tell nothing. What is in
-    #: it: `identification/intervals.py`.
+    #: half of the 95 % interval in the coordinates of the fit: of the logarithm, so that 0.1 is ±10 %, and
+    #: for the latency of 10 ms; `CONFIDENCE * PRIOR` where the recordings determine nothing
     half_width: PerJoint
 
     @property
     def interval(self) -> Float[np.ndarray, "num_joints 2"]:
-        """The 95 % intervals."""
+        """Return the 95 % intervals."""
         ends = self.half_width[:, None] * (-1.0, 1.0)
         if self.name == "latency":
             return np.maximum(self.value[:, None] + LATENCY_UNIT * ends, 0.0)
@@ -265,7 +277,7 @@ class Estimate:
 
 
 def estimates(fit: Fit) -> dict[str, Estimate]:
-    """What was fitted, and the ratios of which both parameters were."""
+    """Return the fitted parameters, and the ratios of two fitted parameters, by name."""
     along = dict(zip(fit.free, np.eye(len(fit.free)), strict=True))
     values = {name: getattr(fit.dynamics, name) for name in fit.free}
     for name in RATIOS:
@@ -279,21 +291,13 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
     return found
 
 
-def identified(fit: Fit, start: Start) -> DynamicsFile:
-    """The result as training takes it; joints of the file before that were not fitted are carried over."""
-    old = start.file or DynamicsFile(dynamics=fit.dynamics, workcell=start.workcell)
-    gains = gain_ranges(fit, old.gains, start.workcell)
-    return dataclasses.replace(old, dynamics=fit.dynamics.over(old.dynamics), gains=gains)
-
-
 def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLEGRO) -> GainRanges:
-    """How much a training has to randomise the gains: their 95 % intervals.
+    """Return the ranges in which a training must randomise the gains: their 95 % intervals.
 
-    They are never wider than the paper's ranges and never a single point. Gains that were not fitted keep
-    their ranges: the paper's, or those of the dynamics file that the fit started from. Where the ratio of
-    damping and stiffness is better known than the damping, they are drawn with a common factor: a fit leaves
-    their scale open unless a torque limit or a known inertia fixes it, and a damping fitted at an assumed
-    stiffness is right for that one only.
+    They are within the paper's ranges and never a single point. Gains that were not fitted keep their ranges
+    `before`. Where the ratio of damping and stiffness is better known than the damping, both are drawn with a
+    common factor: a fit leaves their scale open unless a torque limit or a known inertia fixes it, and a
+    damping fitted at an assumed stiffness is right for that stiffness only.
     """
     unknown = np.full(len(fit.dynamics.joints), np.inf)
     widths = {name: found.half_width for name, found in estimates(fit).items()}
@@ -313,7 +317,72 @@ def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLE
 
 
 def _within(widest: Range, half_width: float) -> Range:
-    """The factors of an interval, within the widest range."""
-    width = min(max(half_width, LEAST_HALF_WIDTH), 1.0)  # e is more than any range has
+    """Return the factors of an interval, within the widest range."""
+    width = min(max(half_width, LEAST_HALF_WIDTH), 1.0)  # a factor e is beyond any range
     low, high = np.clip(np.exp((-width, width)), *widest)
     return float(low), float(high)
+
+
+def short(joint: str) -> str:
+    """Return the name of a joint for people."""
+    return joint.removesuffix("_joint").replace("_joint_", " ").replace("_", " ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeakDirection:
+    """Parameters of a joint that can change together with hardly a change of its motion."""
+
+    joint: str  #: name of the joint
+    parameters: tuple[str, ...]  #: names of the parameters, the one that changes most first
+    half_width: float  #: half of the 95 % interval along the direction, in the coordinates of the fit
+    is_scale: bool  #: whether all of them grow together, so that their ratios are known
+
+    def text(self, joints: str) -> str:
+        """Return a sentence with the direction and its remedy, for joints that share it."""
+        names, first = " and ".join(self.parameters), self.parameters[0]
+        if len(self.parameters) == 1:
+            width = np.exp(min(self.half_width, 9.0))
+            known = (
+                f"{1e3 * self.half_width * LATENCY_UNIT:.1f} ms"
+                if first == "latency"
+                else f"a factor of {width:.3g}"
+            )
+            text = f"{names} of {joints} is known only to {known}"
+        elif self.is_scale:
+            text = f"{names} of {joints} share one scale: only their ratios are known"
+        else:
+            text = f"{names} of {joints} cannot be told apart"
+        fixed = "stiffness" if self.is_scale and "stiffness" in self.parameters else first
+        return f"{text}: fix {fixed} (leave it out of --free), or {REMEDIES[fixed].motion}."
+
+
+def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:
+    """Return the directions in which a joint's parameters have wider intervals than a limit, widest first."""
+    found = []
+    for joint, covariance in zip(fit.dynamics.joints, fit.covariance, strict=True):
+        variances, directions = np.linalg.eigh(covariance)
+        for half_width, along in zip(CONFIDENCE * np.sqrt(variances), directions.T, strict=True):
+            if half_width > limit:
+                order = np.argsort(-np.abs(along))
+                part = [i for i in order if abs(along[i]) > NOTABLE * abs(along[order[0]])]
+                is_scale = all(fit.free[i] in SCALE and along[i] * along[part[0]] > 0 for i in part)
+                weak = WeakDirection(
+                    joint=joint,
+                    parameters=tuple(fit.free[i] for i in part),
+                    half_width=float(half_width),
+                    is_scale=is_scale and len(part) > 1,
+                )
+                found.append(weak)
+    return tuple(sorted(found, key=lambda weak: -weak.half_width))
+
+
+def open_questions(fit: Fit) -> list[str]:
+    """Return what is not identified and the remedy, one sentence for all joints that share it."""
+    groups: dict[tuple[frozenset[str], bool], list[WeakDirection]] = {}
+    for weak in weak_directions(fit):
+        groups.setdefault((frozenset(weak.parameters), weak.is_scale), []).append(weak)
+    questions = []
+    for group in groups.values():
+        joints = {weak.joint for weak in group}
+        questions.append(group[0].text(", ".join(short(j) for j in fit.dynamics.joints if j in joints)))
+    return questions

@@ -1,45 +1,101 @@
-"""What joints were commanded and did, each on its own clock, and targets that they shall follow; as files."""
+"""Recorded motion of joints, trajectories of targets, and the joints of a work cell that both name."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from math import pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Shaped
 
-from pixel2catch.archives import read_arrays, write_arrays
+from pixel2catch.arrays import read_arrays, write_arrays
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.files import json_object, reading
-from pixel2catch.identification.joints import MOTION_RANGES, groups_of, largest_step, specs_of
+from pixel2catch.robots.spec import JointGroup, JointSpec
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
-"""What to do about joints that are not there."""
 
 FORMAT_VERSION = 1  #: Version of the trajectory files.
 
 REST = 1.0
-"""Least time at rest, at the beginning and at the end of a trajectory [s]. Source: ours; a recording's first
-half second is not compared, and a servo settles in about as long."""
+"""Least time at rest at the beginning and at the end of a trajectory [s]. Source: ours; the first half second
+of a recording is not compared, and a servo settles in about as long."""
 
 TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
-    """Where rows of numbers come from, for messages."""
+class MotionRange:
+    """Range of the joints of a role, and of the motion that excites them."""
 
-    source: str  #: file, or topic of a bag
-    row: str = "row"  #: what a row is called there
-    first_row: int = 0  #: number of the first one
+    reach: float  #: largest distance of a joint from 0 [rad]
+    margin: float  #: distance of an excitation's commands from a joint's limits [rad]
+    swing: float  #: largest distance from the middle of the excitation [rad]
+    acceleration: float  #: largest acceleration of smooth commands [rad/s²]
 
-    def at(self, index: int) -> str:
-        """The place of a row."""
-        return f"{self.source}, {self.row} {self.first_row + index}"
+
+MOTION_RANGES = {
+    "arm": MotionRange(reach=2.0 * pi + 0.1, margin=0.03, swing=0.35, acceleration=15.0),
+    "hand": MotionRange(reach=pi, margin=0.06, swing=0.4, acceleration=100.0),
+}
+"""By the role of a joint group. Source: reach of arms: UR, ±360°, and 0.1 rad for calibration; of hands: the
+limits of ours end at 1.72 rad. The others are ours: the palm stays within 0.5 m of its start and 0.18 m above
+the table. UR limits the torque only: 15 rad/s² of all joints at once take 51 N·m of the UR5e's 150. A fast
+arm shakes the hand; fingers do not meet; 100 rad/s² take at most 0.22 of the Allegro hand's 0.5 N·m, several
+times the dry friction, as for the arm."""
+
+
+def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:
+    """Return the joints of everything that can be identified alone: arms, hands, joint groups, all."""
+    found = {}
+    for placed in workcell.robots:
+        part = placed.robot
+        while part is not None:
+            name = part.name.removesuffix(f"_{part.tool.robot.name}") if part.tool else part.name
+            joints = (joint for group in part.groups for joint in group.joints)
+            found[placed.prefix + name] = tuple(placed.prefix + joint.name for joint in joints)
+            part = part.tool.robot if part.tool else None
+    found |= {group.name: tuple(joint.name for joint in group.joints) for group in workcell.groups}
+    return found | {workcell.name: tuple(joint.name for joint in workcell.joints)}
+
+
+def joints_of(workcell: WorkcellSpec, part: str | None) -> tuple[str, ...]:
+    """Return the joints of one of the `parts`, all joints by default.
+
+    The end of a name after an underscore may be left out if this fits one part only.
+
+    Raises:
+        UnknownNameError: There is no such part.
+    """
+    known, name = parts(workcell), part or workcell.name
+    longer = [each for each in known if each.startswith(f"{name}_")]
+    name = longer[0] if name not in known and len(longer) == 1 else name
+    if not known.get(name):
+        raise UnknownNameError("robot", str(part), known)
+    return known[name]
+
+
+def specs_of(workcell: WorkcellSpec) -> dict[str, JointSpec]:
+    """Return all joints by name, in joint order."""
+    return {spec.name: spec for spec in workcell.joints}
+
+
+def groups_of(workcell: WorkcellSpec) -> dict[str, JointGroup]:
+    """Return the group of each joint, by the joint's name."""
+    return {spec.name: group for group in workcell.groups for spec in group.joints}
+
+
+def largest_step(joint: JointSpec) -> float:
+    """Return the largest change of a target [rad] that keeps a joint at rest below its speed limit.
+
+    A servo whose damping dominates moves at stiffness / damping times the distance of its target, see
+    `envs/actuators.py`.
+    """
+    return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 
 
 def held(
@@ -47,7 +103,7 @@ def held(
     values: Float[np.ndarray, "num_values num_joints"],
     at: Shaped[np.ndarray, " num_times"],
 ) -> Float[np.ndarray, "num_times num_joints"]:
-    """Commands at some times: each holds until the next, the first also before it was sent."""
+    """Return the commands at some times: each holds until the next one, the first also before its time."""
     return values[np.maximum(np.searchsorted(times, at, side="right") - 1, 0)]
 
 
@@ -58,12 +114,12 @@ class Recording:
     The two clocks are never merged: their offset is a result, not an assumption.
 
     Raises:
-        RecordingError: If a shape, time or value cannot be; the message says where.
-        UnknownNameError: If the work cell has no such joint.
+        RecordingError: A shape, time or value is impossible.
+        UnknownNameError: The work cell has no such joint.
     """
 
-    name: str = "recording"  #: what messages and reports call it
-    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
+    name: str = "recording"  #: name in messages and reports
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: work cell of the joints
     joints: tuple[str, ...]  #: names of the joints, the columns of all arrays
     t_cmd: Float64[np.ndarray, " num_commands"]  #: send times of the commands [s], not decreasing
     q_cmd: Float64[np.ndarray, "num_commands num_joints"]  #: commands [rad]; each holds until the next
@@ -73,30 +129,25 @@ class Recording:
     effort: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: torques [N·m], if recorded
 
     def __post_init__(self) -> None:
-        """Refuse what no robot can have done."""
-        _require_known(self.joints, self.workcell)
-        commanded = Place(source=f"{self.name}: q_cmd")
-        require_motion(commanded, self.joints, self.t_cmd, self.q_cmd, workcell=self.workcell)
-        measured = Place(source=f"{self.name}: q, qd, effort")
+        """Refuse motion that is impossible for a robot."""
         extra = [values for values in (self.qd, self.effort) if values is not None]
-        require_motion(measured, self.joints, self.t_meas, self.q, *extra, workcell=self.workcell)
+        cell = self.workcell
+        require_motion(f"{self.name}: q_cmd", self.joints, self.t_cmd, self.q_cmd, workcell=cell)
+        require_motion(f"{self.name}: q, qd, effort", self.joints, self.t_meas, self.q, *extra, workcell=cell)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
-        """The command at some times of its own clock [s]; see `held`."""
+        """Return the commands at some times of their clock [s]; see `held`."""
         return held(self.t_cmd, self.q_cmd, time)
 
-    def select(self, joints: tuple[str, ...]) -> "Recording":
-        """The motion of some of the joints, in the order given.
+    def select(self, joints: tuple[str, ...], *, is_partial: bool = False) -> "Recording":
+        """Return the motion of some of the joints, in the order given; a partial one needs one of them only.
 
         Raises:
-            RecordingError: If the recording lacks one of them.
+            RecordingError: The recording lacks one of them.
         """
-        missing = [joint for joint in joints if joint not in self.joints]
-        if missing:
-            recorded = ", ".join(self.joints)
-            raise RecordingError(
-                f"{self.name}: no joint {', '.join(missing)}; recorded are {recorded}. {REMEDY}"
-            )
+        if is_partial:
+            joints = tuple(joint for joint in joints if joint in self.joints) or joints
+        require_joints(self.name, joints, self.joints)
         columns = [self.joints.index(joint) for joint in joints]
         arrays = {
             name: values if name.startswith("t_") else values[:, columns]
@@ -105,23 +156,17 @@ class Recording:
         return Recording(name=self.name, joints=joints, workcell=self.workcell, **arrays)
 
     def save(self, path: Path) -> None:
-        """Write the canonical file: an npz with the arrays under the names of the fields.
-
-        Raises:
-            InvalidValueError: If the file exists; nothing is overwritten.
-        """
+        """Write an npz file of the arrays, by the names of the fields; raise if the file exists."""
         write_arrays(path, joints=np.array(self.joints), **self._arrays())
 
     @staticmethod
     def load(
-        path: Path,
-        ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple,
-        workcell: WorkcellSpec = UR5E_ALLEGRO,
+        path: Path, workcell: WorkcellSpec = UR5E_ALLEGRO, names: Mapping[str, str] | None = None
     ) -> "Recording":
-        """Read a canonical file; `ours` makes our names of its names of joints.
+        """Read a file that `save` wrote; `names` are the work cell's names of joints by the file's.
 
         Raises:
-            RecordingError: If it is no such file, or what it says cannot be.
+            RecordingError: The file is not a recording, or has impossible motion.
         """
         required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
         with reading("recording", path, "Record or convert it again.", RecordingError):
@@ -132,14 +177,14 @@ class Recording:
                     f"no array {', '.join(missing)}; a recording has {', '.join(required)}, and may have qd "
                     "and effort"
                 )
-            joints = ours(_texts(arrays.pop("joints")))
+            joints = tuple((names or {}).get(name, name) for name in _texts(arrays.pop("joints")))
             arrays = {name: _numbers(values) for name, values in arrays.items()}
         known = specs_of(workcell)
         unknown = [joint for joint in joints if joint not in known]
         if unknown:
             raise RecordingError(
-                f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
-                f"or leave them out. Ours are {', '.join(known)}."
+                f"{path}: work cell '{workcell.name}' has no joint {', '.join(unknown)}; it has "
+                f"{', '.join(known)}. Rename these joints in the file, or leave them out."
             )
         return Recording(name=str(path), workcell=workcell, joints=joints, **arrays)
 
@@ -160,131 +205,143 @@ def _numbers(array: np.ndarray) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def _require_known(joints: Iterable[str], workcell: WorkcellSpec) -> None:
-    for joint in joints:
-        if joint not in specs_of(workcell):
-            raise UnknownNameError("joint", joint, specs_of(workcell))
+def require_joints(source: str, joints: Iterable[str], recorded: Iterable[str]) -> None:
+    """Raise RecordingError if a source lacks one of the joints."""
+    recorded = tuple(recorded)
+    missing = [joint for joint in joints if joint not in recorded]
+    if missing:
+        raise RecordingError(
+            f"{source}: no joint {', '.join(missing)}; it has {', '.join(recorded)}. Record the missing "
+            "joints, name the --profile that has their names, or choose another --robot."
+        )
 
 
 def require_motion(
-    place: Place,
+    source: str,
     joints: tuple[str, ...],
     time: np.ndarray,
     positions: np.ndarray,
     *others: np.ndarray,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> None:
-    """Refuse motion that no robot can have done, whatever file it came from.
+    """Refuse motion that is impossible for a robot.
 
-    Times [s] are of shape (rows,), positions [rad] and others, such as speeds, of shape (rows, joints).
+    Args:
+        source: Where the rows come from, for messages.
+        joints: Names of the columns.
+        time: Times [s], shape (rows,).
+        positions: Positions [rad], shape (rows, joints).
+        others: Other values of that shape, such as speeds.
+        workcell: Work cell of the joints.
 
     Raises:
-        RecordingError: If there are no rows, shapes part, a value is not finite, time runs backwards or
-            positions are beyond every joint's reach.
+        RecordingError: There are no rows, shapes differ, a value is not finite, time runs backwards or a
+            position is beyond every joint's reach.
+        UnknownNameError: The work cell has no such joint.
     """
-    if time.ndim != 1 or len(time) < 2:
-        raise RecordingError(f"{place.source}: no motion, shape {time.shape}; at least two rows are needed.")
-    for values in (positions, *others):
-        shape = (len(time), len(joints))
-        if values.shape != shape:
-            raise RecordingError(
-                f"{place.source}: shape {values.shape}, but {shape[0]} times and {shape[1]} joints need "
-                f"{shape}; give every time one row and every joint one column."
-            )
-    for columns, values in (*((joints, each) for each in (positions, *others)), (("time",), time[:, None])):
-        if not np.isfinite(values).all():
-            row, column = map(int, np.argwhere(~np.isfinite(values))[0])
-            raise RecordingError(
-                f"{place.at(row)}, column {columns[column]}: {values[row, column]} is no number; "
-                "cut the recording before this row or record again."
-            )
+    groups = groups_of(workcell)
+    if unknown := [joint for joint in joints if joint not in groups]:
+        raise UnknownNameError("joint", unknown[0], groups)
+    _require_numbers(source, joints, time, (positions, *others))
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         row = int(backwards[0]) + 1
         raise RecordingError(
-            f"{place.at(row)}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; "
-            "split the recording here, or sort it if two writers shared the file."
+            f"{source}, row {row}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; split "
+            "the recording here, or sort it if two writers shared the file."
         )
-    groups = groups_of(workcell)
     reach = np.array([MOTION_RANGES[groups[joint].role].reach for joint in joints])
     beyond = np.argwhere(np.abs(positions) > reach)
     if len(beyond):
         row, column = map(int, beyond[0])
         raise RecordingError(
-            f"{place.at(row)}, column {joints[column]}: {positions[row, column]:g} rad is beyond "
-            f"the joint's reach of {reach[column]:.2f} rad; if the file is in degrees, convert it to radians."
+            f"{source}, row {row}, column {joints[column]}: {positions[row, column]:g} rad is beyond the "
+            f"joint's reach of {reach[column]:.2f} rad; if the file is in degrees, convert it to radians."
         )
+
+
+def _require_numbers(
+    source: str, joints: tuple[str, ...], time: np.ndarray, columns_of: tuple[np.ndarray, ...]
+) -> None:
+    """Refuse arrays of other shapes, and values that are not finite."""
+    if time.ndim != 1 or len(time) < 2:
+        raise RecordingError(f"{source}: no motion, shape {time.shape}; record two rows at least.")
+    for values in columns_of:
+        if values.shape != (len(time), len(joints)):
+            raise RecordingError(
+                f"{source}: shape {values.shape}, but there are {len(time)} times and {len(joints)} joints; "
+                "give every time one row and every joint one column."
+            )
+    for columns, values in (*((joints, each) for each in columns_of), (("time",), time[:, None])):
+        if not np.isfinite(values).all():
+            row, column = map(int, np.argwhere(~np.isfinite(values))[0])
+            raise RecordingError(
+                f"{source}, row {row}, column {columns[column]}: {values[row, column]} is not a number; cut "
+                "the recording before this row or record again."
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """Targets of some joints that a robot can be let loose on; it begins and ends at rest in the same pose.
+    """Targets of some joints that a robot can follow; it begins and ends at rest in the same pose.
 
-    A target holds until the next one, as a command in a recording does: whoever follows the trajectory sends,
-    in every turn of its loop, the target that is due (`at`). The file is an npz: `joints` (names), `times`
-    [s], `positions` [rad], and `header`, a JSON text that says whose joints they are, and where the targets
-    come from.
+    A target holds until the next one, as a command in a recording does. The file is an npz: `joints` (names),
+    `times` [s], `positions` [rad], and `header`, a JSON text with the work cell and the targets' origin.
 
     Raises:
-        InvalidValueError: If a robot should not follow it; the message says where.
-        RecordingError: If a value is no number, or times and positions do not fit together.
-        UnknownNameError: If the work cell has no such joint.
+        InvalidValueError: A robot should not follow it; the message names the target.
+        RecordingError: A value is not a number, or times and positions do not fit together.
+        UnknownNameError: The work cell has no such joint.
     """
 
-    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: work cell of the joints
     joints: tuple[str, ...]  #: names of the columns, in joint order; other joints hold the start pose
     times: Float64[np.ndarray, " num_targets"]  #: when each target is due [s], from 0
     positions: Float64[np.ndarray, "num_targets num_joints"]  #: the targets [rad]
-    header: dict[str, Any] = field(default_factory=dict)  #: where they come from: anything that JSON can hold
+    header: dict[str, Any] = field(default_factory=dict)  #: their origin: any content of JSON
 
     def __post_init__(self) -> None:
-        """Refuse what no robot should be sent."""
+        """Refuse targets that no robot should get."""
+        require_motion("targets", self.joints, self.times, self.positions, workcell=self.workcell)
         known = specs_of(self.workcell)
-        _require_known(self.joints, self.workcell)
         if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
             raise InvalidValueError(
                 f"joints are {list(self.joints)}; name each once, in the order {list(known)}"
             )
-        place = Place(source="targets")
-        require_motion(place, self.joints, self.times, self.positions, workcell=self.workcell)
         late = np.flatnonzero(np.diff(self.times) <= 0.0)
         if self.times[0] != 0.0 or len(late):
             row = int(late[0]) + 1 if len(late) else 0
             raise InvalidValueError(
-                f"target {row} is due at {self.times[row]:g} s; times begin at 0 and grow"
+                f"target {row} is due at {self.times[row]:g} s; times must begin at 0 and increase"
             )
-        self._require_limits()
+        self._require_limits([known[name] for name in self.joints])
         is_end = (self.times <= REST) | (self.times >= self.duration - REST)
         moves = (np.abs(self.positions - self.positions[0]) > TOLERANCE) & is_end[:, None]
-        self._refuse(moves, f"parts from the start pose in the first or last {REST:g} s, which are for rest")
+        self._refuse(moves, f"moves in the first or last {REST:g} s, which must be at rest in the start pose")
         if self.duration < 2 * REST:
             raise InvalidValueError(f"it lasts {self.duration:g} s; it needs {REST:g} s of rest at each end")
 
     @property
     def duration(self) -> float:
-        """Time of the last target [s]."""
+        """Return the time of the last target [s]."""
         return float(self.times[-1])
 
     def at(self, time: Float64[np.ndarray, " num_times"]) -> Float64[np.ndarray, "num_times num_joints"]:
-        """The targets that are due at some times [s]; before the first and after the last they hold."""
+        """Return the targets that are due at some times [s]; the last one holds."""
         return held(self.times, self.positions, time)
 
     def save(self, path: Path) -> None:
-        """Write the file.
-
-        Raises:
-            InvalidValueError: If it exists; nothing is overwritten.
-        """
+        """Write the file; raise InvalidValueError if it exists."""
         header = {"format_version": FORMAT_VERSION, "workcell": self.workcell.name, **self.header}
         arrays = {"joints": np.array(self.joints), "times": self.times, "positions": self.positions}
         write_arrays(path, header=np.array(json.dumps(header, allow_nan=False)), **arrays)
 
     @staticmethod
     def load(path: Path) -> "Trajectory":
-        """Read a file, with all checks; one that names no work cell is of the paper's.
+        """Read a file with all checks; without a work cell in it, it is the paper's.
 
         Raises:
-            InvalidValueError: If it is no such file, or a robot should not follow it.
+            InvalidValueError: The file is not a trajectory, or a robot should not follow it.
         """
         with reading("trajectory", path, "Write it again with 'pixel2catch excite'."):
             arrays = read_arrays(path, ("header", "joints", "times", "positions"))
@@ -300,18 +357,16 @@ class Trajectory:
                 header=header,
             )
 
-    def _require_limits(self) -> None:
-        specs = [specs_of(self.workcell)[name] for name in self.joints]
+    def _require_limits(self, specs: Sequence[JointSpec]) -> None:
         lower, upper = np.array([(spec.lower, spec.upper) for spec in specs]).T
         excess = np.maximum(lower - self.positions, self.positions - upper)
         self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
         steps = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1]))
-        allowed = np.array([largest_step(spec) for spec in specs])
-        is_far = steps > allowed + TOLERANCE
+        is_far = steps > np.array([largest_step(spec) for spec in specs]) + TOLERANCE
         self._refuse(is_far, "is farther from the target before than the servo's speed allows")
 
     def _refuse(self, is_bad: np.ndarray, reason: str) -> None:
-        """Name the first bad target."""
+        """Raise InvalidValueError with the first bad target."""
         if is_bad.any():
             row, column = map(int, np.argwhere(is_bad)[0])
             raise InvalidValueError(

@@ -1,6 +1,6 @@
-"""A simulated robot that follows trajectories: what it would have recorded, and what it must not do.
+"""Simulate a robot that follows a trajectory: its recording, and the limits and distances that it violates.
 
-For rehearsals, where the truth must be known, and before a real robot is let loose on a trajectory.
+For rehearsals with known dynamics, and before a real robot follows a trajectory.
 """
 
 import dataclasses
@@ -15,39 +15,44 @@ from jaxtyping import Float64
 from numpy.random import Generator
 
 from pixel2catch.checks import Above, Share, Within, require_valid
-from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
-from pixel2catch.identification.recording import Recording, Trajectory
-from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, is_settled
+from pixel2catch.identification.checks import DataCheck, check_recording
+from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
+from pixel2catch.identification.simulation import (
+    FIT_DT,
+    RecordedMotion,
+    hanging_on,
+    is_settled,
+    recorded_model,
+)
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.scene import SceneCfg, build_spec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
-MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
+MIN_PHYSICS_HZ = 120.0  # least physics rate [Hz]. Source: paper, the rate of a training.
 Turn = Annotated[float, Above(0.0, STALLED_TURN)]  # length of a turn of a loop [s]
 
 LIMIT_TOLERANCE = 0.005
-"""Excess of a position limit that counts as none [rad]. Source: ours; in the start pose two joints stand at
-their limits, and the pull of others moves them a little."""
+"""Tolerated excess of a position limit [rad]. Source: ours; in the start pose two joints are at their limits,
+and the motion of others moves them a little."""
 
-HORIZON = 0.1  # distance up to which the robot is watched [m]
+HORIZON = 0.1  # largest distance that is measured [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecorderCfg:
-    """How motion is commanded and recorded: two loops that know nothing of each other."""
+    """Two independent loops: one sends commands, one records measurements."""
 
     #: standard deviation of a measured position [rad]. Default: a UR's encoders.
     noise: Annotated[float, Within(0.0, 1.0)] = 2e-4
     stall: Share = 0.05  #: share of each loop's turns that take 40 ms
     send_period: Turn = 0.008  #: turn of the loop that sends targets [s]
     read_period: Turn = 0.008  #: turn of the loop that reads positions [s]
-    #: by how much the clock of the measurements is ahead of that of the commands [s]. Positions cannot
-    #: tell it from latency.
+    #: clock of the measurements minus that of the commands [s]; in positions it looks like latency
     clock_offset: float = 0.0
-    #: physics steps in a second; a fit with as many finds the truth best
+    #: physics rate [Hz]; a fit with the same rate finds the truth best
     physics_hz: Annotated[float, Within(MIN_PHYSICS_HZ)] = 1.0 / FIT_DT
 
     def __post_init__(self) -> None:
@@ -61,7 +66,7 @@ PERFECT = RecorderCfg(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures ever
 def turns_of_a_loop(
     rng: Generator, seconds: float, period: float, stall: float
 ) -> Float64[np.ndarray, " num_turns"]:
-    """When the turns of a loop begin [s]: the first at 0, all before `seconds`; some are late."""
+    """Return when the turns of a loop begin [s]: the first at 0, all before `seconds`; a share is late."""
     lengths = np.where(rng.random(int(np.ceil(seconds / period))) < stall, STALLED_TURN, period)
     times = np.concatenate(([0.0], np.cumsum(lengths)[:-1]))
     return times[times < seconds]
@@ -70,7 +75,7 @@ def turns_of_a_loop(
 def simulated_recordings(
     trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, rng: Generator
 ) -> list[Recording]:
-    """What a robot with these dynamics would have recorded of trajectories, each from its start pose."""
+    """Return recordings of a simulated robot that follows trajectories, each from its start pose."""
     blanks = [_blank(trajectory, cfg, rng) for trajectory in trajectories]
     motion = RecordedMotion(blanks, 1.0 / cfg.physics_hz)
     (simulated,) = motion.simulate([truth])
@@ -83,7 +88,7 @@ def simulated_recordings(
 
 
 def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recording:
-    """Commands and times of a recording, with the positions of the start pose."""
+    """Return commands and times of a recording, with the positions of the start pose."""
     t_cmd = turns_of_a_loop(rng, trajectory.duration, cfg.send_period, cfg.stall)
     t_cmd = np.append(t_cmd, trajectory.duration)
     start = rng.uniform(0.0, cfg.read_period)
@@ -101,7 +106,7 @@ def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recordin
 def rehearse(
     folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, seed: int
 ) -> None:
-    """Write what a robot would have recorded, recording-1.npz and so on, and truth.json."""
+    """Write recordings of a simulated robot, recording-1.npz and so on, and its dynamics file truth.json."""
     recordings = simulated_recordings(trajectories, truth, cfg, np.random.default_rng((seed, 1)))
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
@@ -110,7 +115,7 @@ def rehearse(
 
 
 def exact_file(truth: JointDynamics, workcell: WorkcellSpec) -> DynamicsFile:
-    """The dynamics file of a robot that is known exactly: whatever is simulated with it is that robot."""
+    """Return a dynamics file whose gains are not randomised."""
     one = ((1.0, 1.0),)
     return DynamicsFile(
         dynamics=truth, gains=GainRanges(stiffness_scale=one, damping_scale=one), workcell=workcell
@@ -118,7 +123,7 @@ def exact_file(truth: JointDynamics, workcell: WorkcellSpec) -> DynamicsFile:
 
 
 def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.012) -> JointDynamics:
-    """Dynamics up to 40 % off the nominal ones in every parameter, and with a latency [s]."""
+    """Draw dynamics up to 40 % off the nominal ones in every parameter, with a latency [s]."""
     names = ("stiffness", "damping", "frictionloss", "armature")
     factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
     return nominal.with_values(**factors, latency=latency)
@@ -126,27 +131,27 @@ def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """A distance to keep, and the least there was."""
+    """A distance to keep, and the smallest one in a motion."""
 
-    name: str  #: between what
+    name: str  #: the two sides
     margin: float  #: the distance to keep [m]
-    is_of_hand: bool  #: whether only joints of what the arm carries change it
-    distance: float = np.inf  #: the least there was [m]; infinite beyond the horizon
-    bodies: tuple[str, str] = ("", "")  #: between which bodies it was
-    time: float = 0.0  #: when it was [s]
+    is_of_hand: bool  #: whether only joints of a hand change it
+    distance: float = np.inf  #: the smallest one [m]; infinite beyond the horizon
+    bodies: tuple[str, str] = ("", "")  #: the bodies of the smallest distance
+    time: float = 0.0  #: its time [s]
 
     @property
     def is_kept(self) -> bool:
-        """Whether the distance is large enough."""
+        """Return whether the distance is large enough."""
         return self.distance >= self.margin
 
     def sentence(self) -> str:
-        """What was found, in words."""
+        """Return the smallest distance as a sentence."""
         if np.isinf(self.distance):
-            return f"{self.name}: never nearer than {1e3 * HORIZON:.0f} mm"
+            return f"{self.name}: never closer than {1e3 * HORIZON:.0f} mm"
         return (
             f"{self.name}: {1e3 * self.distance:.1f} mm between {' and '.join(self.bodies)} "
-            f"at {self.time:.2f} s; {1e3 * self.margin:.0f} mm are to be kept"
+            f"at {self.time:.2f} s; keep {1e3 * self.margin:.0f} mm"
         )
 
 
@@ -155,9 +160,9 @@ RULES = (
     Clearance(name="arm and robot", margin=0.02, is_of_hand=False),
     Clearance(name="hand and hand", margin=0.005, is_of_hand=True),
 )
-"""What is kept apart. Source: ours. A lab's table, and what stands on it, differ by some centimetres; our arm
-is made of capsules; the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his description,
-which are ours, too."""
+"""Distances to keep. Source: ours. A laboratory's table, and what stands on it, differ by some centimetres;
+the model of the arm consists of capsules; the real covers of the fingers are 5.5 to 9 mm larger than the
+model."""
 
 
 def clearances(
@@ -166,11 +171,16 @@ def clearances(
     positions: Float64[np.ndarray, "num_times num_joints"],
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> tuple[Clearance, ...]:
-    """The least distances over a motion, one for each of `RULES`, by MuJoCo's own collision detection.
+    """Return the smallest distances in a motion, one for each of `RULES`, by MuJoCo's collision detection.
 
     The joints are at some positions [rad] at some times [s]; others hold the start pose.
     """
-    model = watched_model(workcell, HORIZON)
+    spec = build_spec(SceneCfg(workcell=workcell.name))
+    for sensor in spec.sensors:
+        spec.delete(sensor)
+    spec.delete(spec.body("object"))
+    model = spec.compile()
+    model.geom_gap[:] = HORIZON / 2  # pairs within the horizon count as contacts without force
     data = mujoco.MjData(model)
     data.qpos[:] = [spec.home for spec in workcell.joints]
     columns = [int(model.joint(name).qposadr[0]) for name in joints]
@@ -193,7 +203,7 @@ def clearances(
 
 
 def _rule_of_pairs(model: mujoco.MjModel, workcell: WorkcellSpec) -> np.ndarray:
-    """Which of `RULES` holds for two geoms, shape (geoms, geoms); -1 for those that stand on each other.
+    """Return the index in `RULES` for two geoms, shape (geoms, geoms); -1 for those that touch on purpose.
 
     The root of a robot and the link that turns on it stand on the table; a hand is all that hangs on a palm.
     """
@@ -211,31 +221,31 @@ def _rule_of_pairs(model: mujoco.MjModel, workcell: WorkcellSpec) -> np.ndarray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fault:
-    """Something that a robot must not do."""
+class Violation:
+    """A limit or a distance that a motion violates."""
 
-    text: str  #: what it is, in words
-    joints: tuple[str, ...]  #: whose motion should shrink
-    remedy: float = 0.85  #: by which factor. Default: ours.
+    text: str  #: the violation as a sentence
+    joints: tuple[str, ...]  #: joints whose motion should shrink
+    remedy: float = 0.85  #: factor on their motion. Default: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assessment:
-    """What a trajectory makes a simulated robot do."""
+    """The motion of a simulated robot that follows a trajectory, and what is wrong with it."""
 
     recording: Recording  #: the motion at every physics step
     speed: Float64[np.ndarray, " num_joints"]  #: top speed of each joint [rad/s]
     torque_share: Float64[np.ndarray, " num_joints"]  #: top torque of each servo, as a share of its limit
     clearances: tuple[Clearance, ...]  #: distances to the table and of the robot's parts
-    checks: tuple[Check, ...]  #: whether each joint is excited enough to tell its dynamics
-    faults: tuple[Fault, ...]  #: what must not be
+    checks: tuple[DataCheck, ...]  #: whether each joint is excited enough to show its dynamics
+    violations: tuple[Violation, ...]
 
 
 def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
-    """Simulate a trajectory and judge it.
+    """Simulate a trajectory and check its limits and distances.
 
-    The motion is simulated as in a fit, without contacts, and every step of it is then placed in the whole
-    scene: as long as nothing comes near anything, contacts would change nothing.
+    The motion is simulated as in a fit, without contacts; then the distances of every step are measured in
+    the whole scene. Without violations there would be no contacts.
     """
     (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
     speed = np.diff(recording.q, axis=0) / FIT_DT
@@ -246,38 +256,39 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
         torque_share=_torque_share(recording, speed, dynamics),
         clearances=near,
         checks=tuple(check for check in check_recording(recording) if check.name == "excitation"),
-        faults=(*_limit_faults(recording, speed), *_clearance_faults(recording, near)),
+        violations=(*_limit_violations(recording, speed), *_clearance_violations(recording, near)),
     )
 
 
-def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
-    faults = []
+def _limit_violations(recording: Recording, speed: np.ndarray) -> list[Violation]:
+    violations = []
     for column, joint in enumerate(recording.joints):
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
-            faults.append(Fault(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,)))
+            violations.append(
+                Violation(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,))
+            )
         if top > spec.velocity_limit:
             text = f"{joint} reaches {top:.2f} rad/s of {spec.velocity_limit:.2f}"
-            faults.append(Fault(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top))
-    return faults
+            violations.append(Violation(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top))
+    return violations
 
 
-def _clearance_faults(recording: Recording, near: Sequence[Clearance]) -> list[Fault]:
-    """Parts that come too near to each other; the arm is shrunk where it moves and has a part in it."""
-    groups, faults = groups_of(recording.workcell), []
+def _clearance_violations(recording: Recording, near: Sequence[Clearance]) -> list[Violation]:
+    groups, violations = groups_of(recording.workcell), []
     for clearance in near:
         if not clearance.is_kept:
             role = "hand" if clearance.is_of_hand else "arm"
             moved = tuple(joint for joint in recording.joints if groups[joint].role == role)
-            faults.append(Fault(text=clearance.sentence(), joints=moved or recording.joints))
-    return faults
+            violations.append(Violation(text=clearance.sentence(), joints=moved or recording.joints))
+    return violations
 
 
 def _torque_share(
     recording: Recording, speed: np.ndarray, dynamics: JointDynamics
 ) -> Float64[np.ndarray, " num_joints"]:
-    """Top torque of the servos, found backwards from the motion: what moves masses and overcomes friction."""
+    """Return the top torque of the servos over its limit, by inverse dynamics and dry friction."""
     model = recorded_model(recording.workcell, recording.joints, FIT_DT)
     model.dof_armature[:] = dynamics.armature
     data = mujoco.MjData(model)

@@ -1,12 +1,12 @@
-"""What an identification leaves: the dynamics file, the report for people, and its numbers for programs.
+"""Results of an identification: the dynamics file, an HTML report, tables, and numbers for programs.
 
-The report is one HTML file that needs nothing but itself. People with any kind of colour vision tell the
-colours of its pictures apart. Source: Okabe and Ito 2008; grey: ours.
+The report is one HTML file without references to others. Its colours suit all kinds of colour vision. Source:
+Okabe and Ito 2008; grey: ours.
 """
 
 import io
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,53 +15,44 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
 
 from pixel2catch.files import json_text, require_free_folder, write_atomically
-from pixel2catch.identification.identify import RATIOS, Identification, Motion, estimates, tracking_errors
-from pixel2catch.identification.intervals import CONFIDENCE
-from pixel2catch.identification.joints import short, specs_of
-from pixel2catch.identification.recording import Trajectory
-from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.report_tables import (
-    Grid,
-    drift_warnings,
-    errors_grid,
-    joint_checks_grid,
+from pixel2catch.identification.checks import DataCheck
+from pixel2catch.identification.fit import LATENCY_UNIT, Fit
+from pixel2catch.identification.identify import (
+    RATIOS,
+    REMEDIES,
+    WELL_KNOWN,
+    Estimate,
+    Identification,
+    SimulatedRecording,
+    estimates,
     open_questions,
-    parameters_grid,
-    play_warnings,
-    ranges_grid,
-    ratios_grid,
-    whole_checks_grid,
+    short,
+    tracking_errors,
+    worse_than_command,
 )
-from pixel2catch.offline_page import box, element, listing, page, picture, section, table, what_was_run
+from pixel2catch.identification.intervals import CONFIDENCE
+from pixel2catch.offline_page import Cell, box, element, listing, page, picture, section, table, what_was_run
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
+UNKNOWN_WIDTH = 0.3  # half-width from which a parameter is not identifiable: 30 %, or 3 ms (ours)
+NOTABLE_DRIFT = 5e-4  # least difference of the clocks at the end of a recording that is reported [s] (ours)
+NOTABLE_PLAY = 2e-4  # least play that is reported [rad] (ours, a UR's noise)
 
-NOTHING_HELD_OUT = (
-    "Nothing was held out: the errors are those of motion that was fitted, and do not tell how well other "
-    "motion is simulated. Record at least two motions."
-)
-TRACKING = (
-    "Predicted minus measured positions. 'command' predicts that the joint is where it is told to be at "
-    "once. The first half second of a recording is not compared."
-)
-RANDOMISATION = (
-    "Intervals where they are narrower than the paper's ranges, else the paper's. The dynamics file "
-    "has them; 'pixel2catch train --dynamics' draws from them."
-)
-
-COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
-ZOOM = 1.5  # length of the close look [s]: about the fastest motion
+COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}
+ZOOM = 1.5  # length of the detailed view [s]: about the fastest motion
 
 MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.16, "top": 0.98, "wspace": 0.14, "hspace": 0.12}
 """Room for the labels, as shares of the picture."""
 
-PLAIN: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
-LINED: dict[Any, Any] = {
-    **PLAIN,
+LINES: dict[Any, Any] = {
     "font.size": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
     "axes.edgecolor": "#5B5B5B",
     "axes.grid": True,
     "grid.color": "#E9E9E9",
@@ -69,56 +60,216 @@ LINED: dict[Any, Any] = {
     "lines.linewidth": 1.0,
 }
 
+STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
+"""Colour of each verdict in a terminal."""
+
+NOTHING_HELD_OUT = (
+    "Nothing was held out: the errors are those of fitted motion, and do not show how well other motion is "
+    "simulated. Record at least two motions."
+)
+TRACKING = (
+    "Predicted minus measured positions. 'command' is the error if the joint were at its command at once. "
+    "The first half second of a recording is not compared."
+)
+COMMAND_IS_BETTER = (
+    "Of {}, the command predicts the motion better than the simulation does. Either the model does not fit, "
+    "or the recorded command is the controller's own target (such as RTDE's target_q) instead of what was "
+    "sent. If that motion was held out, the dynamics file is marked, and commands that read it warn."
+)
+
+
 Content = dict[str, Any]
 
 
-def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """Write everything to a new or empty folder, and return the numbers for programs.
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A table for the terminal and the report."""
 
-    The dynamics file is the last, so that where it is, the others are. The circumstances say when, how and
-    with which versions this was done.
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    warnings: tuple[str, ...] = ()  #: warnings for the reader of the table
+
+    def for_terminal(self) -> Table:
+        """Return the table without the notes of its cells, with the warnings below it."""
+        caption = Text("\n".join(self.warnings), style="bold yellow", justify="left")
+        table = Table(title=Text(self.title), caption=caption if self.warnings else None)
+        for column in self.columns:
+            table.add_column(Text(column), overflow="fold")
+        for row in self.rows:
+            table.add_row(*(Text(cell.text, style=STYLES.get(cell.verdict, "")) for cell in row))
+        return table
+
+    def for_page(self, text: str = "") -> str:
+        """Return the table as a section of the report, below a text."""
+        return section(self.title, text, table(self.columns, self.rows))
+
+
+def check_grid(name: str, checks: Sequence[DataCheck]) -> Grid:
+    """Return a table of checks; joints with the same verdict of a check share a row unless it failed."""
+    num_bad = sum(check.is_good is False for check in checks)
+    groups: dict[tuple[str, str, str | None], list[DataCheck]] = {}
+    for check in checks:
+        alone = check.joint if check.is_good is False else None
+        groups.setdefault((check.name, check.verdict, alone), []).append(check)
+    rows = []
+    for (title, verdict, _), group in groups.items():
+        joint = group[0].joint or "" if len(group) == 1 else f"{len(group)} joints"
+        detail = group[0].detail if len({check.detail for check in group}) == 1 else ""
+        rows.append((Cell(title), Cell(joint), Cell(verdict, verdict), Cell(detail)))
+    title = f"{name}: {num_bad} of {len(checks)} checks failed"
+    return Grid(title=title, columns=("check", "joint", "", "found"), rows=tuple(rows))
+
+
+def errors_grid(result: Identification) -> Grid:
+    """Return the tracking error of every joint, on motion that was held out and on fitted motion."""
+    groups = {"held out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
+    columns, values = [], []
+    for group, motions in groups.items():
+        for name, errors in tracking_errors(motions).items() if motions else ():
+            columns.append(f"{group}: {name}")
+            values.append([*errors, np.sqrt(np.mean(errors**2))])
+    rows = []
+    for name, *row in zip([*map(short, result.fit.dynamics.joints), "all joints"], *values, strict=True):
+        cells = [Cell(f"{1e3 * value:.2f}") for value in row]
+        for i in range(2, len(row), 3):  # less than before, and than that of the command
+            verdict = "BAD" if row[i] >= row[i - 1] else "weak" if row[i] >= row[i - 2] else "good"
+            cells[i] = cells[i]._replace(verdict=verdict)
+        rows.append((Cell(name), *cells))
+    worse = ", ".join(map(short, worse_than_command(result.motions)))
+    return Grid(
+        title="Tracking error, RMS [mrad]",
+        columns=("joint", *columns),
+        rows=tuple(rows),
+        warnings=(COMMAND_IS_BETTER.format(worse),) if worse else (),
+    )
+
+
+def parameters_grid(result: Identification) -> Grid:
+    """Return every parameter with its 95 % interval, and its value before."""
+    fit, known = result.fit, estimates(result.fit)
+    has_filter = fit.dynamics.has_filter.any()
+    names = [name for name in PARAMETERS if has_filter or not name.startswith("filter")]
+    rows = tuple(
+        (Cell(short(joint)), *(_parameter(result, known.get(name), name, j) for name in names))
+        for j, joint in enumerate(fit.dynamics.joints)
+    )
+    columns = ("joint", *(f"{name} [{REMEDIES[name].unit}]" for name in names))
+    warnings = (*drift_warnings(result), *play_warnings(fit))
+    return Grid(title="Parameters with 95 % intervals", columns=columns, rows=rows, warnings=warnings)
+
+
+def _parameter(result: Identification, known: Estimate | None, name: str, j: int) -> Cell:
+    value, old = (getattr(each, name)[j] for each in (result.fit.dynamics, result.start.before))
+    note = f"before {_number(name, old)}" if np.isfinite(old) else "no filter before"
+    if known:
+        return _estimate(known, j, note)
+    text = _number(name, value) if np.isfinite(value) else "no filter"
+    return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
+
+
+def _number(name: str, value: float) -> str:
+    value *= 1e3 if name == "latency" else 1.0
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def _estimate(known: Estimate, j: int, note: str = "") -> Cell:
+    """Return a joint's value with half of its interval."""
+    name, value, width = known.name, known.value[j], known.half_width[j]
+    if width > UNKNOWN_WIDTH:
+        return Cell(f"not identifiable ({_number(name, value)})", "BAD", note)
+    if name == "latency":
+        text = f"{1e3 * value:.2f} ± {1e3 * LATENCY_UNIT * width:.2f}"
+    else:
+        text = f"{_number(name, value)} ± {100 * width:.1f} %"
+    return Cell(text.replace(" ", "\N{NO-BREAK SPACE}"), "good" if width <= WELL_KNOWN else "weak", note)
+
+
+def ratios_grid(fit: Fit) -> Grid:
+    """Return ratios of parameters with their 95 % intervals; there may be no rows."""
+    found = [each for name, each in estimates(fit).items() if name in RATIOS]
+    rows = tuple(
+        (Cell(short(joint)), *(_estimate(ratio, j) for ratio in found))
+        for j, joint in enumerate(fit.dynamics.joints if found else ())
+    )
+    columns = ("joint", *(f"{ratio.name} [{RATIOS[ratio.name]}]" for ratio in found))
+    return Grid(title="Ratios with 95 % intervals", columns=columns, rows=rows)
+
+
+def drift_warnings(result: Identification) -> list[str]:
+    """Return warnings about recordings whose clocks drift apart."""
+    texts = []
+    drifts, deviations = result.fit.encoders.drift, result.fit.encoder_deviations.drift
+    for motion, row, deviation in zip(result.of(is_held_out=False), drifts, deviations, strict=True):
+        seconds = float(np.ptp(motion.recording.t_meas))
+        for drift, known in dict.fromkeys(zip(row.tolist(), deviation.tolist(), strict=True)):
+            if abs(drift) > CONFIDENCE * known and abs(drift) * seconds > NOTABLE_DRIFT:
+                texts.append(
+                    f"{motion.recording.name}: the clock of the measurements is {1e6 * abs(drift):.0f} ± "
+                    f"{1e6 * CONFIDENCE * known:.0f} ppm {'fast' if drift > 0 else 'slow'}, "
+                    f"{1e3 * abs(drift) * seconds:.1f} ms in {seconds:.0f} s. The fit compensates it, the "
+                    "latency is that of the beginning. Take both times from one clock, or synchronise them."
+                )
+    return texts
+
+
+def play_warnings(fit: Fit) -> list[str]:
+    """Return a warning about joints with play, if there are any."""
+    play, known = fit.encoders.play, CONFIDENCE * fit.encoder_deviations.play
+    loose = [
+        f"{short(joint)} {1e3 * play[j]:.1f} ± {1e3 * known[j]:.1f}"
+        for j, joint in enumerate(fit.dynamics.joints)
+        if play[j] > max(known[j], NOTABLE_PLAY)
+    ]
+    if not loose:
+        return []
+    return [
+        f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit compensates it; training has "
+        "none: tighten it, or train with an error of the encoders as large (sensing.joint_bias)."
+    ]
+
+
+def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
+    """Write all files to a new or empty folder, the dynamics file last, and return the numbers.
+
+    The circumstances are time, command, versions and machine.
 
     Raises:
-        InvalidValueError: If the folder is not free.
-        OSError: If it cannot be written.
+        InvalidValueError: The folder is not empty.
+        OSError: It cannot be written.
     """
     content = numbers(result, circumstances)
-    files = {
-        PAGE: report_page(result, circumstances).encode(),
-        NUMBERS: json_text(content).encode(),
-    }
+    page = report_page(result, circumstances)
     require_free_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically({folder / name: data for name, data in files.items()})
+    write_atomically({folder / PAGE: page.encode(), folder / NUMBERS: json_text(content).encode()})
     result.file.save(folder / DYNAMICS)
     return content
 
 
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
-    """The report as a page."""
-    title, ratio = f"System identification: {result.start.robot}", ratios_grid(result.fit)
+    """Return the HTML report."""
+    ratios = ratios_grid(result.fit)
     open_ends = listing(open_questions(result.fit)) or element("p", "Every direction is identified.")
     parts = [
         *_summary(result),
-        _section(errors_grid(result), TRACKING),
-        _section(parameters_grid(result)),
-        _section(ratio) if ratio.rows else "",
+        errors_grid(result).for_page(TRACKING),
+        parameters_grid(result).for_page(),
+        ratios.for_page() if ratios.rows else "",
         section("What is not identified", "", open_ends),
-        _section(ranges_grid(result), RANDOMISATION),
         _pictures(result),
-        _section(whole_checks_grid(result.motions)),
-        *(_section(joint_checks_grid(motion), tag="h3") for motion in result.motions),
+        *(check_grid(motion.recording.name, motion.checks).for_page() for motion in result.motions),
         what_was_run(
             circumstances,
             f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
-            *(f"{each.recording.name}: {_kind(each)}" for each in result.motions),
+            *(f"{each.recording.name}: {_role(each)}" for each in result.motions),
         ),
     ]
-    return page(title, parts)
+    return page(f"System identification: {result.start.robot}", parts)
 
 
 def _summary(result: Identification) -> Iterable[str]:
-    """What a reader must know first, in the colours of verdicts."""
+    """Return boxes with the main results, in the colours of verdicts."""
     joints, held_out = result.fit.dynamics.joints, result.of(is_held_out=True)
     errors = tracking_errors(held_out or result.motions)
     before, after = (1e3 * float(np.median(errors[name])) for name in ("before", "after"))
@@ -133,19 +284,19 @@ def _summary(result: Identification) -> Iterable[str]:
     warnings = (*errors_grid(result).warnings, *drift_warnings(result), *play_warnings(result.fit))
     texts |= dict.fromkeys(warnings, "weak")
     if open_questions(result.fit):
-        texts["Not everything is identified; below is what to fix, or how to move for it."] = "weak"
+        texts["Not everything is identified; the remedies are below."] = "weak"
     failed = {c.joint for m in result.motions for c in m.checks if c.is_good is False}
     if names := ", ".join(short(joint) for joint in joints if joint in failed):
-        texts[f"The motion of {names} is weaker than the data checks ask for."] = "weak"
+        texts[f"The motion of {names} is weaker than the data checks require."] = "weak"
     return [box(text, verdict) for text, verdict in texts.items()]
 
 
-def _kind(motion: Motion) -> str:
+def _role(motion: SimulatedRecording) -> str:
     return "held out" if motion.is_held_out else "fitted"
 
 
 def _pictures(result: Identification) -> str:
-    """The motion that was held out, or the last if none was, joint by joint."""
+    """Return a picture of every joint in the motion that was held out, or in the last one."""
     shown = (result.of(is_held_out=True) or result.motions)[-1]
     key = "".join(f'<span style="background: {color}"></span>{name}' for name, color in COLORS.items())
     errors = tracking_errors([shown])
@@ -154,16 +305,13 @@ def _pictures(result: Identification) -> str:
         before, after = (1e3 * errors[name][j] for name in ("before", "after"))
         caption = f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after"
         figures.append(picture(joint_picture(shown, j), "png", caption))
-    title = f"Motion: {shown.recording.name} ({_kind(shown)})"
-    return section(title, "", f'<p class="key">{key}</p>', *figures)
-
-
-def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
-    return section(grid.title, text, table(grid.columns, grid.rows), tag=tag)
+    return section(
+        f"Motion: {shown.recording.name} ({_role(shown)})", "", f'<p class="key">{key}</p>', *figures
+    )
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """All numbers of the report, in SI units, by joint."""
+    """Return all numbers of the report, in SI units, by joint."""
     fit, joints = result.fit, result.fit.dynamics.joints
     errors = {
         group: tracking_errors(motions) if (motions := result.of(is_held_out)) else {}
@@ -185,7 +333,7 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         },
         "parameters": by_joint(_parameters(result, j) for j in range(len(joints))),
         "ratios": {
-            name: by_joint(map(_told, each.value, each.interval))
+            name: by_joint(map(_with_interval, each.value, each.interval))
             for name, each in estimates(fit).items()
             if name in RATIOS
         },
@@ -209,7 +357,7 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
 
 
 def _parameters(result: Identification, j: int) -> Content:
-    """Value before and after of every parameter of a joint, and its 95 % interval if it was fitted."""
+    """Return every parameter of a joint, its value before, and its 95 % interval if it was fitted."""
     found, known = dict[str, Content](), estimates(result.fit)
     for name in PARAMETERS:
         value, before = (float(getattr(each, name)[j]) for each in (result.fit.dynamics, result.start.before))
@@ -221,22 +369,22 @@ def _parameters(result: Identification, j: int) -> Content:
 
 
 def _plus_minus(value: float, half_width: float) -> Content:
-    return _told(value, value + half_width * np.array((-1.0, 1.0)))
+    return _with_interval(value, value + half_width * np.array((-1.0, 1.0)))
 
 
-def _told(value: float, interval: np.ndarray) -> Content:
+def _with_interval(value: float, interval: np.ndarray) -> Content:
     return {"value": float(value), "interval": interval.tolist()}
 
 
-def joint_picture(motion: Motion, column: int) -> bytes:
-    """Position of a column's joint as commanded, measured and simulated, its errors, and a close look."""
-    with matplotlib.rc_context(LINED):
+def joint_picture(motion: SimulatedRecording, column: int) -> bytes:
+    """Return a PNG of a joint's positions as commanded, measured and simulated, its errors, and a detail."""
+    with matplotlib.rc_context(LINES):
         figure = Figure(figsize=(10.0, 2.6), dpi=120)  # its own layout engine would draw it three times
         grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(5, 3), **MARGINS)
         whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
         errors = figure.add_subplot(grid[1, 0], sharex=whole)
-        _draw_positions(whole, motion, column)
-        _draw_positions(close, motion, column)
+        for axes in (whole, close):
+            _draw_positions(axes, motion, column)
         for name in ("before", "after"):
             error = getattr(motion, name)[:, column] - motion.measured[:, column]
             errors.plot(_time(motion), 1e3 * error, color=COLORS[name], linewidth=0.8)
@@ -246,20 +394,16 @@ def joint_picture(motion: Motion, column: int) -> bytes:
         errors.set(ylabel="error [mrad]", xlabel="time [s]")
         figure.align_ylabels([whole, errors])
         close.set_xlabel("time [s]")
-        return _png(figure)
+        buffer = io.BytesIO()
+        FigureCanvasAgg(figure).print_png(buffer)
+        return buffer.getvalue()
 
 
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)
-    return buffer.getvalue()
-
-
-def _time(motion: Motion) -> np.ndarray:
+def _time(motion: SimulatedRecording) -> np.ndarray:
     return motion.time - motion.recording.t_meas[0]
 
 
-def _draw_positions(axes: Axes, motion: Motion, column: int) -> None:
+def _draw_positions(axes: Axes, motion: SimulatedRecording, column: int) -> None:
     recording, time = motion.recording, _time(motion)
     sent, command = recording.t_cmd - recording.t_meas[0], recording.q_cmd[:, column]
     axes.step(sent, command, where="post", color=COLORS["command"], linewidth=0.8)
@@ -269,8 +413,8 @@ def _draw_positions(axes: Axes, motion: Motion, column: int) -> None:
     axes.set_xlim(time[0], time[-1])
 
 
-def _zoom_in(axes: Axes, motion: Motion, column: int) -> None:
-    """Show the time about the largest change within a fifth of what is shown."""
+def _zoom_in(axes: Axes, motion: SimulatedRecording, column: int) -> None:
+    """Show the time about the largest change within a fifth of `ZOOM`."""
     time, position = _time(motion), motion.measured[:, column]
     length = min(ZOOM, time[-1] - time[0])
     later = np.interp(time + length / 5, time, position)
@@ -282,36 +426,3 @@ def _zoom_in(axes: Axes, motion: Motion, column: int) -> None:
     low, high = shown.min(), shown.max()
     margin = 0.05 * max(high - low, 1e-3)
     axes.set(xlim=(left, left + length), ylim=(low - margin, high + margin))
-
-
-def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
-    """Commands and simulated motion of every joint over time, with the joints' limits where they are near."""
-    segments = trajectory.header.get("segments", {})
-    with matplotlib.rc_context(PLAIN):
-        num_joints = len(trajectory.joints)
-        figure = Figure(figsize=(12.0, 0.8 + 1.15 * num_joints), dpi=110, layout="constrained")
-        panels = np.atleast_1d(figure.subplots(num_joints, 1, sharex=True))
-        for column, (axes, joint) in enumerate(zip(panels, trajectory.joints, strict=True)):
-            _draw_trajectory(axes, trajectory, assessment, column)
-            axes.set_ylabel(f"{short(joint)}\n[rad]")
-        for name, (start, _) in segments.items():
-            panels[0].text(start, 1.02, name.replace("_", " "), transform=panels[0].get_xaxis_transform())
-        panels[-1].set_xlabel("time [s]")
-        panels[-1].set_xlim(0.0, trajectory.duration)
-        handles = panels[0].get_legend_handles_labels()
-        figure.legend(*handles, loc="outside lower center", ncols=3, frameon=False)
-        return _png(figure)
-
-
-def _draw_trajectory(axes: Axes, trajectory: Trajectory, assessment: Assessment, column: int) -> None:
-    """Command, motion, limits and segments of one joint."""
-    spec = specs_of(trajectory.workcell)[trajectory.joints[column]]
-    command, recording = trajectory.positions[:, column], assessment.recording
-    axes.step(trajectory.times, command, where="post", color=COLORS["after"], lw=0.7, label="command")
-    axes.plot(recording.t_meas, recording.q[:, column], color="#D55E00", lw=0.9, label="simulated motion")
-    low, high = command.min() - 0.1, command.max() + 0.1
-    for limit, label in ((spec.lower, "limit of the joint"), (spec.upper, "")):
-        axes.axhline(limit, color="#8A8A8A", lw=0.8, ls="--", label=label)
-    for span in trajectory.header.get("segments", {}).values():
-        axes.axvspan(*span, color="#F0F0F0")
-    axes.set_ylim(low, high)

@@ -1,25 +1,24 @@
-"""Simulates recorded motions under many candidate dynamics at once: the forward model of the fit.
+"""Simulate recorded motions under many candidate dynamics at once: the forward model of the fit.
 
 Torque limit, dry friction and command path are those of `envs`, in the limit of short time steps: a real
-robot has none, so that what is identified must not depend on them. Joints that were not recorded are welded,
-nothing touches anything.
+robot has no time step, so the result must not depend on it. Joints that were not recorded are welded, and
+there are no contacts.
 
-NumPy does in a few microseconds what takes PyTorch tens, and a fit is many steps of few copies. Arrays of the
-servos are of shape (num_copies, num_joints); in every step their shapes are left unchecked.
+NumPy takes a few microseconds per operation where PyTorch takes tens, and a fit is many steps of few copies.
+Arrays of the servos have the shape (num_copies, num_joints).
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from mujoco.batch import Batch
 
-from pixel2catch.envs.actuators import EFFORT_MARGIN
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.encoders import Encoders, behind_play
-from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
-from pixel2catch.identification.recording import Recording, held
+from pixel2catch.identification.recording import Recording, groups_of, held, specs_of
 from pixel2catch.robots.joint_dynamics import (
     DryFriction,
     JointDynamics,
@@ -27,57 +26,132 @@ from pixel2catch.robots.joint_dynamics import (
     filter_step,
     filter_transition,
 )
-from pixel2catch.sim.batch import BatchSimulation
+from pixel2catch.robots.workcell import WorkcellSpec, add_robots
+
+EFFORT_MARGIN = 0.999  # share of a joint's effort limit that a servo uses. Source: `envs/actuators.py`
 
 FIT_DT = 1.0 / 480.0
 """Physics time step of a fit [s]. Source: ours; in excitation up to the torque limits, positions of the arm
 are within 0.03 mrad of those at 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone
 they would be off by up to 1.8."""
 
-START_WINDOW = 0.1  # measurements whose parabola begins a motion [s] (ours, a tenth of a settling)
+START_WINDOW = (
+    0.1  # measurements whose parabola gives the start of a motion [s] (ours, a tenth of a settling)
+)
 
 SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
 stiffness of the slowest joint."""
 
-MAX_COPIES = 96  # copies simulated at once, for the memory
-THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
+MAX_COPIES = 96  # most copies simulated at once, limits the memory
+THREADED_COPIES = (
+    24  # least copies for which several threads are faster than one (ours, measured with the arm)
+)
 
 Times = Float[np.ndarray, " num_commands"]
 Commands = Float[np.ndarray, "num_commands num_joints"]
 Edges = Float[np.ndarray, " num_edges"]
 PerJoint = Float[np.ndarray, " num_joints"]
+Positions = Float[np.ndarray, "num_times num_joints"]
 Settled = Float[np.ndarray, "num_settled num_joints"]
 
 
-def mean_commands(
-    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
-) -> Float[np.ndarray, "num_steps num_joints"]:
-    """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Encoders:
+    """Errors between the motion of joints and its recording: play, and clocks that drift apart."""
 
-    Times [s], commands [rad] and latency [s] are as in a recording and a `JointDynamics`; the edges are the
-    starts of the steps, and the end of the last [s].
+    play: PerJoint  #: width of the play between servo and encoder [rad]; the encoder lags by half of it
+    #: excess speed of the measurements' clock over that of the commands, as a share of the time since the
+    #: first measurement
+    drift: Float[np.ndarray, "num_recordings num_joints"]
+
+    @classmethod
+    def perfect(cls, num_recordings: int, num_joints: int) -> "Encoders":
+        """Return encoders with neither play nor drift."""
+        return cls(play=np.zeros(num_joints), drift=np.zeros((num_recordings, num_joints)))
+
+
+def behind_play(positions: Positions, play: PerJoint) -> Positions:
+    """Return what encoders behind a play [rad] measure while their joints are at some positions [rad]."""
+    if not play.any():
+        return positions
+    low, high = positions - play / 2, positions + play / 2
+    read, now = np.empty_like(positions), positions[0]
+    for k in range(len(positions)):
+        now = np.minimum(np.maximum(now, low[k]), high[k])
+        read[k] = now
+    return read
+
+
+def recorded_model(workcell: WorkcellSpec, joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
+    """Return the robots with these joints, the others welded in the start pose, at a time step [s].
+
+    They have position servos without gains; no contacts and limits, and none of MuJoCo's dry friction.
     """
-    end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
-    start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
-    knots = np.concatenate(([start], t_cmd, [end]))
-    values = np.concatenate((q_cmd[:1], q_cmd))
-    area = np.cumsum(np.diff(knots)[:, None] * values, axis=0)
-    area = np.concatenate((np.zeros((1, values.shape[1])), area))
-    areas = [np.interp(edges - delay, knots, area[:, j]) for j, delay in enumerate(latency)]
-    return np.diff(np.stack(areas, axis=-1), axis=0) / np.diff(edges)[:, None]
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = physics_dt
+    add_robots(spec, workcell, visuals=False)
+    for exclude in spec.excludes:
+        spec.delete(exclude)
+    whole = spec.compile()
+    for name, joint in specs_of(workcell).items():
+        element = spec.joint(name)
+        if name in joints:
+            element.armature = joint.armature
+            bias = mujoco.mjtBias.mjBIAS_AFFINE
+            spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, biastype=bias)
+            continue
+        body, turned, turn = element.parent, np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, element.axis, joint.home)
+        mujoco.mju_mulQuat(turned, whole.body(body.name).quat, turn)
+        body.quat, body.alt.type = turned, mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.delete(element)
+    spec.compiler.fusestatic = True
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.dof_frictionloss[:] = 0.0
+    return model
+
+
+def hanging_on(parents: Int[np.ndarray, " num"]) -> Bool[np.ndarray, "num num"]:
+    """Return which elements (columns) of a tree hang on each element (rows), itself included.
+
+    Each has the number of its parent, which comes before it, as in MuJoCo's bodies and degrees of freedom.
+    """
+    hangs = np.eye(len(parents), dtype=bool)
+    for child, parent in enumerate(parents):
+        if 0 <= parent < child:
+            hangs[:, child] |= hangs[:, parent]
+    return hangs
 
 
 def step_commands(
     t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
-    """What arrives in every time step: a command, and from some moment on the next one.
+    """Return what arrives in every time step: a command, and from some moment on the next one.
 
-    A servo at its torque limit does not answer to their mean, so that the moment must be known. Where several
-    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`. Returned
-    are their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
+    A servo at its torque limit does not follow their mean, so the moment matters. Where the commands of a
+    step are not such a pair, only the mean is returned.
+
+    Args:
+        t_cmd: Send times of the commands [s].
+        q_cmd: Commands [rad]; each holds until the next.
+        edges: Starts of the time steps, and the end of the last one [s].
+        latency: Time from sending a command to its arrival [s].
+
+    Returns:
+        The mean [rad], which depends smoothly on the latency; first and last command minus the mean [rad];
+        and the share of the step in which the first holds.
     """
-    mean = mean_commands(t_cmd, q_cmd, edges, latency)
+    end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
+    start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
+    knots = np.concatenate(([start], t_cmd, [end]))
+    area = np.cumsum(np.diff(knots)[:, None] * np.concatenate((q_cmd[:1], q_cmd)), axis=0)
+    area = np.concatenate((np.zeros((1, area.shape[1])), area))
+    areas = [np.interp(edges - delay, knots, area[:, j]) for j, delay in enumerate(latency)]
+    mean = np.diff(np.stack(areas, axis=-1), axis=0) / np.diff(edges)[:, None]
     sent = [held(t_cmd, q_cmd[:, j : j + 1], edges - delay) for j, delay in enumerate(latency)]
     arrived = np.concatenate(sent, axis=1)
     first, last = arrived[:-1] - mean, arrived[1:] - mean
@@ -88,24 +162,23 @@ def step_commands(
     return np.stack(columns, axis=1)
 
 
-class Servos:
-    """The servos of all copies: those of `envs/actuators.py` in the limit of short time steps.
+class RecordedServos:
+    """Servos of all copies: those of `envs/actuators.py` in the limit of short time steps.
 
     MuJoCo's implicit damping acts on the speed at the end of a step, as if the armature were larger by
     damping · dt / 2, which for the arm is as much as the armature itself. So half of it is implicit here,
-    which is the trapezoidal rule, and a servo that stays at its torque limit is a torque alone. What
-    is identified then hardly depends on the time step.
+    which is the trapezoidal rule, and a servo that stays at its torque limit is a torque alone.
     """
 
     def __init__(
         self,
-        simulation: BatchSimulation,
+        batch: Batch,
         dynamics: Sequence[JointDynamics],
         efforts: PerJoint,
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy, which is where it begins, its dynamics and largest torques [N·m].
+        """Give every copy its dynamics and largest torques [N·m].
 
         The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
         """
@@ -115,18 +188,18 @@ class Servos:
         )
         self._dt, self._half, self._inertia = dt, self._damping / 2, armature + link_inertia
         self._limit = EFFORT_MARGIN * efforts
-        simulation.expand("dof_armature").numpy()[:] = armature
-        simulation.expand("actuator_gainprm").numpy()[:, :, 0] = self._stiffness
-        bias = simulation.expand("actuator_biasprm").numpy()
+        batch.expand("dof_armature")[:] = armature
+        batch.expand("actuator_gainprm")[:, :, 0] = self._stiffness
+        bias = batch.expand("actuator_biasprm")
         bias[:, :, 1] = -self._stiffness
         self._bias = bias[:, :, 2]
         self._ctrl, self._applied, self._qpos, self._qvel = (
-            simulation.bind(name).numpy() for name in ("ctrl", "qfrc_applied", "qpos", "qvel")
+            batch.bind(name) for name in ("ctrl", "qfrc_applied", "qpos", "qvel")
         )
         self._friction = DryFriction(frictionloss, armature, self._qpos, dt)
 
     def drive(self, first: np.ndarray, last: np.ndarray, share: np.ndarray) -> None:
-        """Set what drives the joints in the next step, of which the first target [rad] holds in a share."""
+        """Set the torques of the next step, in whose first share the first target [rad] holds."""
         resting = self._stiffness * self._qpos + self._damping * self._qvel
         (before, time_before), (after, time_after) = (
             self._limited(self._stiffness * target - resting) for target in (first, last)
@@ -139,10 +212,10 @@ class Servos:
         self._applied[:] = self._friction.torque(self._qpos)
 
     def _limited(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean torque of a step in which an unlimited servo would begin with one, and the time at the limit.
+        """Return the mean torque of a step that begins with a torque, and the time at the limit [s].
 
-        There the joint accelerates at the limit until damping has brought the servo below it, and follows the
-        trapezoidal rule from then on. The result gives the same speed at the end of the step.
+        At the limit the joint accelerates until damping has brought the servo below it, and follows the
+        trapezoidal rule from then on. The mean torque gives the same speed at the end of the step.
         """
         excess = np.maximum(np.abs(torque) - self._limit, 0.0)
         at_limit = np.minimum(excess / (self._limit * self._damping) * self._inertia, self._dt)
@@ -153,7 +226,7 @@ class Servos:
 
 
 class CommandFilters:
-    """The command filters of all copies; commands pass unchanged where no joint has a filter."""
+    """Command filters of all copies; commands pass unchanged where no joint has a filter."""
 
     def __init__(
         self,
@@ -175,22 +248,18 @@ class CommandFilters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Motion:
+class _Grid:
     """A recording on the grid of physics steps."""
 
-    recording: Recording  #: what was recorded
+    recording: Recording
     edges: Edges  #: starts of the steps and the end of the last [s]
     start: Float[np.ndarray, "2 num_joints"]  #: positions [rad] and speeds [rad/s] at the first measurement
     index: Int[np.ndarray, " num_settled"]  #: for each measurement that is compared, the edge before it
     weight: Float[np.ndarray, " num_settled"]  #: and the share of the step after that edge
 
     @classmethod
-    def of(cls, recording: Recording, dt: float) -> "_Motion":
-        """Put a recording on the grid.
-
-        Raises:
-            RecordingError: It is too short to compare anything.
-        """
+    def of(cls, recording: Recording, dt: float) -> "_Grid":
+        """Put a recording on the grid; raise RecordingError if it is too short to compare anything."""
         time = recording.t_meas - recording.t_meas[0]
         settled = time[is_settled(recording)]
         if len(settled) < 10:
@@ -207,7 +276,7 @@ class _Motion:
         return cls(recording=recording, edges=edges, start=start, index=index, weight=weight)
 
     def sample(self, path: Float[np.ndarray, "num_edges num_joints"], drift: PerJoint) -> Settled:
-        """Simulated positions at the measurement times of clocks that drift."""
+        """Return simulated positions at the measurement times of clocks that drift."""
         if not drift.any():
             before, after = path[self.index], path[self.index + 1]
             return before + self.weight[:, None] * (after - before)
@@ -219,18 +288,18 @@ class _Motion:
 
 
 def is_settled(recording: Recording) -> Bool[np.ndarray, " num_samples"]:
-    """Which measurements are compared: all but those while errors of the start fade."""
+    """Return which measurements are compared: all after the time in which errors of the start fade."""
     return recording.t_meas - recording.t_meas[0] > SETTLING
 
 
 class RecordedMotion:
-    """Some recordings of the same joints, ready to be simulated under any dynamics."""
+    """Recordings of the same joints that can be simulated under any dynamics."""
 
     def __init__(self, recordings: Sequence[Recording], physics_dt: float = FIT_DT) -> None:
         """Build the model of the recorded joints, which are the same in all, with a time step [s].
 
         Raises:
-            RecordingError: There is none, one is too short, or they are of different joints.
+            RecordingError: There is no recording, one is too short, or they are of different joints.
         """
         if not recordings:
             raise RecordingError("there is no recording to simulate; give at least one.")
@@ -244,77 +313,73 @@ class RecordedMotion:
         self._dt = physics_dt
         self.groups = np.array([groups_of(workcell)[name].name for name in self.joints])  # of each joint
         self._efforts = np.array([specs_of(workcell)[name].effort_limit for name in self.joints])
-        self._motions = [_Motion.of(recording, physics_dt) for recording in recordings]
+        self._grids = [_Grid.of(recording, physics_dt) for recording in recordings]
         self._model = recorded_model(workcell, self.joints, physics_dt)
         data, inertia = mujoco.MjData(self._model), np.zeros((self._model.nv, self._model.nv))
-        data.qpos[:] = self._motions[0].start[0]
+        data.qpos[:] = self._grids[0].start[0]
         mujoco.mj_forward(self._model, data)
         mujoco.mj_fullM(self._model, data, inertia)
         self.link_inertia = np.diagonal(inertia) - self._model.dof_armature  # beside the armature [kg·m²]
 
     @property
     def coupled(self) -> Bool[np.ndarray, "num_joints num_joints"]:
-        """Which joints (columns) each one moves: the rest of its chain in its group, and what hangs on it."""
+        """Return which joints (columns) each joint moves: its chain in its group, and what hangs on it."""
         hangs = hanging_on(self._model.dof_parentid)
         return hangs | (hangs.T & (self.groups[:, None] == self.groups))
 
     @property
     def measured(self) -> Settled:
-        """Measured positions that are compared, recording after recording [rad]."""
-        recordings = [motion.recording for motion in self._motions]
+        """Return the measured positions that are compared, recording after recording [rad]."""
+        recordings = [grid.recording for grid in self._grids]
         return np.concatenate([recording.q[is_settled(recording)] for recording in recordings])
 
     def block_starts(self, seconds: float) -> Int[np.ndarray, " num_blocks"]:
-        """Where blocks of about a length [s] begin among the measurements compared."""
+        """Return where blocks of about a length [s] begin among the measurements that are compared."""
         starts, num_before = [], 0
-        for motion in self._motions:
-            time = motion.recording.t_meas[is_settled(motion.recording)]
+        for grid in self._grids:
+            time = grid.recording.t_meas[is_settled(grid.recording)]
             edges = np.linspace(time[0], time[-1], max(1, round(np.ptp(time) / seconds)), endpoint=False)
             starts.append(num_before + np.unique(np.searchsorted(time, edges)))
             num_before += len(time)
         return np.concatenate(starts)
 
     def split(self, positions: Settled) -> list[np.ndarray]:
-        """Simulated positions, recording by recording."""
-        return np.split(positions, np.cumsum([len(motion.index) for motion in self._motions])[:-1])
+        """Return simulated positions, recording by recording."""
+        return np.split(positions, np.cumsum([len(grid.index) for grid in self._grids])[:-1])
 
     def simulate(
         self, candidates: Sequence[JointDynamics], encoders: Sequence[Encoders] = ()
     ) -> Float[np.ndarray, "num_candidates num_settled num_joints"]:
-        """What encoders read at the measurement times under each candidate [rad]; perfect ones by default.
+        """Return the encoders' measurements under each candidate [rad]; without `encoders` they are perfect.
 
-        Candidates that are the same are simulated once, however they are measured.
+        Equal candidates are simulated once.
         """
-        num = len(self._motions)
+        num = len(self._grids)
         encoders = encoders or [Encoders.perfect(num, len(self.joints))] * len(candidates)
         different = list(dict.fromkeys(candidates))
         chunk = max(1, MAX_COPIES // num)
         batches = [different[i : i + chunk] for i in range(0, len(different), chunk)]
-        copies = [[(each, motion) for each in batch for motion in self._motions] for batch in batches]
+        copies = [[(each, grid) for each in batch for grid in self._grids] for batch in batches]
         paths = [path for batch in copies for path in np.moveaxis(self._roll_out(batch), 1, 0)]
         measured = []
         for candidate, own in zip(candidates, encoders, strict=True):
             first = num * different.index(candidate)
-            parts = [
-                behind_play(motion.sample(path[: len(motion.edges)], drift), own.play)
-                for motion, path, drift in zip(
-                    self._motions, paths[first : first + num], own.drift, strict=True
-                )
-            ]
-            measured.append(np.concatenate(parts))
+            own_paths = zip(self._grids, paths[first : first + num], own.drift, strict=True)
+            sampled = [grid.sample(path[: len(grid.edges)], drift) for grid, path, drift in own_paths]
+            measured.append(np.concatenate([behind_play(each, own.play) for each in sampled]))
         return np.stack(measured)
 
     def _roll_out(
-        self, copies: Sequence[tuple[JointDynamics, _Motion]]
+        self, copies: Sequence[tuple[JointDynamics, _Grid]]
     ) -> Float[np.ndarray, "num_edges num_copies num_joints"]:
-        """Positions at every edge [rad]."""
-        num_threads = 0 if len(copies) >= THREADED_COPIES else 1
-        simulation = BatchSimulation(self._model, len(copies), num_threads)
+        """Return positions at every edge [rad]."""
+        num_threads = min(len(os.sched_getaffinity(0)), len(copies)) if len(copies) >= THREADED_COPIES else 1
+        batch = Batch(self._model, len(copies), num_threads, persistent=True)
         candidates = [dynamics for dynamics, _ in copies]
-        qpos, qvel = (simulation.bind(name).numpy() for name in ("qpos", "qvel"))
-        start = np.stack([motion.start for _, motion in copies], axis=1)
+        qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+        start = np.stack([grid.start for _, grid in copies], axis=1)
         qpos[:], qvel[:] = start
-        servos = Servos(simulation, candidates, self._efforts, self.link_inertia, self._dt)
+        servos = RecordedServos(batch, candidates, self._efforts, self.link_inertia, self._dt)
         filters = CommandFilters(self._dt, start, candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))
@@ -323,24 +388,24 @@ class RecordedMotion:
             mean, first, last, share = arriving.take(index, axis=1)
             target = filters.step(mean)
             servos.drive(target + first, target + last, share)
-            simulation.step()
+            batch.step(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
             paths[k + 1] = qpos
         return paths
 
 
-def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Delayed commands, as `step_commands` has them; a short recording holds its last.
+def _commands(copies: Sequence[tuple[JointDynamics, _Grid]], dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the different delayed commands as `step_commands` does, and which of them each copy has.
 
-    They are the different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
+    Their shape is (num_steps, 4, num_different, num_joints). A short recording holds its last command.
     """
     known: dict[tuple[int, bytes, bytes], np.ndarray] = {}
     keys = []
-    num_steps = max(len(motion.edges) for _, motion in copies) - 1
-    for dynamics, motion in copies:
+    num_steps = max(len(grid.edges) for _, grid in copies) - 1
+    for dynamics, grid in copies:
         lag = command_lag(dynamics, dt)
-        keys.append((id(motion), lag.tobytes(), dynamics.has_filter.tobytes()))
+        keys.append((id(grid), lag.tobytes(), dynamics.has_filter.tobytes()))
         if keys[-1] not in known:
-            values = step_commands(motion.recording.t_cmd, motion.recording.q_cmd, motion.edges, lag)
+            values = step_commands(grid.recording.t_cmd, grid.recording.q_cmd, grid.edges, lag)
             values[:, 1:3, dynamics.has_filter] = 0.0  # a filter turns jumps into slopes
             known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0), (0, 0)), mode="edge")
     order = list(known)

@@ -16,7 +16,7 @@ from zipfile import BadZipFile
 import torch
 
 from pixel2catch import files
-from pixel2catch.archives import open_archive
+from pixel2catch.arrays import open_archive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError, InvalidValueError
 from pixel2catch.learning.config import CONFIG_FILE
