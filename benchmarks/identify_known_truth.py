@@ -1,6 +1,6 @@
 """Rehearse recordings of a robot whose joints are known, identify them, and print how far off the result is.
 
-python benchmarks/identify_known_truth.py OUT [--truth-hz 480] [--fit-hz 480] [--filter]
+python benchmarks/identify_known_truth.py OUT [--fit-hz 480] [--filter]
 
 It runs what a user runs: `excite --rehearse`, then `identify` on two of the three recordings. Every parameter
 of the truth is up to 40 % off; encoders have 0.2 mrad of noise, commands are 12 ms late, 5 % of the turns of
@@ -55,7 +55,7 @@ def main() -> None:
         worst = max(errors[name], key=lambda joint: errors[name][joint])
         print(f"worst {name}: {errors[name][worst]:.3f} ({worst}), goal {goal:g}")
     print(", ".join(f"{name} {value:.0f}" for name, value in spent.items()))
-    content = {"rates [Hz]": [args.truth_hz, args.fit_hz], **spent, "goals": goals, "errors": errors}
+    content = {"rate of the fit [Hz]": args.fit_hz, **spent, "goals": goals, "errors": errors}
     (args.out / "known_truth.json").write_text(
         json.dumps(content | {"coverage": covered(result, truth)}, indent=2)
     )
@@ -67,10 +67,7 @@ def parsed() -> argparse.Namespace:
     )
     parser.add_argument("out", type=Path, help="new folder")
     parser.add_argument("--robot", default="ur5e_allegro", choices=("ur5e", "allegro", "ur5e_allegro"))
-    parser.add_argument(
-        "--truth-hz", type=float, default=480.0, help="physics steps in a second of the truth"
-    )
-    parser.add_argument("--fit-hz", type=float, default=480.0, help="and of the fit")
+    parser.add_argument("--fit-hz", type=float, default=480.0, help="physics rate of the fit [Hz]")
     parser.add_argument("--filter", action="store_true", help="a UR5e's stiff servo behind the servoJ filter")
     parser.add_argument("--seconds", type=float, default=40.0, help="length of each recording")
     parser.add_argument("--seed", type=int, default=0)
@@ -84,9 +81,8 @@ def rehearsed(args: argparse.Namespace) -> None:
         truth = args.out / "with_filter.json"
         stiff = start_of_fit("ur5e", None, fits_filter=True).first
         DynamicsFile(dynamics=stiff.with_values(latency=0.004)).save(truth)
-        options += ["--truth", str(truth)]
-    rates = ["--speed", "1", "--recordings", "3", "--physics-hz", str(args.truth_hz)]
-    run("excite", *options, *rates, "--rehearse", str(args.out / "rehearsal"))
+        options += ["--dynamics", str(truth)]
+    run("excite", *options, "--speed", "1", "--recordings", "3", "--rehearse", str(args.out / "rehearsal"))
 
 
 def run(*command: str) -> None:

@@ -13,15 +13,15 @@ import torch
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
+from pixel2catch.arrays import read_table
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison import ComparisonFolder
 from pixel2catch.evaluation.curves import COLUMNS, read_metrics
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import as_json, json_text
-from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.joints import joints_of
-from pixel2catch.identification.recording import Recording, Trajectory
+from pixel2catch.identification.importers import read_rosbag
+from pixel2catch.identification.recording import Recording, Trajectory, joints_of
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import read_run
@@ -130,12 +130,10 @@ def _trajectory(folder: Path) -> Path:
     return folder / "path.npz"
 
 
-def _logs(folder: Path) -> Path:
-    rows = "\n".join(f"{0.1 * i}," + ",".join(map(str, HOME)) for i in range(20))
-    (folder / "commands.csv").write_text("t," + ",".join(f"q_{i}" for i in range(6)) + "\n" + rows + "\n")
-    names = ",".join(f"actual_q_{i}" for i in range(6))
-    (folder / "rtde.csv").write_text(f"timestamp,{names}\n{rows}\n")
-    return folder / "rtde.csv"
+def _table(folder: Path) -> Path:
+    rows = "\n".join(f"view_{i}.png," + ",".join(map(str, HOME)) for i in range(20))
+    (folder / "views.csv").write_text(f"image,{','.join(ARM)}\n{rows}\n")
+    return folder / "views.csv"
 
 
 def _bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
@@ -170,7 +168,7 @@ def _read_bag(file: Path) -> None:
 
     path, errors = file if file.suffix != ".yaml" else file.parent, []
     for read in (
-        lambda: read_recording(path, "ur5e"),
+        lambda: read_rosbag(path, ARM),
         lambda: [*ticks_of(SourceCfg(name=str(path), joints=ARM), [])],
         lambda: read_intrinsics(path, CharucoBoard()),
     ):
@@ -261,9 +259,9 @@ KINDS = {
     "camera": Kind(write=_camera, read=CameraFile.load, change=changed_json),
     "labels": Kind(write=_labels, read=Labels.load, change=changed_json),
     "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
-    "recording": Kind(write=_recording, read=lambda file: read_recording(file, "ur5e"), change=changed_npz),
+    "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
     "trajectory": Kind(write=_trajectory, read=Trajectory.load, change=changed_npz),
-    "logs": Kind(write=_logs, read=lambda file: read_recording(file.parent, "ur5e"), change=changed_csv),
+    "table": Kind(write=_table, read=lambda file: read_table(file).columns(ARM), change=changed_csv),
     "mcap": Kind(write=_bag, read=_read_bag),
     "sqlite": Kind(write=_sqlite, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),

@@ -31,7 +31,7 @@ def excitation(
 
 
 def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:
-    """What encoders with noise say, read at 125 Hz by a clock that stalls; the robot rests at first."""
+    """Measurements with noise at 125 Hz by a clock that stalls; the robot rests at first."""
     t_cmd, q_cmd = excitation(rng, truth.joints, seconds - SETTLING)
     t_meas = stalled_clock(rng, seconds, 0.008)
     q = np.repeat(q_cmd[:1], len(t_meas), axis=0)

@@ -1,12 +1,8 @@
 """Hand-made recordings: joints that follow sines with a known lag."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 
-from pixel2catch.identification.joints import joints_of, specs_of
-from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.recording import Recording, joints_of, specs_of
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 JOINT_SPECS = specs_of(UR5E_ALLEGRO)
@@ -61,27 +57,3 @@ def assert_same(got: Recording, expected: Recording, tolerance: float = 0.0) -> 
         if one is not None:
             assert one.dtype == np.float64
             np.testing.assert_allclose(one, other, rtol=0, atol=tolerance, err_msg=name)
-
-
-def write_rtde(folder: Path, recording: Recording, separator: str = ",") -> Path:
-    """A folder as a robot's log and a sender's log fill it, with a column that nobody asks for."""
-    folder.mkdir()
-    assert recording.qd is not None
-    names = ["timestamp", *(f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)), "robot_mode"]
-    measured = np.column_stack([rows(recording), recording.qd, np.full(len(recording.q), 7)])
-    command = np.column_stack([recording.t_cmd, recording.q_cmd])
-    _write(folder / "rtde.csv", names, measured, separator)
-    _write(folder / "commands.csv", ["t", *(f"q_{i}" for i in range(6))], command, separator)
-    return folder
-
-
-def edit_line(path: Path, number: int, edit: Callable[[str], str]) -> None:
-    """Change one line of a text file, counted from 1."""
-    lines = path.read_text().splitlines()
-    lines[number - 1] = edit(lines[number - 1])
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _write(path: Path, names: list[str], values: np.ndarray, separator: str) -> None:
-    lines = [separator.join(names), *(separator.join(map(repr, map(float, row))) for row in values)]
-    path.write_text("\n".join(lines) + "\n")

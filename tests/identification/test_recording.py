@@ -1,17 +1,25 @@
-"""A recording keeps what was recorded, and refuses what no robot can have done."""
+"""Recordings and trajectories as files, and the motion that they refuse."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from recorded import ARM, ROBOTS, assert_same, short
 
-from paper_robot import JOINTS
+from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
-from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.recording import Place, Recording, require_motion
+from pixel2catch.identification.recording import (
+    REST,
+    Recording,
+    Trajectory,
+    joints_of,
+    largest_step,
+    parts,
+    require_motion,
+)
+from pixel2catch.workcells.ur5e_allegro import TWO_UR5E_ALLEGRO, UR5E_ALLEGRO
 
 
 def with_cell(values: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
@@ -20,36 +28,46 @@ def with_cell(values: np.ndarray, row: int, column: int, value: float) -> np.nda
     return changed
 
 
-def test_robots_are_the_joints_of_the_agents():
+def test_parts_are_robots_groups_and_everything():
+    assert list(parts(UR5E_ALLEGRO)) == ["ur5e", "allegro_left", "arm", "hand", "ur5e_allegro"]
     assert ROBOTS["ur5e"] + ROBOTS["allegro"] == ROBOTS["ur5e_allegro"] == tuple(spec.name for spec in JOINTS)
+    assert joints_of(UR5E_ALLEGRO, "allegro") == joints_of(UR5E_ALLEGRO, "hand")
+    assert joints_of(TWO_UR5E_ALLEGRO, "right_ur5e")[0] == "right_shoulder_pan_joint"
+    with pytest.raises(UnknownNameError, match="Valid: left_ur5e"):
+        joints_of(TWO_UR5E_ALLEGRO, "right")
 
 
-def test_canonical_file_keeps_every_bit(tmp_path: Path):
-    recording = short()
-    recording.save(tmp_path / "motion.npz")
-    assert_same(Recording.load(tmp_path / "motion.npz"), recording)
-    without = replace(recording, qd=None, effort=None)
-    without.save(tmp_path / "positions.npz")
-    assert_same(read_recording(tmp_path / "positions.npz", "ur5e"), without)
-
-
-def test_saving_overwrites_nothing(tmp_path: Path):
+def test_a_file_keeps_every_bit_and_is_not_overwritten(tmp_path: Path):
     path = tmp_path / "motion.npz"
-    path.write_bytes(b"precious")
+    short().save(path)
+    assert_same(Recording.load(path), short())
+    without = replace(short(), qd=None, effort=None)
+    without.save(tmp_path / "positions.npz")
+    assert_same(Recording.load(tmp_path / "positions.npz"), without)
     with pytest.raises(InvalidValueError, match="exists; choose another name"):
-        short().save(path)
-    assert path.read_bytes() == b"precious"
+        without.save(path)
+    assert_same(Recording.load(path), short())
 
 
-def test_joints_are_found_by_name(tmp_path: Path):
-    recording = short()
-    backwards = recording.select(ARM[::-1])
+def test_joints_are_found_by_name():
+    backwards = short().select(ARM[::-1])
     assert backwards.joints == ARM[::-1]
-    np.testing.assert_array_equal(backwards.q[:, 0], recording.q[:, 5])
-    backwards.save(tmp_path / "motion.npz")
-    assert_same(read_recording(tmp_path / "motion.npz", "ur5e"), recording)
-    with pytest.raises(RecordingError, match=r"no joint index_joint_1, .* recorded are .* another --robot"):
-        read_recording(tmp_path / "motion.npz", "allegro")
+    np.testing.assert_array_equal(backwards.q[:, 0], short().q[:, 5])
+    assert_same(backwards.select(ARM), short())
+    one = backwards.select(ARM[2:3])
+    assert one.select(ARM, is_partial=True).joints == ARM[2:3]
+    with pytest.raises(RecordingError, match=r"no joint index_joint_1; it has .* another --robot"):
+        short().select(("index_joint_1",))
+
+
+def test_joints_may_have_other_names_in_a_file(tmp_path: Path):
+    arrays = {name: getattr(short(), name) for name in ("t_cmd", "q_cmd", "t_meas", "q")}
+    theirs = [f"joint_{i}" for i in range(6)]
+    np.savez(tmp_path / "motion.npz", joints=np.array(theirs), **arrays)
+    read = Recording.load(tmp_path / "motion.npz", names=dict(zip(theirs, ARM, strict=True)))
+    assert_same(read, replace(short(), qd=None, effort=None))
+    with pytest.raises(RecordingError, match=r"motion\.npz: .* no joint joint_0, .* Rename these"):
+        Recording.load(tmp_path / "motion.npz")
 
 
 @pytest.mark.parametrize(
@@ -57,83 +75,124 @@ def test_joints_are_found_by_name(tmp_path: Path):
     [
         (lambda r: {"q": with_cell(r.q, 3, 2, np.nan)}, "q, qd, effort, row 3, column elbow_joint: nan"),
         (lambda r: {"effort": with_cell(r.effort, 4, 0, np.inf)}, "row 4, column shoulder_pan_joint: inf"),
-        (lambda r: {"q_cmd": with_cell(r.q_cmd, 1, 5, np.nan)}, "q_cmd, row 1, column wrist_3_joint: nan"),
         (lambda r: {"t_meas": with_cell(r.t_meas[:, None], 2, 0, np.nan)[:, 0]}, "row 2, column time: nan"),
         (lambda r: {"t_cmd": r.t_cmd[::-1].copy()}, "q_cmd, row 1: time runs backwards, 0.3"),
         (lambda r: {"q": np.degrees(r.q)}, "row 0, column shoulder_pan_joint: 1.* convert it to radians"),
         (lambda r: {"q_cmd": r.q_cmd[:1], "t_cmd": r.t_cmd[:1]}, "no motion, .* two rows"),
-        (lambda r: {"joints": ARM[:-1]}, "5 times and 5 joints need"),
+        (lambda r: {"joints": ARM[:-1]}, "5 times and 5 joints"),
+        (lambda _: {"joints": (*ARM[:2], "elbow", *ARM[3:])}, "'elbow'.*Did you mean 'elbow_joint'"),
     ],
 )
 def test_impossible_motion_is_refused(change, message: str):
-    recording = short()
-    with pytest.raises(RecordingError, match=message):
-        replace(recording, **change(recording))
+    with pytest.raises(Pixel2CatchError, match=message):
+        replace(short(), **change(short()))
 
 
-def test_a_row_too_few_is_refused():
-    recording = short()
-    with pytest.raises(RecordingError, match=r"shape \(10, 6\), but 11 times and 6 joints need \(11, 6\)"):
-        require_motion(Place(source="arm"), ARM, recording.t_meas, recording.q, recording.q[:-1])
-
-
-def test_unknown_joint_is_named():
-    with pytest.raises(UnknownNameError, match=r"'elbow'.*Did you mean 'elbow_joint'"):
-        replace(short(), joints=(*ARM[:2], "elbow", *ARM[3:]))
-
-
-def test_hand_in_degrees_is_refused_although_an_arm_may_stand_there():
-    motion = {"t_cmd": np.arange(3.0), "t_meas": np.arange(3.0), "q": np.full((3, 1), 5.0)}
-    arm = Recording(joints=("elbow_joint",), q_cmd=motion["q"], **motion)
+def test_the_reach_is_that_of_an_arm_or_a_hand():
+    """5 rad are possible for an elbow, not for a thumb."""
+    time, positions = np.arange(3.0), np.full((3, 1), 5.0)
+    require_motion("file", ("elbow_joint",), time, positions)
     with pytest.raises(RecordingError, match=r"5 rad is beyond the joint's reach of 3\.14 rad; .* degrees"):
-        replace(arm, joints=("thumb_joint_1",))
+        require_motion("file", ("thumb_joint_1",), time, positions)
 
 
-def write_text(path: Path) -> None:
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"q": np.zeros((3, 6))}, "no array t_cmd, q_cmd, t_meas; a recording has"),
+        ({"t_cmd": np.array([{}, None]), "q_cmd": 1, "t_meas": 1, "q": 1}, "it has an array of object"),
+        (None, "it is not a whole npz file"),
+    ],
+)
+def test_a_broken_file_is_refused(arrays: dict | None, message: str, tmp_path: Path):
+    path = tmp_path / "motion.npz"
     path.write_text("hello")
+    if arrays is not None:
+        np.savez(path, joints=np.array(ARM), **arrays)
+    with pytest.raises(RecordingError, match=rf"motion\.npz.*{message}"):
+        Recording.load(path)
 
 
-def write_nothing(path: Path) -> None:
-    path.touch()
+MOVED = ("elbow_joint", "index_joint_1")
+HOME = (ARM_JOINTS[2].home, HAND_JOINTS[0].home)
 
 
-def write_halves(path: Path) -> None:
-    np.savez(path, joints=np.array(ARM), q=np.zeros((3, 6)))
+def arrays() -> tuple[np.ndarray, np.ndarray]:
+    """A jump of 0.1 rad of both joints, there and back, at 10 Hz."""
+    times = np.arange(41) / 10.0
+    positions = np.tile(HOME, (41, 1))
+    positions[15:25] += 0.1
+    return times, positions
 
 
-def write_objects(path: Path) -> None:
-    np.savez(path, joints=np.array(ARM), t_cmd=np.array([{}, None]), q_cmd=1, t_meas=1, q=1)
+def trajectory(times: np.ndarray, positions: np.ndarray, joints: tuple[str, ...] = MOVED) -> Trajectory:
+    return Trajectory(joints=joints, times=times, positions=positions, header={"seed": 7, "shrunk": {}})
+
+
+def test_a_target_holds_until_the_next():
+    found = trajectory(*arrays()).at(np.array([-1.0, 1.49, 1.5, 2.44, 2.5, 9.0]))
+    np.testing.assert_allclose(found[:, 1], [0.0, 0.0, 0.1, 0.1, 0.0, 0.0])
+
+
+def test_largest_step_by_hand():
+    # 0.9 of 2.79253 rad/s, times 343 N·m·s/rad over 2536 N·m/rad; 0.9 of 7 rad/s, times 0.1 over 3
+    assert largest_step(ARM_JOINTS[2]) == pytest.approx(0.33993, abs=1e-5)
+    assert largest_step(HAND_JOINTS[0]) == pytest.approx(0.21)
+
+
+def test_a_trajectory_file_keeps_every_bit(tmp_path: Path):
+    written = trajectory(*arrays())
+    written.save(tmp_path / "motion.npz")
+    read = Trajectory.load(tmp_path / "motion.npz")
+    assert (read.joints, read.header) == (MOVED, {"seed": 7, "shrunk": {}})
+    np.testing.assert_array_equal(read.times, written.times)
+    np.testing.assert_array_equal(read.positions, written.positions)
+
+
+def spoiled(fault: str) -> Trajectory:
+    times, positions = arrays()
+    rows, columns, change = {
+        "limit": (slice(15, 25), 1, np.linspace(0.0, 1.7, 10)),
+        "jump": (slice(15, 25), 0, 0.25),
+        "number": (20, 1, np.nan),
+        "no rest": (slice(5, 15), slice(None), 0.05),
+        "no return": (slice(25, None), slice(None), 0.1),
+    }.get(fault, (0, 0, 0.0))
+    positions[rows, columns] += change
+    row, change = {"backwards": (20, -1.0), "twice": (20, -0.1), "late": (slice(None), 0.5)}.get(
+        fault, (0, 0.0)
+    )
+    times[row] += change
+    end = 15 if fault == "short" else None
+    return trajectory(times[:end], positions[:end], MOVED[::-1] if fault == "order" else MOVED)
 
 
 @pytest.mark.parametrize(
-    ("write", "message"),
+    ("fault", "words"),
     [
-        (write_text, "motion.npz.: it is no whole npz file"),
-        (write_nothing, "it is no whole npz file"),
-        (write_halves, "no array t_cmd, q_cmd, t_meas; a recording has"),
-        (write_objects, "it has an array of object"),
+        ("limit", r"target 23 .* of index_joint_1, 1\.6111 rad, is beyond the joint's limits"),
+        ("jump", r"target 15 \(1\.500 s\) of elbow_joint, 2\.4444 rad, is farther from the target before"),
+        ("number", "row 20, column index_joint_1: nan"),
+        ("backwards", "row 20: time runs backwards"),
+        ("twice", r"target 20 is due at 1\.9 s"),
+        ("late", r"target 0 is due at 0\.5 s"),
+        ("no rest", r"target 5 \(0\.500 s\) of elbow_joint, .* moves in the first or last"),
+        ("no return", r"target 30 \(3\.000 s\) of elbow_joint, .* moves in the first or last"),
+        ("short", rf"it lasts 1\.4 s; it needs {REST:g} s of rest at each end"),
+        ("order", "in the order"),
     ],
 )
-def test_broken_canonical_file_is_refused(write, message: str, tmp_path: Path):
-    write(tmp_path / "motion.npz")
-    with pytest.raises(RecordingError, match=message) as caught:
-        read_recording(tmp_path / "motion.npz", "ur5e")
-    assert str(tmp_path / "motion.npz") in str(caught.value)
+def test_a_trajectory_that_a_robot_should_not_follow_is_refused(fault: str, words: str):
+    with pytest.raises(Pixel2CatchError, match=words):
+        spoiled(fault)
 
 
 @pytest.mark.parametrize(
-    ("name", "robot", "message"),
-    [
-        ("none.npz", "ur5e", "there is no such file"),
-        ("notes.txt", "ur5e", "unknown format; a recording is an .npz file .* rosbag2"),
-        (".", "ur5e", "unknown format"),
-        ("log.parquet", "ur5e", "parquet is not read; save its columns with numpy.savez"),
-        ("notes.txt", "ur5", "unknown robot 'ur5'. Did you mean 'ur5e'"),
-    ],
+    ("header", "words"), [('{"format_version": 2}', "format_version is 2"), ("{", "JSON"), (None, "header")]
 )
-def test_unknown_input_is_refused(name: str, robot: str, message: str, tmp_path: Path):
-    for file in ("notes.txt", "log.parquet"):
-        (tmp_path / file).write_text("hello")
-    with pytest.raises(Pixel2CatchError, match=message) as caught:
-        read_recording(tmp_path / name, robot)
-    assert robot == "ur5" or re.escape(str(tmp_path)) in re.escape(str(caught.value))
+def test_a_broken_trajectory_file_is_refused(header: str | None, words: str, tmp_path: Path):
+    times, positions = arrays()
+    content: dict[str, Any] = {"joints": MOVED, "times": times, "positions": positions}
+    np.savez(tmp_path / "motion.npz", **content, **({} if header is None else {"header": header}))
+    with pytest.raises(InvalidValueError, match=rf"motion\.npz.*{words}"):
+        Trajectory.load(tmp_path / "motion.npz")

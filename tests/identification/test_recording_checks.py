@@ -11,17 +11,15 @@ from recorded import AMPLITUDE, ARM, FREQUENCIES, JOINT_SPECS, LAG, ROBOTS, clea
 from rich.console import Console
 
 from pixel2catch.identification.checks import (
-    Check,
+    DataCheck,
     check_recording,
-    command_lag,
-    encoder_step,
     excess_time,
-    position_noise,
+    measured_lag,
     progress,
     smoothed,
 )
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.report_tables import check_grid
+from pixel2catch.identification.report import check_grid
 from pixel2catch.workcells import find_workcell
 
 CLOCKS = ["measurement times", "command times"]
@@ -29,7 +27,7 @@ WHOLE = [*CLOCKS, "motion", "speeds", "stalls", "repeated samples", "clock offse
 EACH = ["follows its command", "saturation", "excitation"]
 
 
-def find(checks: list[Check], name: str, joint: str | None = None) -> Check:
+def find(checks: list[DataCheck], name: str, joint: str | None = None) -> DataCheck:
     (check,) = (each for each in checks if (each.name, each.joint) == (name, joint))
     return check
 
@@ -38,12 +36,12 @@ def failures(recording: Recording) -> set[tuple[str, str | None]]:
     return {(check.name, check.joint) for check in check_recording(recording) if check.is_good is False}
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_clean_recording_passes(robot: str):
-    recording = clean(ROBOTS[robot])
-    qd = speed(recording.t_meas - LAG, ROBOTS[robot])
+@pytest.mark.parametrize("joints", [ROBOTS["ur5e_allegro"], ARM[2:3]], ids=["all", "elbow"])
+def test_clean_recording_passes(joints: tuple[str, ...]):
+    recording = clean(joints)
+    qd = speed(recording.t_meas - LAG, joints)
     checks = check_recording(replace(recording, qd=qd, effort=np.zeros_like(recording.q)))
-    assert [check.name for check in checks] == WHOLE + EACH * len(ROBOTS[robot])
+    assert [check.name for check in checks] == WHOLE + EACH * len(joints)
     assert all(check.is_good for check in checks)
 
 
@@ -139,21 +137,15 @@ def test_repeated_samples_are_found():
     assert find(check_recording(pause), "repeated samples").is_good
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.1037, -3.0, 1_790_000_000.0])
+@pytest.mark.parametrize("offset", [0.1037, 1_790_000_000.0])
 def test_lag_is_found_whatever_the_clocks(offset: float):
     """The held command is late by half its step, so that the motion is 56 ms behind what is held."""
     recording = replace(clean(), t_cmd=clean().t_cmd - offset)
-    lag = command_lag(recording) or 0.0
+    lag = measured_lag(recording) or 0.0
     assert lag == pytest.approx(LAG - 0.004 + offset, abs=1.1e-3)
     check = find(check_recording(recording), "clock offset")
     assert check.is_good == (-0.02 <= lag <= 0.3)
-    assert check.is_good or f"add {lag:.3f} s to the command's times" in check.detail
-
-
-def test_command_holds_until_the_next():
-    recording = replace(clean(), t_cmd=np.array([0.0, 1.0]), q_cmd=position(np.array([0.0, 0.5])))
-    times = np.array([-1.0, 0.0, 0.999, 1.0, 9.0])
-    np.testing.assert_array_equal(recording.held(times), recording.q_cmd[[0, 0, 0, 1, 1]])
+    assert check.is_good or f"add {lag:.3f} s to the times of the commands" in check.detail
 
 
 def test_swapped_and_stopped_joints_are_found():
@@ -165,7 +157,7 @@ def test_swapped_and_stopped_joints_are_found():
     assert {(name, ARM[2]), ("excitation", ARM[2])} == failures(replace(recording, q=q))
 
 
-@pytest.mark.parametrize("noise", [0.0, 9.5e-6, 2e-4])
+@pytest.mark.parametrize("noise", [0.0, 2e-4])
 def test_a_standstill_is_named_as_that(noise: float):
     recording = clean()
     q = recording.q[:1] + noise * np.random.default_rng(0).standard_normal(recording.q.shape)
@@ -175,7 +167,7 @@ def test_a_standstill_is_named_as_that(noise: float):
     assert find(check_recording(recording), "motion").detail.endswith("moved most, by 0.49 rad")
 
 
-def test_a_joint_that_is_not_commanded_cannot_be_told():
+def test_a_joint_without_commands_is_not_judged():
     recording = clean()
     still = np.where(np.arange(6) == 2, recording.q[0], recording.q)
     command = np.where(np.arange(6) == 2, recording.q_cmd[0], recording.q_cmd)
@@ -186,7 +178,7 @@ def test_a_joint_that_is_not_commanded_cannot_be_told():
     }
 
 
-ENCODERS = {"UR5": 9.5e-6, "Allegro hand": 8.9e-5, "a tenth of a degree": np.radians(0.1)}
+ENCODERS = {"UR5": 9.5e-6, "a tenth of a degree": np.radians(0.1)}
 
 
 @pytest.mark.parametrize("step", ENCODERS.values(), ids=ENCODERS)
@@ -201,23 +193,6 @@ def test_rounded_positions_are_neither_stalled_nor_repeated(step: float, has_spe
         checks = check_recording(replace(recording, q=rounded, q_cmd=ordered, qd=qd))
         for name in ("stalls", "repeated samples"):
             assert find(checks, name).is_good is not False, (slowness, find(checks, name).detail)
-
-
-def test_stalls_of_a_rounded_recording_are_found():
-    recording = stalled(150)
-    rounded = replace(recording, q=8.9e-5 * np.rint(recording.q / 8.9e-5), qd=None)
-    assert find(check_recording(rounded), "stalls").is_good is False
-
-
-def test_step_and_noise_are_read_from_the_positions():
-    recording = clean(noise=1e-3)
-    assert position_noise(recording.q) == pytest.approx(np.full(6, 1e-3), rel=0.05)
-    assert encoder_step(0.25 * np.rint(4.0 * recording.q)) == pytest.approx(np.full(6, 0.25))
-
-
-def test_one_joint_alone_is_checked():
-    recording = clean((ARM[2],))
-    assert all(check.is_good is not False for check in check_recording(recording))
 
 
 def test_saturation_is_the_share_at_the_limit():
@@ -241,7 +216,7 @@ def test_motion_is_smoothed_to_its_derivatives():
     np.testing.assert_allclose(np.abs(accelerations).max(0), AMPLITUDE * omega**2, rtol=0.1)
 
 
-def excited(path: np.ndarray) -> Check:
+def excited(path: np.ndarray) -> DataCheck:
     """The check of the elbow's excitation when it alone moves along a path."""
     recording = clean()
     q = recording.q.copy()
@@ -275,32 +250,15 @@ def test_weak_motion_is_a_warning_and_unsound_data_forbid_a_fit():
     assert [check.name for check in late if check.forbids_fit] == ["clock offset"]
 
 
-def printed(checks: list[Check]) -> str:
-    output = StringIO()
-    Console(file=output, width=200).print(check_grid("run", checks).for_terminal())
-    return output.getvalue()
-
-
-def test_joints_that_pass_share_a_line():
+def test_joints_with_the_same_verdict_share_a_row_and_verdicts_are_coloured():
     recording = clean()
     q = recording.q[0] + (recording.q - recording.q[0]) * [1.0, 1.0, 0.1, 1.0, 1.0, 1.0]
-    text = printed(check_recording(replace(recording, q=q)))
-    headline, footer = 4, 1
+    output = StringIO()
+    console = Console(file=output, width=200, force_terminal=True, color_system="standard")
+    console.print(check_grid("run [1]", check_recording(replace(recording, q=q))).for_terminal())
+    text = re.sub(r"\x1b\[[\d;]*m", "", output.getvalue())
     assert re.search(r"excitation +│ elbow_joint +│ weak +│ .*needs", text)
     assert re.search(r"excitation +│ 5 joints +│ good +│ +│", text)
     assert re.search(r"saturation +│ 6 joints +│ unknown +│ no effort was recorded", text)
-    assert len(text.splitlines()) == headline + len(WHOLE) + 4 + footer
-
-
-def test_report_tells_every_answer_with_and_without_colour():
-    checks = [
-        Check(name="stalls", is_good=False, detail="5 steps [ms]"),
-        Check(name="saturation", joint="elbow_joint", is_good=None, detail="no effort"),
-        Check(name="clock offset", is_good=True, detail="2 ms"),
-    ]
-    output = StringIO()
-    console = Console(file=output, width=100, force_terminal=True, color_system="standard")
-    console.print(check_grid("run [1]", checks).for_terminal())
-    assert "run [1]: 1 of 3 checks failed" in output.getvalue()
-    for coloured in ("\x1b[1;31mBAD", "\x1b[2munknown", "\x1b[32mgood", "5 steps [ms]", "elbow_joint"):
-        assert coloured in output.getvalue()
+    assert "run [1]: 1 of 25 checks failed" in text
+    assert "\x1b[33mweak" in output.getvalue()

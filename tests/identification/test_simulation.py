@@ -1,4 +1,4 @@
-"""The forward model of the fit: it is the simulator that a policy trains in, with commands on their way."""
+"""The forward model of the fit: the simulator that a policy trains in, with delayed commands."""
 
 from dataclasses import replace
 
@@ -8,16 +8,18 @@ import pytest
 from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import (
     FIT_DT,
+    Encoders,
     RecordedMotion,
-    mean_commands,
+    behind_play,
+    recorded_model,
     step_commands,
 )
 from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells.ur5e_allegro import TWO_UR5E_ALLEGRO, UR5E_ALLEGRO
 
 DT = 1.0 / 240.0
 ALL = ROBOTS["ur5e_allegro"]
@@ -90,10 +92,9 @@ def test_latency_shifts_the_motion():
     np.testing.assert_allclose(late[6:], prompt[:-6], atol=1e-4)
 
 
-@pytest.mark.parametrize("size", [0.05, 0.5])
-def test_the_time_step_hardly_matters(size: float):
-    """Not even for joints that large steps of the command drive to their torque limits."""
-    recording = held_steps(("shoulder_pan_joint", "wrist_3_joint"), size=size)
+def test_the_time_step_hardly_matters():
+    """Large steps of the command drive the joints to their torque limits."""
+    recording = held_steps(("shoulder_pan_joint", "wrist_3_joint"), size=0.5)
     dynamics = JointDynamics.nominal(recording.joints).with_values(latency=0.004)
     coarse, fine = (simulated(recording, dynamics, dt) for dt in (FIT_DT, FIT_DT / 8))
     assert np.sqrt(np.mean((coarse - fine) ** 2, axis=0)).max() < 1.5e-4
@@ -124,12 +125,12 @@ def test_delayed_command_counts_by_its_share_of_a_step():
     """A command 0 → 1 at 0.1 s arrives at 0.112 s: it holds for 8 of the 10 ms from 0.11 s."""
     edges = np.array((0.09, 0.10, 0.11, 0.12, 0.13))
     t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0, 5.0), (1.0, 5.0)))
-    mean = mean_commands(t_cmd, q_cmd, edges, np.array((0.012, 0.3)))
+    mean = step_commands(t_cmd, q_cmd, edges, np.array((0.012, 0.3)))[:, 0]
     np.testing.assert_allclose(mean[:, 0], (0.0, 0.0, 0.8, 1.0), atol=1e-9)
     np.testing.assert_allclose(mean[:, 1], 5.0)
 
 
-def test_a_step_knows_what_arrives_before_and_after_a_jump():
+def test_a_step_has_the_commands_before_and_after_a_jump():
     """As above; three commands in one step, 0, 1 and 5 for 2, 4 and 4 ms, keep their mean."""
     edges, latency = np.array((0.10, 0.11, 0.12, 0.13)), np.array((0.012,))
     t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0,), (1.0,)))
@@ -176,3 +177,30 @@ def test_clocks_that_drift_read_earlier_positions():
     expected = [np.interp(0.99 * time, time, column) for column in exact.T]
     is_inside = 0.99 * time > time[0]
     np.testing.assert_allclose(late[is_inside], np.stack(expected, axis=-1)[is_inside], atol=5e-4)
+
+
+def test_a_joint_moves_its_own_chain_and_what_hangs_on_it():
+    joints = tuple(joint.name for joint in TWO_UR5E_ALLEGRO.joints)
+    home = np.tile([joint.home for joint in TWO_UR5E_ALLEGRO.joints], (100, 1))
+    time = 0.01 * np.arange(100.0)
+    recording = Recording(
+        workcell=TWO_UR5E_ALLEGRO, joints=joints, t_cmd=time, q_cmd=home, t_meas=time, q=home
+    )
+    coupled = RecordedMotion([recording]).coupled
+    elbow, index = (joints.index(f"left_{name}") for name in ("elbow_joint", "index_joint_2"))
+    assert coupled[elbow].tolist() == [name.startswith("left_") for name in joints]
+    assert coupled[index].tolist() == [name.startswith("left_index") for name in joints]
+
+
+@pytest.mark.parametrize("joint", ["shoulder_pan_joint", "index_joint_2"])
+def test_a_joint_alone_moves_what_it_moves_in_the_start_pose(joint: str):
+    """By MuJoCo, as one of all joints in the start pose; with all at zero the pan moves six times as much."""
+    inertias = []
+    for names in (ALL, (joint,)):
+        model = recorded_model(UR5E_ALLEGRO, names, 0.002)
+        data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        data.qpos[:] = [JOINT_SPECS[name].home for name in names]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+        inertias.append(inertia[names.index(joint), names.index(joint)])
+    assert inertias[1] == pytest.approx(inertias[0], rel=1e-6)

@@ -13,7 +13,7 @@ import pytest
 from paper_robot import JOINTS
 from pixel2catch.cli import record
 from pixel2catch.cli.main import main
-from pixel2catch.identification.importers import Names, read_recording
+from pixel2catch.identification.importers import RecordedNames, read_rosbag
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import exact_file, unlike_nominal
 from pixel2catch.identification.simulation import RecordedMotion
@@ -23,7 +23,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = tuple(joint.name for joint in JOINTS[:6])
-NAMES = Names.of(Profile.load("ur5e_allegro_v4"), ARM)
+NAMES = RecordedNames.of(Profile.load("ur5e_allegro_v4"), ARM)
 
 WIRE = (0.0, 2.5e-3)
 """Least and largest time from a command's stamp to the servos behind the wire [s]: a cycle of the drivers,
@@ -69,7 +69,7 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     assert "BAD" not in checks
     assert re.search(r"stalls +│ +│ good", checks)
 
-    read = read_recording(recording, "arm", NAMES)
+    read = read_rosbag(recording, ARM, NAMES)
     dynamics = DynamicsFile.load(truth).dynamics.select(ARM)
     motion = RecordedMotion([read])
     late = np.linspace(*WIRE, 5)

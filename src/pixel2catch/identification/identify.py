@@ -217,16 +217,23 @@ def identify(
         SimulatedRecording(**vars(source), before=path_before, after=path_after)
         for source, path_before, path_after in zip(sources, before, after, strict=True)
     )
+    file = merged_file(fit, start, worse_than_command([each for each in motions if each.is_held_out]))
+    return Identification(start=start, fit=fit, file=file, motions=motions, physics_dt=cfg.physics_dt)
+
+
+def merged_file(fit: Fit, start: FitStart, worse: Sequence[str]) -> DynamicsFile:
+    """Return the result for training; joints of the start's file that were not fitted keep their entries.
+
+    `worse` are the fitted joints whose command predicts motion better than the simulation.
+    """
     old = start.file or DynamicsFile(dynamics=fit.dynamics, workcell=start.workcell)
-    worse = [name for name in old.worse_than_command if name not in fit.dynamics.joints]
-    worse += worse_than_command([motion for motion in motions if motion.is_held_out])
-    file = dataclasses.replace(
+    kept = [name for name in old.worse_than_command if name not in fit.dynamics.joints]
+    return dataclasses.replace(
         old,
         dynamics=fit.dynamics.over(old.dynamics),
         gains=gain_ranges(fit, old.gains, start.workcell),
-        worse_than_command=tuple(worse),
+        worse_than_command=(*kept, *worse),
     )
-    return Identification(start=start, fit=fit, file=file, motions=motions, physics_dt=cfg.physics_dt)
 
 
 def _encoders_of_all(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -> Encoders:
