@@ -20,7 +20,7 @@ from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project, ray_directions
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
-from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
+from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.robots.spec import JointSpec
@@ -207,7 +207,7 @@ def _surface(
 
 
 def _masks(
-    model: mujoco.MjModel, qpos: Float[Tensor, "num_frames nq"], view: View
+    model: mujoco.MjModel, qpos: Float[Tensor, "num_frames nq"], view: Viewpoint
 ) -> Bool[Tensor, "num_frames height width"]:
     """Render the object's masks."""
     with Renderer(model, view, shadows=False) as renderer:

@@ -51,7 +51,6 @@ COMMANDS = {
     "record {} --out {out}": ".npz",
     "export {} --format lerobot --out {out}": ".mcap",
     "train --resume --out {}": "",
-    "play --meshes {} --out {out}.mp4": "",
     "twin --dynamics {}": ".json",
     "--import {} evaluate": ".py",
 }

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
 from pixel2catch.rendering.camera import (
     CameraCfg,
     Exposure,
@@ -52,7 +51,7 @@ def test_the_thrower_sways_on_and_the_arm_swings_when_it_lets_go():
 
 
 @pytest.mark.parametrize("view", [STILL], indirect=True)
-@pytest.mark.parametrize("object_name", ["cone_l", "l_block"])
+@pytest.mark.parametrize("object_name", ["l_block"])
 def test_it_is_the_picture_of_the_room_without_shadows(view: RoomCamera, object_name: str):
     shown = exposure(object_name)
     room = build_room(SceneCfg(), object_name, 0)
@@ -88,19 +87,6 @@ def test_what_moves_is_smeared_over_what_stands_still(view: RoomCamera):
     ]
     # 8 cm at 2 m are 24 px; the first and the last of four pictures are 18 px apart.
     assert widths[1] - widths[0] == pytest.approx(18, abs=3)
-
-
-@pytest.mark.parametrize("view", [CAMERA], indirect=True)
-def test_with_shadows_the_sensor_has_the_same_noise(view: RoomCamera):
-    with RoomCamera(SceneCfg(), 0, CAMERA, shadows=True) as camera:
-        takers = (lambda: view.image(exposure()), lambda: camera.image(exposure()))
-        pairs = [[take().astype(float) for _ in range(2)] for take in takers]
-    variances = []
-    for first, second in pairs:
-        light = 0.5 * (first + second)
-        band = (light > 110) & (light < 140)
-        variances.append((first - second)[band].var())
-    assert variances[0] == pytest.approx(variances[1], rel=0.1)
 
 
 def test_the_robots_of_any_work_cell_are_drawn(opengl: None):

@@ -81,14 +81,6 @@ def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEn
     assert -20 * CONTROL_DT < times[0] <= -5 * CONTROL_DT
 
 
-def test_a_closed_eye_takes_no_images(env: CatchEnv):
-    throw(env, through_images=True)
-    assert isinstance(env.detector, RenderedDetector)
-    before = len(env.detector.shots)
-    throw(env, through_images=False)
-    assert len(env.detector.shots) == before
-
-
 def test_throws_are_recorded_with_the_time_of_their_release():
     cfg = EvaluationCfg(objects=("cube_l", "sphere_s"), num_envs=2, trials=1)
     for throw in recorded_throws(cfg, Idle(), METHOD):

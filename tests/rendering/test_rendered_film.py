@@ -1,7 +1,6 @@
 """The film of a throw: what moves, what the sensor adds, and the truth beside it."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,7 +10,7 @@ from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.camera import CameraCfg, Moment
-from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, HAND_DROP, Bystanders, build_room
 from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -65,14 +64,6 @@ def test_the_object_lies_on_the_throwers_hand_until_it_is_released():
     assert heights[2][2] > 0.2
 
 
-def test_the_arm_rests_and_then_swings_on_to_its_end():
-    bystanders = Bystanders(release_pos=RELEASE, phase=1.0)
-    arm = [bystanders.joint_pos(time)[4] for time in (-2.0, 0.0, 0.1, 0.3, 9.0)]
-    assert arm[:2] == [0.0, 0.0]
-    assert np.all(np.diff(arm[1:]) > 0.0)
-    assert arm[-1] == pytest.approx(FOLLOW_THROUGH)
-
-
 @pytest.mark.parametrize("film", [STILL], indirect=True)
 def test_the_true_box_is_where_the_object_projects_to(film: ThrowFilm):
     for pos in (RELEASE, np.array((1.5, -0.2, 1.6))):
@@ -92,20 +83,6 @@ def test_the_lead_in_shows_the_room_and_then_the_object_in_the_hand(film: ThrowF
     assert reds[2] - reds[1] > 0.5 * shots[2].num_pixels
 
 
-@pytest.mark.parametrize("film", [replace(STILL, exposure=0.02, part_length=8.0)], indirect=True)
-def test_what_moves_is_smeared_along_its_way_and_the_truth_is_its_middle(film: ThrowFilm):
-    pos = np.array((1.5, 0.6, 1.2))  # nothing else moves there
-    still, moving = film.shot(moment(pos)), film.shot(moment(pos, velocity=(0.0, -4.0, 0.0)))
-    assert torch.equal(still.box, moving.box)
-    xmin, ymin, xmax, ymax = (int(edge) for edge in still.box[0])
-    near = slice(ymin - 3, ymax + 3), slice(xmin - 40, xmax + 40)
-    changed = np.abs(moving.image[near].astype(int) - still.image[near]).max(axis=-1) > 20
-    columns = np.flatnonzero(changed.any(axis=0)) + xmin - 40
-    # 8 cm at 2 m are 24 px; the last of four pictures is 9 px from the middle.
-    assert columns.min() == pytest.approx(xmin - 9, abs=3)
-    assert columns.max() == pytest.approx(xmax + 9, abs=3)
-
-
 @pytest.mark.parametrize("film", [CameraCfg()], indirect=True)
 def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
     first, second = (film.shot(moment(RELEASE)).image.astype(float) for _ in range(2))
@@ -114,12 +91,3 @@ def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
         band = (light > low) & (light < high)
         expected = 2.0 * (1.5**2 + 0.05 * light[band].mean() + 1 / 12)
         assert difference[band].var() == pytest.approx(expected, rel=0.2)
-
-
-@pytest.mark.parametrize("film", [STILL], indirect=True)
-def test_encoders_are_noisy_and_the_robot_is_not(film: ThrowFilm):
-    shots = [film.shot(moment(RELEASE)) for _ in range(2)]
-    home = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
-    assert 0.0 < np.abs(shots[0].joint_pos - home).max() < 0.03
-    assert not np.array_equal(shots[0].joint_pos, shots[1].joint_pos)
-    assert np.array_equal(shots[0].image, shots[1].image)

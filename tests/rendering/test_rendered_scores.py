@@ -97,10 +97,6 @@ def test_the_object_is_lost_and_found_again():
     assert (report["losses"], report["reacquisitions"], report["reacquisition_images_p50"]) == (2, 1, 2)
 
 
-def test_a_phase_without_images_has_no_rates():
-    assert summary([])["held"] == {"images": 0, "hidden": 0, "seen_though_hidden": 0, "false_boxes": 0}
-
-
 def test_the_wait_after_a_gap_ends_with_the_first_good_box():
     scores = film_scores(SHOTS, SEEN)
     assert reacquisition(scores, 2) == 0

@@ -10,7 +10,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
 from pixel2catch.rendering.film import WIDE
-from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, View, find_gl_backend
+from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, Viewpoint, find_gl_backend
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg, build_model
@@ -49,17 +49,9 @@ def test_two_renderers_live_side_by_side():
 
 
 @pytest.mark.usefixtures("opengl")
-def test_the_model_keeps_its_own_drawing_settings():
-    before = MODEL.vis.quality.offsamples, MODEL.vis.global_.offwidth
-    with Renderer(MODEL, View(camera="rgb", width=1280, height=960)) as renderer:
-        assert renderer.image(MODEL.qpos0).shape == (960, 1280, 3)
-    assert (MODEL.vis.quality.offsamples, MODEL.vis.global_.offwidth) == before
-
-
-@pytest.mark.usefixtures("opengl")
 def test_a_path_is_drawn_into_one_picture():
     """A line through the middle of the picture, 2 m away."""
-    view = View(lookat=(0.0, 3.0, 1.5), distance=2.0, azimuth=90.0)
+    view = Viewpoint(lookat=(0.0, 3.0, 1.5), distance=2.0, azimuth=90.0)
     path = np.array([(x, 3.0, 1.5) for x in (-0.3, 0.0, 0.3)])
     with Renderer(MODEL, view, shadows=False) as renderer:
         before, shown = renderer.image(MODEL.qpos0), renderer.image(MODEL.qpos0, path=path)
@@ -76,12 +68,6 @@ def test_what_collides_is_not_drawn_of_a_body_that_has_looks():
         base, table = (renderer.model.geom(name).id for name in ("base_link", "table"))
         assert groups[base] not in DRAWN_GROUPS
         assert groups[table] in DRAWN_GROUPS
-
-
-@pytest.mark.usefixtures("opengl")
-def test_an_unknown_camera_names_the_valid_ones():
-    with pytest.raises(InvalidValueError, match=r"no camera 'side'\. Valid: rgb"):
-        Renderer(MODEL, View(camera="side"))
 
 
 def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyPatch):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pixel2catch.checks import Count, FilmPath, Seed
+from pixel2catch.checks import Count, FilmPath
 from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
 from pixel2catch.errors import DeviceUnavailableError
@@ -16,7 +16,6 @@ class Catch:
     """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short film."""
 
     throws: Count = 300  #: Throws of seen objects, and again as many of unseen ones.
-    seed: Seed = 0  #: Seed of everything that is drawn.
     video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:
@@ -36,7 +35,6 @@ class Catch:
             objects=OBJECT_GROUPS["seen"],
             num_envs=self.throws // rounds,
             trials=rounds,
-            seed=self.seed,
             task=task_of(policy),
         )
         say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")

@@ -15,9 +15,9 @@ from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
+    from pixel2catch.camera.image import Pixels
     from pixel2catch.evaluation.protocol import EvaluationCfg
     from pixel2catch.evaluation.recorded_throws import ThrowCollection
-    from pixel2catch.rendering.film import Picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,13 +87,13 @@ class Evaluate:
             say(f"wrote {self.html}")
 
 
-def _strips(collection: "ThrowCollection", cfg: "EvaluationCfg") -> "dict[str, Picture]":
+def _strips(collection: "ThrowCollection", cfg: "EvaluationCfg") -> "dict[str, Pixels]":
     """Draw stills of the example of each outcome; return nothing without graphics."""
     from pixel2catch.rendering.film import strips
 
     examples = collection.misses_first
     try:
-        pictures = strips([*examples.values()], cfg.task.scene, "outside")
+        pictures = strips([*examples.values()], cfg.task.scene, has_inset=False)
     except DeviceUnavailableError:
         return {}
     return dict(zip(examples, pictures, strict=True))

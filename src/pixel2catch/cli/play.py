@@ -1,8 +1,7 @@
-"""`pixel2catch play`: a film of throws."""
+"""`pixel2catch play`: a film of throws, or a page to play with."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from tyro.conf import Positional
 
@@ -28,14 +27,8 @@ class Play:
     objects: tuple[str, ...] = ("seen",)
     throws: Count = 4  #: Number of throws.
     seed: Seed = 0  #: Seed of everything that is drawn.
-    web: bool = False  #: Whether to serve a page with throws to play with, instead of writing a video.
+    web: bool = False  #: Serve a page with throws to play with, instead of writing a video.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
-    #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
-    view: Literal["both", "outside", "rgb"] = "both"
-    #: Folder of a checkout of the MuJoCo Menagerie: the robots look like its meshes. robot_descriptions keeps
-    #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
-    meshes: Path | None = None
-    layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
@@ -46,10 +39,8 @@ class Play:
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.film import write_throws
-        from pixel2catch.rendering.meshes import require_meshes
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.scene.objects import select_objects
-        from pixel2catch.workcells import find_workcell
 
         prepare("cpu")
         find_gl_backend()
@@ -58,17 +49,12 @@ class Play:
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
-        if self.meshes:
-            require_meshes(find_workcell(task.scene.workcell), self.meshes)
         throws = recorded_throws(cfg, policy, method)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_throws(
             self.out,
             throws,
             task.scene,
-            self.view,
-            is_grid=self.layout == "grid",
-            meshes=self.meshes,
             on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
         )
         print(f"wrote {self.out}: {num_pictures} pictures")

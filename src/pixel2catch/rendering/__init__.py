@@ -1,4 +1,1 @@
-"""Pictures and videos of a scene, and the images that a real camera would take in a furnished room.
-
-Needs OpenGL without a display, which `find_gl_backend` looks for.
-"""
+"""Pictures and films of a scene, and images of a camera in a furnished room. Needs OpenGL."""

@@ -20,54 +20,53 @@ from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
 
-SURROUNDINGS = ("world", "floor")  #: Nothing hides behind these but the sky: walls, posters, floor, pedestal.
-AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].
-COARSE = (16, 8)  #: Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again.
-NOISE_LENGTH = 1 << 21  #: Numbers in the stock of noise; every image begins somewhere else in it.
+SURROUNDINGS = ("world", "floor")  #: Bodies that are drawn once: walls, posters, floor, pedestal.
+AWAY = (-9.0, 0.0, 1.0)  #: Position of an absent object, behind the camera [m].
+COARSE = (16, 8)  #: Slices and stacks of round geoms; fewer than MuJoCo's, to be faster.
+NOISE_LENGTH = 1 << 21  #: Number of stored noise values; every image begins at a random one.
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCfg:
-    """What the camera does to an image."""
+    """Exposure and noise of the camera."""
 
-    #: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to film
-    #: throws; the fastest objects pass 15 px in it.
+    #: Exposure time [s]. Source: ours, short for a room, as for filming throws; the fastest objects move
+    #: 15 px in it.
     exposure: float = 0.008
-    #: Furthest that object and palm move between two of the pictures that are averaged over the exposure
+    #: Largest motion of object and palm between two of the pictures that are averaged over the exposure
     #: [px]. Source: ours, less than half an object.
     part_length: float = 4.0
-    read_noise: float = 1.5  #: Standard deviation of the noise in the dark [levels]. Source: ours.
-    #: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at mid grey.
+    read_noise: float = 1.5  #: Standard deviation of the noise without light [levels]. Source: ours.
+    #: Variance of the noise per level of light [levels²]. Source: ours; in all 3 levels at mid grey.
     shot_noise: float = 0.05
 
 
-FAST_CAMERA = CameraCfg(part_length=8.0)  #: With fewer pictures in an exposure: two of the fastest objects.
+FAST_CAMERA = CameraCfg(part_length=8.0)  #: Fewer pictures per exposure: two of the fastest objects.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """What the camera looks at, in the middle of the exposure."""
+    """State of the scene in the middle of an exposure."""
 
     qpos: Float[np.ndarray, " nq"]  #: Positions of the simulation: robot, then object.
     qvel: Float[np.ndarray, " nv"]  #: Its velocities, taken as constant during the exposure.
-    time: float  #: Time [s], of the clock by which the bystanders move.
+    time: float  #: Time of the bystanders' motion [s].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """What there is to see."""
+    """What an image shows."""
 
     moment: Moment  #: The middle of the exposure.
-    object_name: str | None  #: What the thrower has, or has thrown; none in an empty room.
+    object_name: str | None  #: Object that is held or thrown; none in an empty room.
     thrower: Callable[[float], Float[np.ndarray, "6"]]  #: Positions of the bystanders' joints at a time [s].
 
 
 class RoomCamera(AbstractContextManager["RoomCamera"]):
     """Takes images in a room; close it, or use it as a context manager, in the thread that made it.
 
-    Without shadows it draws 30 images a second on a share of one core: what never moves is drawn once, and in
-    every image only robot, thrower, object and table are drawn over it. Shadows cost three times as much as
-    everything else without a GPU, and fall on what does not move.
+    Without shadows, the background is drawn once, and every image adds robot, thrower, object and table. With
+    shadows, everything is drawn in every image, which is much slower without a GPU.
     """
 
     def __init__(
@@ -79,10 +78,10 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         room: int | None = None,
         shadows: bool = False,
     ) -> None:
-        """Furnish the room and draw what stays; `room` is the seed of its looks, if not that of the noise.
+        """Furnish the room and draw the background; `room` is the seed of its looks, by default `seed`.
 
         Raises:
-            DeviceUnavailableError: If no OpenGL back end works.
+            DeviceUnavailableError: No OpenGL back end works.
         """
         self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
         workcell = find_workcell(scene.workcell)
@@ -106,7 +105,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         self._renderer = Renderer(_without(self._room, is_fixed), shadows=False, sky=False)
 
     def image(self, exposure: Exposure) -> Pixels:
-        """The image, with motion blur and noise."""
+        """Return the image, with motion blur and noise."""
         moment = self._shown(exposure)
         times = self._part_times(moment).tolist()
         positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times]
@@ -122,7 +121,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         return self._sensed(light).reshape(self._camera.height, self._camera.width, 3)
 
     def object_mask(self, exposure: Exposure) -> Bool[np.ndarray, "height width"]:
-        """Which pixels show the object in the middle of the exposure."""
+        """Return which pixels show the object in the middle of the exposure."""
         moment = self._shown(exposure)
         return self._renderer.object_mask(room_positions(self._room, moment, 0.0, exposure.thrower))
 
@@ -131,11 +130,11 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:
-        """Close it."""
+        """Free the drawing context."""
         self.close()
 
     def _shown(self, exposure: Exposure) -> Moment:
-        """Let the object look like the one that is there, or be away."""
+        """Give the object the shape of the exposure's, or move it away; return the moment to draw."""
         if exposure.object_name is None:
             return _without_object(exposure.moment)
         row, model = self._objects.names.index(exposure.object_name), self._renderer.model
@@ -144,12 +143,12 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         return exposure.moment
 
     def _part_times(self, moment: Moment) -> Float[np.ndarray, " num_parts"]:
-        """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
+        """Return the times of the averaged pictures, relative to the middle of the exposure [s]."""
         num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
         return self._cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
 
     def _smear(self, moment: Moment) -> float:
-        """How far object and palms move in the image during an exposure, the farthest of them [px]."""
+        """Return the largest motion of object and palms in the image during an exposure [px]."""
         times = self._cfg.exposure * np.array(((-0.5,), (0.5,)))
         ways = [
             chain.pose(torch.from_numpy(moment.qpos[carriers] + times * moment.qvel[carriers]))[0]
@@ -173,7 +172,7 @@ def room_positions(
     offset: float,
     bystanders: Callable[[float], Float[np.ndarray, " num_bystanders"]],
 ) -> Float[np.ndarray, " num_positions"]:
-    """All positions of the room of `build_room` at an offset from the middle of an exposure [s]."""
+    """Return the positions of `build_room` at an offset from the middle of an exposure [s]."""
     qpos, qvel = room.qpos0.copy(), np.zeros(room.nv)
     qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
     mujoco.mj_integratePos(room, qpos, qvel, offset)

@@ -1,85 +1,84 @@
-"""Films of throws: a view that comes closer, path and slow motion, the robot's own view, a caption.
+"""Films of throws: a view that comes closer, the object's path, slow motion, the robot's view, a caption.
 
-Several throws are shown at once in a grid, or one after the other; a strip has a few stills of one.
+Several throws are shown at once in a grid; a strip has a few stills of one throw.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
-from itertools import chain
+from functools import cache
 from math import ceil, sqrt
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
+from pixel2catch.camera.image import Pixels
 from pixel2catch.checks import OutputFile
-from pixel2catch.evaluation.recorded_throws import RecordedThrow
-from pixel2catch.rendering.caption import add_caption, add_inset
-from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
+from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, RecordedThrow
+from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.rendering.room import Bystanders, build_film_room
-from pixel2catch.rendering.storyboard import (
-    FPS,
-    Storyboard,
-    positions_between,
-    storyboard,
-)
+from pixel2catch.rendering.storyboard import FPS, SLOW, Storyboard, positions_between, storyboard
 from pixel2catch.rendering.video import FORMATS, draw_box, write_film
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
 
-Picture = UInt8[ndarray, "height width 3"]
-Views = Literal["both", "outside", "rgb"]
-"""What a film shows: the throw from outside with the robot's own view in a corner, or one of the two."""
+WIDE = Viewpoint(lookat=(1.12, 0.0, 1.12), distance=2.3, azimuth=52.0, elevation=-11.0)
+CLOSE = Viewpoint(distance=1.05, azimuth=44.0, elevation=-18.0)
+"""Views of robot and thrower, and of the hand, which is in the middle of the picture."""
 
-WIDE = View(lookat=(1.12, 0.0, 1.12), distance=2.3, azimuth=52.0, elevation=-11.0)  #: Robot and thrower.
-CLOSE = View(distance=1.05, azimuth=44.0, elevation=-18.0)  #: The hand, in the middle of the picture.
-#: Of several robots, from the thrower's side and above: no arm is before the hands.
-WIDE_OF_SEVERAL = View(lookat=(1.3, 0.0, 1.05), distance=3.1, azimuth=110.0, elevation=-17.0)
-CLOSE_OF_SEVERAL = View(distance=1.45, azimuth=136.0, elevation=-38.0)
+WIDE_OF_SEVERAL = Viewpoint(lookat=(1.3, 0.0, 1.05), distance=3.1, azimuth=110.0, elevation=-17.0)
+CLOSE_OF_SEVERAL = Viewpoint(distance=1.45, azimuth=136.0, elevation=-38.0)
+"""Views of several robots, from the thrower's side and above, so that no arm hides the hands."""
+
 WIDTHS = (800, 480, 400, 320)  #: Width of a throw [px] by the number of throws side by side, from one on.
-DETAIL = 1.5  #: Drawn pixels in one of a film, along each side.
+DETAIL = 1.5  #: Drawn pixels per pixel of a film, along each side.
 ROUNDNESS = (20, 10)  #: Slices and stacks of round geoms.
-INSET_PART = 2  #: How many times smaller than the camera's image the robot's own view is drawn.
+INSET_PART = 2  #: Ratio of the camera's image to the drawn robot's view, along each side.
 STILLS = 6  #: Pictures in a strip.
-LAST_PICTURES = 20  #: How often the last picture of a film is shown.
+LAST_PICTURES = 20  #: Number of times that the last picture of a film is shown.
+
+INSET_SHARE = 0.27  #: Width of the robot's view over that of the picture.
+TEXT_SHARE = 0.048  #: Height of letters over that of the picture.
+LEAST_TEXT = 11  #: Least height of letters [px].
+INK = (255, 255, 255)
+GROUND, GOOD, BAD = (24, 28, 34), (28, 116, 68), (172, 48, 40)
+"""Colours behind text: of the throw, of a catch, and of a miss."""
+
+SIZE_WORDS = {"s": "small", "l": "large"}  #: Last parts of an object's name.
 
 
 class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     """Draws throws in one room; close it, or use it as a context manager."""
 
-    def __init__(
-        self, scene: SceneCfg, views: Views = "both", width: int = WIDTHS[1], meshes: Path | None = None
-    ) -> None:
+    def __init__(self, scene: SceneCfg, width: int = WIDTHS[1], *, has_inset: bool = True) -> None:
         """Furnish the room.
 
         Args:
             scene: What was simulated.
-            views: What is shown.
-            width: Of a picture [px].
-            meshes: Folder of a checkout of the MuJoCo Menagerie, whose meshes the robots shall look like.
+            width: Width of a picture [px].
+            has_inset: Whether a corner shows the robot's view with the box of the policy.
 
         Raises:
-            DeviceUnavailableError: If no OpenGL back end works.
+            DeviceUnavailableError: No OpenGL back end works.
         """
-        self._views, self._width, self._height = views, width, width * 9 // 16 // 2 * 2
+        self._has_inset, self._width, self._height = has_inset, width, width * 9 // 16 // 2 * 2
         self._workcell, self._objects = find_workcell(scene.workcell), object_table(scene)
         is_one = len(self._workcell.palms) == 1
         self._wide, self._close = (WIDE, CLOSE) if is_one else (WIDE_OF_SEVERAL, CLOSE_OF_SEVERAL)
-        self._room = build_film_room(scene, self._objects.names[0], meshes)
+        self._room = build_film_room(scene, self._objects.names[0])
         self._geoms = object_indices(self._room).geoms
         self._room.geom_sameframe[self._geoms] = 0  # as in the scene, so that objects can be exchanged
         self._room.vis.quality.numslices, self._room.vis.quality.numstacks = ROUNDNESS
-        self._newest: tuple[int, Picture] | None = None
+        self._newest: tuple[int, Pixels] | None = None
         with ExitStack() as stack:
             wide = replace(self._wide, width=round(DETAIL * width), height=round(DETAIL * self._height))
             self._outside = stack.enter_context(Renderer(self._room, wide))
-            part = 1 if views == "rgb" else INSET_PART
-            inside = replace(RGB_VIEW, width=RGB_VIEW.width // part, height=RGB_VIEW.height // part)
+            size = (RGB_VIEW.width // INSET_PART, RGB_VIEW.height // INSET_PART)
+            inside = replace(RGB_VIEW, width=size[0], height=size[1])
             self._inside = stack.enter_context(Renderer(self._room, inside, shadows=False))
             self._opened = stack.pop_all()
 
@@ -87,16 +86,16 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         """Free the drawing contexts."""
         self._opened.close()
 
-    def film(self, throw: RecordedThrow) -> Iterator[Picture]:
-        """The pictures of a throw; the last one is repeated."""
+    def film(self, throw: RecordedThrow) -> Iterator[Pixels]:
+        """Yield the pictures of a throw; the last one is repeated."""
         board = self._begin(throw)
         last = len(board.steps) - 1
         for i in range(last):
             yield self._picture(throw, board, i)
         yield from [self._picture(throw, board, last)] * LAST_PICTURES
 
-    def strip(self, throw: RecordedThrow) -> Picture:
-        """Stills of a throw, from left to right."""
+    def strip(self, throw: RecordedThrow) -> Pixels:
+        """Return stills of a throw, from left to right."""
         board = self._begin(throw).stills(STILLS)
         return np.concatenate([self._picture(throw, board, i) for i in range(STILLS)], axis=1)
 
@@ -108,29 +107,24 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
                 getattr(renderer.model, name)[self._geoms] = self._objects.fields[name][row]
         return storyboard(throw, self._workcell)
 
-    def _picture(self, throw: RecordedThrow, board: Storyboard, i: int) -> Picture:
+    def _picture(self, throw: RecordedThrow, board: Storyboard, i: int) -> Pixels:
         step = float(board.steps[i])
-        if self._views == "rgb":
-            image = Image.fromarray(self._robots_view(throw, step))
-            image = image.resize((self._width, self._width * 3 // 4 // 2 * 2))
-        else:
-            drawn = self._outside.image(
-                self._positions(throw, step), self._view(board, i), self._path(throw, step, board.catch)
-            )
-            image = Image.fromarray(drawn).resize((self._width, self._height), Image.Resampling.LANCZOS)
-            if self._views == "both":
-                add_inset(image, self._robots_view(throw, step))
+        path = self._path(throw, step, board.catch)
+        drawn = self._outside.image(self._positions(throw, step), self._viewpoint(board, i), path)
+        image = Image.fromarray(drawn).resize((self._width, self._height), Image.Resampling.LANCZOS)
+        if self._has_inset:
+            _add_inset(image, self._robots_view(throw, step))
         is_over = step >= board.decision or i == len(board.steps) - 1
-        add_caption(image, throw, is_slow=bool(board.is_slow[i]), is_over=is_over)
+        _add_caption(image, throw, is_slow=bool(board.is_slow[i]), is_over=is_over)
         return np.asarray(image)
 
-    def _view(self, board: Storyboard, i: int) -> View:
+    def _viewpoint(self, board: Storyboard, i: int) -> Viewpoint:
         def between(wide: float, close: float) -> float:
             return wide + float(board.closeness[i]) * (close - wide)
 
         far, near = self._wide, self._close
         x, y, z = (between(*each) for each in zip(far.lookat, board.focus[i].tolist(), strict=True))
-        return View(
+        return Viewpoint(
             lookat=(x, y, z),
             distance=between(far.distance, near.distance),
             azimuth=between(far.azimuth, near.azimuth),
@@ -138,13 +132,13 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         )
 
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:
-        """Where the object has been from its release to the catch."""
+        """Return the object's path from its release to the catch."""
         whole = throw.qpos[throw.release : min(ceil(step), catch + 1), OBJECT_POS]
         newest = positions_between(self._room, throw, min(step, catch))[OBJECT_POS]
         return np.vstack((whole, newest)) if len(whole) else None
 
-    def _robots_view(self, throw: RecordedThrow, step: float) -> Picture:
-        """The newest image of the robot's camera, with the box that the policy got then."""
+    def _robots_view(self, throw: RecordedThrow, step: float) -> Pixels:
+        """Return the newest image of the robot's camera, with the box that the policy got then."""
         taken = int(step)
         if self._newest is None or self._newest[0] != taken:
             image = self._inside.image(self._positions(throw, taken))
@@ -158,11 +152,9 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         return np.concatenate((positions_between(self._room, throw, step), bystanders.joint_pos(time)))
 
 
-def strips(
-    throws: Sequence[RecordedThrow], scene: SceneCfg, views: Views = "both", meshes: Path | None = None
-) -> list[Picture]:
-    """Stills of every throw, side by side in a strip."""
-    with FilmRenderer(scene, views, WIDTHS[-1], meshes) as renderer:
+def strips(throws: Sequence[RecordedThrow], scene: SceneCfg, *, has_inset: bool = True) -> list[Pixels]:
+    """Return a strip of stills for every throw."""
+    with FilmRenderer(scene, WIDTHS[-1], has_inset=has_inset) as renderer:
         return [renderer.strip(throw) for throw in throws]
 
 
@@ -170,50 +162,91 @@ def write_throws(
     path: Path,
     throws: Sequence[RecordedThrow],
     scene: SceneCfg,
-    views: Views = "both",
-    *,
-    is_grid: bool = True,
-    meshes: Path | None = None,
     on_throw: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Write a film of throws, or stills of them if the file is a PNG, and return the number of pictures.
+    """Write a film of throws in a grid, or stills if the file is a PNG; return the number of pictures.
 
-    They are side by side in a grid, or one after the other. Before a throw is drawn, `on_throw` is called
-    with its number.
+    Before each throw is drawn, `on_throw` is called with its number.
 
     Raises:
-        InvalidValueError: If the file cannot be written; nothing was drawn then.
-        DeviceUnavailableError: If nothing can be drawn on this machine; the message says what to install.
+        InvalidValueError: The file cannot be written; nothing was drawn.
+        DeviceUnavailableError: Nothing can be drawn on this machine; the message names what to install.
     """
     OutputFile(FORMATS).require("the film", path)
     if path.suffix.lower() == ".png":
-        Image.fromarray(np.concatenate(strips(throws, scene, views, meshes))).save(path)
+        Image.fromarray(np.concatenate(strips(throws, scene))).save(path)
         return STILLS * len(throws)
-    columns = ceil(sqrt(len(throws))) if is_grid else 1
-    with FilmRenderer(scene, views, WIDTHS[min(columns, len(WIDTHS)) - 1], meshes) as renderer:
-        films = (_film(renderer, number, throw, on_throw) for number, throw in enumerate(throws))
-        pictures = _side_by_side(map(list, films), columns) if is_grid else chain.from_iterable(films)
-        return write_film(path, pictures, FPS)
+    return write_film(path, _grids(throws, scene, on_throw), FPS)
 
 
-def _film(
-    renderer: FilmRenderer, number: int, throw: RecordedThrow, on_throw: Callable[[int], None]
-) -> Iterator[Picture]:
-    """The pictures of a throw, of which it is said before that it is drawn now."""
-    on_throw(number)
-    yield from renderer.film(throw)
+def _grids(
+    throws: Sequence[RecordedThrow], scene: SceneCfg, on_throw: Callable[[int], None]
+) -> Iterator[Pixels]:
+    """Yield pictures of all throws side by side; shorter films repeat their last picture."""
+    columns, films = ceil(sqrt(len(throws))), []
+    with FilmRenderer(scene, WIDTHS[min(columns, len(WIDTHS)) - 1]) as renderer:
+        for number, throw in enumerate(throws):
+            on_throw(number)
+            films.append([*renderer.film(throw)])
+    for i in range(max(map(len, films))):
+        yield tiled([film[min(i, len(film) - 1)] for film in films], columns)
 
 
-def _side_by_side(films: Iterable[list[Picture]], columns: int) -> Iterator[Picture]:
-    """Films at once, the last pictures of the shorter ones to the end."""
-    several = [*films]
-    for i in range(max(map(len, several), default=0)):
-        yield tiled([film[min(i, len(film) - 1)] for film in several], columns)
-
-
-def tiled(pictures: Sequence[Picture], columns: int) -> UInt8[ndarray, "all_rows all_columns 3"]:
-    """Pictures of one size in rows of so many; what is left of the last row is black."""
+def tiled(pictures: Sequence[Pixels], columns: int) -> UInt8[ndarray, "all_rows all_columns 3"]:
+    """Return pictures of one size in rows of so many; the rest of the last row is black."""
     missing = -len(pictures) % columns
     cells = [*pictures, *[np.zeros_like(pictures[0])] * missing]
     rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
     return np.concatenate(rows)
+
+
+def _add_inset(image: Image.Image, other: Pixels) -> None:
+    """Paste a picture with a frame into the lower right corner."""
+    width = round(INSET_SHARE * image.width)
+    inset = Image.fromarray(other).resize(
+        (width, width * other.shape[0] // other.shape[1]), Image.Resampling.BOX
+    )
+    gap = _gap(image)
+    x, y = image.width - inset.width - gap, image.height - inset.height - gap
+    ImageDraw.Draw(image).rectangle((x - 2, y - 2, x + inset.width + 1, y + inset.height + 1), fill=INK)
+    image.paste(inset, (x, y))
+
+
+def _add_caption(image: Image.Image, throw: RecordedThrow, *, is_slow: bool, is_over: bool) -> None:
+    """Write the object, the slow motion while it lasts, and the outcome at the end."""
+    gap = _gap(image)
+    _write(image, title(throw.object_name), (gap, gap), "la", GROUND)
+    if is_slow:
+        _write(image, f"{SLOW} times slower", (image.width - gap, gap), "ra", GROUND)
+    if is_over:
+        ground = GOOD if throw.outcome == CAUGHT else BAD
+        _write(image, OUTCOMES[throw.outcome], (gap, image.height - gap), "ld", ground)
+
+
+def title(object_name: str) -> str:
+    """Return the name of an object in words."""
+    *words, last = object_name.split("_")
+    return " ".join((SIZE_WORDS[last], *words) if last in SIZE_WORDS and words else (*words, last))
+
+
+def _write(
+    image: Image.Image, text: str, corner: tuple[int, int], anchor: str, ground: tuple[int, int, int]
+) -> None:
+    """Write text on a coloured box; the anchor is Pillow's, of the corner of the box."""
+    size = max(round(TEXT_SHARE * image.height), LEAST_TEXT)
+    pad, draw = size // 2, ImageDraw.Draw(image)
+    way = (1 if anchor[0] == "l" else -1, 1 if anchor[1] == "a" else -1)
+    x, y = (place + sign * pad for place, sign in zip(corner, way, strict=True))
+    left, top, right, bottom = draw.textbbox((x, y), text, font=_font(size), anchor=anchor)
+    box = (left - pad, top - pad // 2, right + pad, bottom + pad // 2)
+    draw.rounded_rectangle(box, radius=pad, fill=ground)
+    draw.text((x, y), text, fill=INK, font=_font(size), anchor=anchor)
+
+
+def _gap(image: Image.Image) -> int:
+    return max(image.height // 30, 4)
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)

@@ -1,8 +1,7 @@
 """Pictures of the scene without a display: the camera's image, the object's mask, an outside view.
 
-OpenGL comes from EGL or OSMesa, whichever works on this machine (`find_gl_backend`). MuJoCo's environment
-variable MUJOCO_GL is never set: with the library missing it makes `import mujoco` itself fail, even where
-nothing is drawn.
+OpenGL comes from EGL or OSMesa (`find_gl_backend`). MuJoCo's environment variable MUJOCO_GL is not set: if
+the library is missing, it makes `import mujoco` fail even where nothing is drawn.
 """
 
 import copy
@@ -28,14 +27,13 @@ GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first:
 OBJECT_BODY = "object"
 
 DRAWN_GROUPS = (0, 1, 2, 3)
-"""Geom groups in a picture: table and floor, object, what is only seen, and what collides of the bodies of
-robots that have nothing of the former."""
+"""Geom groups in a picture: table and floor, object, visual geoms, and collision geoms of bodies without
+visual ones."""
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
-
 MUJOCO_GL = ("", *GL_BACKENDS, "glfw", "on", "off", "enable", "disable", "true", "false", "1", "0")
-"""What the variable of that name may be. Source: MuJoCo; what is none of `GL_BACKENDS` has no effect here."""
+"""Valid values of that variable. Source: MuJoCo; only those of `GL_BACKENDS` have an effect here."""
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -48,10 +46,10 @@ context.free()
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
-    """From where to draw."""
+class Viewpoint:
+    """Point and direction of a view, and the size of its picture."""
 
-    #: Name of a camera of the model, or None for a free camera, which the next four place.
+    #: Name of a camera of the model, or None for a free camera with the next four fields.
     camera: str | None = None
     #: Point in the middle of the picture, world frame [m].
     lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -62,22 +60,22 @@ class View:
     height: int = RGB_CAMERA.height  #: Of the picture [px], even.
 
 
-RGB_VIEW = View(camera="rgb")  #: What the robot's camera sees.
+RGB_VIEW = Viewpoint(camera="rgb")  #: View of the robot's camera.
 
-PATH_RGBA = (1.0, 0.62, 0.1)  #: Colour of a path that is drawn into the scene.
-PATH_RADII = (0.004, 0.011)  #: Radius of its line at its begin and at its end [m].
+PATH_RGBA = (1.0, 0.62, 0.1)  #: Colour of a path in the scene.
+PATH_RADII = (0.004, 0.011)  #: Radius of the path at its start and its end [m].
 
 
 @cache
 def find_gl_backend() -> str:
-    """Return the first back end of `GL_BACKENDS` that draws, tried in a process of its own.
+    """Return the first of `GL_BACKENDS` that draws, each tried in a process of its own.
 
-    A back end named by MUJOCO_GL or PYOPENGL_PLATFORM is tried first; the latter excludes the other, because
-    PyOpenGL binds one platform per process.
+    A back end in MUJOCO_GL or PYOPENGL_PLATFORM is tried first. The latter excludes the other, because
+    PyOpenGL has one platform per process.
 
     Raises:
-        DeviceUnavailableError: If none works; the message names the Debian packages to install.
-        InvalidValueError: If MUJOCO_GL has a value that means nothing.
+        DeviceUnavailableError: None works; the message names the Debian packages to install.
+        InvalidValueError: MUJOCO_GL has no valid value.
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     named = os.environ.get("MUJOCO_GL", "").lower()
@@ -111,15 +109,15 @@ class Renderer(AbstractContextManager["Renderer"]):
     """
 
     def __init__(
-        self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
+        self, model: mujoco.MjModel, view: Viewpoint = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
         """Open the drawing context; without the sky, a pixel that shows nothing is black.
 
         Raises:
-            DeviceUnavailableError: If no OpenGL back end works.
-            InvalidValueError: If the model has no such camera.
+            DeviceUnavailableError: No OpenGL back end works.
+            InvalidValueError: The model has no such camera.
         """
-        # What `mujoco.Renderer` opens its context with; MUJOCO_GL, its own way to say so, is never set.
+        # `mujoco.Renderer` opens its context with this class, which MUJOCO_GL would choose.
         gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
         self.model = copy.copy(model)  #: What is drawn; its geoms may be changed between two pictures.
         self.model.vis.quality.offsamples = 0
@@ -143,12 +141,12 @@ class Renderer(AbstractContextManager["Renderer"]):
     def image(
         self,
         qpos: Float[np.ndarray, " nq"],
-        view: View | None = None,
+        view: Viewpoint | None = None,
         path: Float[np.ndarray, "num_points 3"] | None = None,
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Return the picture of the model at these joint positions, red, green, blue, upper row first.
 
-        It may be from another view of the same size, and with a path in the scene [m].
+        The view may be another one of the same size. A path [m] is drawn into the scene.
         """
         return self._draw(qpos, view, path)
 
@@ -163,14 +161,16 @@ class Renderer(AbstractContextManager["Renderer"]):
         return (kind == mujoco.mjtObj.mjOBJ_GEOM.value) & np.isin(shown, geoms)
 
     def close(self) -> None:
-        """Free the drawing context; the renderer cannot draw any more."""
+        """Free the drawing context."""
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:
         """Close the renderer."""
         self.close()
 
-    def _draw(self, qpos: np.ndarray, view: View | None = None, path: np.ndarray | None = None) -> np.ndarray:
+    def _draw(
+        self, qpos: np.ndarray, view: Viewpoint | None = None, path: np.ndarray | None = None
+    ) -> np.ndarray:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
@@ -183,7 +183,7 @@ class Renderer(AbstractContextManager["Renderer"]):
 
 
 def _add_path(scene: mujoco.MjvScene, path: np.ndarray) -> None:
-    """Add a line to the scene that becomes thicker and more solid towards its end."""
+    """Add a line to the scene that becomes thicker and less transparent towards its end."""
     weights = np.linspace(0.0, 1.0, len(path))
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE
     for start, end, weight in zip(path[:-1], path[1:], weights[1:], strict=True):
@@ -195,7 +195,7 @@ def _add_path(scene: mujoco.MjvScene, path: np.ndarray) -> None:
         scene.ngeom += 1
 
 
-def _camera(model: mujoco.MjModel, view: View) -> mujoco.MjvCamera:
+def _camera(model: mujoco.MjModel, view: Viewpoint) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     if view.camera is None:
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value

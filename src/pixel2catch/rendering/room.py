@@ -2,23 +2,20 @@
 
 from dataclasses import dataclass, replace
 from math import cos, exp, pi, sin
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from pixel2catch.rendering.meshes import add_meshes
 from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
-from pixel2catch.workcells import find_workcell
 
-WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
+WALL_X = 4.6  #: Position of the wall behind the thrower [m]; its foot is in the upper half of the image.
 TEXTURE_SIZE = 512  #: Side of a texture [px].
 GRAINS = ((3.0, 9.0), (24.0, 16.0))  #: Size [px] and standard deviation [levels] of a texture's patterns.
-FLOOR_LEVEL = (128.0, 124.0, 116.0)  #: Mean red, green and blue of the floor's texture.
-WALL_LEVEL = (172.0, 168.0, 158.0)  #: The same of the wall's.
+FLOOR_LEVEL = (128.0, 124.0, 116.0)  #: Mean red, green and blue of the floor [levels].
+WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the wall [levels].
 NUM_POSTERS = 6
 
 FILM_FLOOR = (0.64, 0.58, 0.50), (0.62, 0.56, 0.48)  #: Both colours of the floor of a film.
@@ -26,43 +23,42 @@ FILM_WALLS = ((WALL_X, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.
 """A point [m] and the normal of each wall of a film."""
 
 FILM_WALL_RGBA = (0.90, 0.91, 0.92, 1.0)
-NUM_LAMPS, LAMP_SPREAD = 2, 0.016  #: Steps of a soft shadow's edge, and how wide it is [rad].
+NUM_LAMPS, LAMP_SPREAD = 2, 0.016  #: Steps of a soft shadow's edge, and its width [rad].
 
 CLOTHES_RGBA = (0.16, 0.20, 0.32, 1.0)
 TROUSERS_RGBA = (0.30, 0.27, 0.22, 1.0)
 SKIN_RGBA = (0.80, 0.58, 0.46, 1.0)
 BALL_RGBA = (0.85, 0.28, 0.15, 1.0)
 
-SHOULDER = (0.42, 0.12, 0.56)  #: The shoulder, from the held object [m]: behind it, beside it and above it.
-HAND_DROP = 0.085  #: From the middle of the hand up to the held object [m]: the object lies on it.
+SHOULDER = (0.42, 0.12, 0.56)  #: Position of the shoulder relative to the held object [m].
+HAND_DROP = 0.085  #: Height of the held object above the middle of the hand [m].
 HAND_RADIUS = 0.045
-SWAY, SWAY_PERIOD = 0.012, 2.9  #: How far [rad] and how fast [s] a person sways about the feet. Source: ours.
+SWAY, SWAY_PERIOD = 0.012, 2.9  #: Amplitude [rad] and period [s] of swaying about the feet. Source: ours.
 
 FOLLOW_THROUGH, SWING_TIME = 1.0, 0.16
-"""How far the arm swings on after a release [rad], and the time constant of it [s]. Source: ours; the hand
-begins with 4 m/s, as fast as the object."""
+"""Angle of the arm's swing after a release [rad], and its time constant [s]. Source: ours; the hand begins
+with 4 m/s, as fast as the object."""
 
 BALL_PIVOT, BALL_LENGTH, BALL_RADIUS = (3.4, -0.75, 2.3), 1.2, 0.05
-"""Where the ball hangs from, how deep, and its radius [m]: as large as the objects, and red."""
+"""Pivot, length and radius of a hanging ball, as large as the objects and red [m]."""
 
 BALL_SWING, BALL_PERIOD = 0.4, 2.2  #: Amplitude [rad] and period [s] of the ball.
 
 BYSTANDER_JOINTS = ("thrower_x", "thrower_y", "thrower_z", "thrower_sway", "thrower_arm", "ball_swing")
-"""Their joints, in the order of their positions in `qpos`, where they are the last."""
-
+"""Their joints, which are the last in `qpos`, in this order."""
 
 ONLY_SEEN = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bystanders:
-    """How they move during one throw."""
+    """Motion of thrower and hanging ball during one throw."""
 
-    release_pos: Float[np.ndarray, "3"]  #: Where the object is held before the throw [m].
-    phase: float  #: Which part of their swing they are in at the release [rad].
+    release_pos: Float[np.ndarray, "3"]  #: Position of the object before the throw [m].
+    phase: float  #: Phase of their swinging at the release [rad].
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
-        """Positions of `BYSTANDER_JOINTS` [m, rad] so long after the release [s], before it if negative."""
+        """Return the positions of `BYSTANDER_JOINTS` [m, rad] at a time since the release [s]."""
         sway = SWAY * sin(2 * pi * time / SWAY_PERIOD + self.phase)
         swing = BALL_SWING * sin(2 * pi * time / BALL_PERIOD + 3.0 * self.phase)
         arm = FOLLOW_THROUGH * (1.0 - exp(-time / SWING_TIME)) if time > 0.0 else 0.0
@@ -70,9 +66,9 @@ class Bystanders:
 
 
 def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
-    """Compile the scene in a room; `qpos` is that of the scene, followed by that of `bystanders`.
+    """Return the compiled scene in a furnished room; the bystanders come last in `qpos`.
 
-    The seed is of textures and posters: rooms of one seed look alike.
+    The seed is of textures and posters.
     """
     spec = build_spec(replace(scene, visuals=True), object_name)
     rng = np.random.default_rng(seed)
@@ -83,14 +79,9 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     return spec.compile()
 
 
-def build_film_room(scene: SceneCfg, object_name: str, meshes: Path | None = None) -> mujoco.MjModel:
-    """Compile the scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`.
-
-    The robots look like the meshes of a checkout of the MuJoCo Menagerie, if its folder is given.
-    """
+def build_film_room(scene: SceneCfg, object_name: str) -> mujoco.MjModel:
+    """Return the compiled scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`."""
     spec = build_spec(replace(scene, visuals=True), object_name)
-    if meshes:
-        add_meshes(spec, find_workcell(scene.workcell), meshes)
     spec.texture("floor").rgb1, spec.texture("floor").rgb2 = FILM_FLOOR
     for pos, normal in FILM_WALLS:
         size, plane = (8, 8, 1), mujoco.mjtGeom.mjGEOM_PLANE
@@ -105,7 +96,7 @@ def build_film_room(scene: SceneCfg, object_name: str, meshes: Path | None = Non
 
 
 def _add_soft_light(spec: mujoco.MjSpec) -> None:
-    """In place of the scene's lights: one lamp as wide as several side by side, and light from all sides."""
+    """Replace the scene's lights by lamps side by side, for soft shadows, and light from all sides."""
     for light in tuple(spec.lights):
         spec.delete(light)
     headlight = spec.visual.headlight
@@ -124,7 +115,6 @@ def _add_soft_light(spec: mujoco.MjSpec) -> None:
 
 
 def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: np.random.Generator) -> None:
-    """Fill a texture with a random pattern about a mean colour."""
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
     pattern = np.zeros(size)
     for grain, deviation in GRAINS:
@@ -136,7 +126,7 @@ def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: n
 
 
 def _add_wall(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-    """A wall behind the thrower with posters, some of the object's colour."""
+    """Add a wall with posters behind the thrower."""
     texture = spec.add_texture(name="wall", type=mujoco.mjtTexture.mjTEXTURE_2D)
     _paint(texture, WALL_LEVEL, rng)
     material = spec.add_material(name="wall", texrepeat=(1, 1), texuniform=True, specular=0.05, shininess=0.1)
@@ -153,7 +143,7 @@ def _add_wall(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
 
 
 def _add_bystanders(spec: mujoco.MjSpec) -> None:
-    """Add them to a complete scene; nothing collides with them."""
+    """Add thrower and hanging ball, without collisions, to a complete scene."""
     x, y, _ = SHOULDER
     hand = np.array((0.0, 0.0, -HAND_DROP)) - SHOULDER
     thrower = spec.worldbody.add_body(name="thrower")

@@ -1,4 +1,4 @@
-"""The film of a recorded throw: which control steps it shows, at which speed and from how close."""
+"""The plan of a film: the control steps it shows of a throw, their speed, and the distance of the view."""
 
 from dataclasses import dataclass, replace
 
@@ -14,31 +14,31 @@ from pixel2catch.robots.geometry import chain_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 
-FPS = 25  #: Pictures of a film in a second.
-SLOW = 4  #: How many times slower the catch is.
-REACH = 0.12  #: Distance of object and palm at which the catch begins [m].
+FPS = 25  #: Pictures of a film per second.
+SLOW = 4  #: Ratio by which the catch is slower.
+REACH = 0.12  #: Distance of object and palm from which the catch begins [m].
 BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12, 45
-"""Control steps: shown before the release; slow before and after the catch; shown after the outcome; after
-the catch at most."""
+"""Control steps: shown before the release, slow before and after the catch, shown after the outcome, and
+largest number shown after the catch."""
 
 ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
-FOLLOWED_STEPS = 15  #: Control steps over which the hand's way is averaged, which the view follows.
-STILL_CLOSENESS = 0.8  #: How close the view of a still comes.
+FOLLOWED_STEPS = 15  #: Control steps over which the hand's motion is averaged for the view.
+STILL_CLOSENESS = 0.8  #: Largest closeness of a still.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Storyboard:
-    """What every picture of a film shows of a throw."""
+    """Plan of a film: what each picture shows."""
 
-    steps: Float[ndarray, " num_pictures"]  #: Control step, with fractions.
-    is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is of the slow motion.
-    closeness: Float[ndarray, " num_pictures"]  #: Of the view: 0 the whole room, 1 the hand.
+    steps: Float[ndarray, " num_pictures"]  #: Control step; fractions are between two steps.
+    is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is in slow motion.
+    closeness: Float[ndarray, " num_pictures"]  #: 0 shows the whole room, 1 the hand.
     decision: int  #: Control step in which the outcome is known.
     catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
-    focus: Float[ndarray, "num_pictures 3"]  #: Where the hand is, before the catch where it will be [m].
+    focus: Float[ndarray, "num_pictures 3"]  #: Position of the hand; before the catch, that at the catch [m].
 
     def stills(self, num_pictures: int) -> "Storyboard":
-        """That of a strip: the flight, the catch in the middle, the end."""
+        """Return the plan of a strip: the flight, the catch in the middle, the end."""
         middle = num_pictures // 2
         flight = np.linspace(self.steps[0] + BEFORE_RELEASE, self.catch, middle, endpoint=False)
         steps = np.concatenate((flight, np.linspace(self.catch, self.steps[-1], num_pictures - middle)))
@@ -52,7 +52,7 @@ class Storyboard:
 
 
 def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
-    """Plan the film of a throw, from just before the release to its outcome."""
+    """Return the plan of a film from just before the release to the outcome."""
     catch, focus = _catch(throw, workcell)
     last = len(throw.qpos) - 1
     decision = last if throw.outcome == LOST else throw.num_untested - 1
@@ -82,7 +82,7 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
 def positions_between(
     model: mujoco.MjModel, throw: RecordedThrow, step: float
 ) -> Float[ndarray, " num_positions"]:
-    """Positions of the simulation at a control step with fractions."""
+    """Return the interpolated positions of the simulation at a control step with fractions."""
     first = min(int(step), len(throw.qpos) - 1)
     second, change = min(first + 1, len(throw.qpos) - 1), np.zeros(model.nv)
     others = model.qpos0[throw.qpos.shape[1] :]  # joints behind those of the simulation
@@ -95,12 +95,11 @@ def positions_between(
 def _between(
     steps: Float[ndarray, " num_pictures"], known: ndarray, rows: Float[ndarray, "num_known 3"]
 ) -> Float[ndarray, "num_pictures 3"]:
-    """Positions at steps with fractions, of those at known steps."""
     return np.stack([np.interp(steps, known, column) for column in rows.T], axis=-1)
 
 
 def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:
-    """The control step of the catch; where the palm is then, and its way afterwards, without its shaking."""
+    """Return the control step of the catch, and the smoothed positions of the palm from then on."""
     qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
     palms = torch.stack(
         [

@@ -1,4 +1,4 @@
-"""Files of pictures: videos and animations; and the box of the policy in a picture."""
+"""Video files and animations, and the box of the policy in a picture."""
 
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
@@ -15,20 +15,17 @@ from PIL import Image
 from pixel2catch.checks import OutputFile
 from pixel2catch.errors import InvalidValueError
 
-WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100 and of 6.
+WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100, and of 6.
 BOX_COLOR = (80, 255, 80)
 BOX_WIDTH = 2  #: Width of a drawn box's edge [px].
-
-
-FORMATS = (".mp4", ".webp", ".gif", ".png")
-"""Endings of the files of a film; a PNG has stills."""
+FORMATS = (".mp4", ".webp", ".gif", ".png")  #: Endings of the files of a film; a PNG has stills.
 
 
 def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:
-    """Write pictures as a video or an animation that repeats, by the file's ending, and return their number.
+    """Write pictures as a video or a repeating animation, by the file's ending; return their number.
 
     Raises:
-        InvalidValueError: The file cannot be written, or its name ends otherwise.
+        InvalidValueError: The file cannot be written, or has another ending.
     """
     OutputFile(FORMATS).require("the film", path)
     num_pictures = 0
@@ -52,7 +49,7 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
 
 
 def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) -> None:
-    """Draw the edges of a box (xmin, ymin, xmax, ymax [px]) and a mark in its middle into an image."""
+    """Draw the edges of a box (xmin, ymin, xmax, ymax [px]) and its middle into an image."""
     height, width = image.shape[:2]
     x0, y0, x1, y1 = (round(float(value)) for value in box)
     x, y = (x0 + x1) // 2, (y0 + y1) // 2
@@ -70,11 +67,14 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23, gop: int | None = None) -> None:
         """Open the file; its ending names the container, such as .mp4.
 
-        `crf` is the constant rate factor: lower is better and larger. Of `gop` pictures one is stored whole,
-        from where a reader can begin; the encoder's own choice if absent.
+        Args:
+            path: The file.
+            fps: Pictures per second.
+            crf: Constant rate factor; a lower one is better and gives a larger file.
+            gop: Distance of pictures from which a reader can begin; by default the encoder's.
 
         Raises:
-            InvalidValueError: If the folder does not exist, or the ending names no format.
+            InvalidValueError: The folder does not exist, or the ending names no format.
         """
         if not path.parent.is_dir():
             raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
@@ -91,7 +91,7 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
         """Append one picture (red, green, blue).
 
         Raises:
-            InvalidValueError: If height or width is odd, which the format cannot store.
+            InvalidValueError: Height or width is odd, which the format cannot store.
         """
         height, width = image.shape[:2]
         if height % 2 or width % 2:
@@ -102,7 +102,7 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
         self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write the remaining data and close the file."""
         if self._is_sized:
             self._container.mux(self._stream.encode())
         self._container.close()

@@ -75,18 +75,6 @@ class PalmSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshSource:
-    """Visual meshes of a robot in a checkout of the MuJoCo Menagerie.
-
-    With all joints at 0 both models have the same pose.
-    """
-
-    mjcf: str  #: Path of the model in the checkout.
-    bodies: tuple[tuple[str, str], ...]  #: Pairs of a body there and the body of the robot.
-    pos: Vec3 = (0.0, 0.0, 0.0)  #: Position of its root body in the robot's root body, parallel axes [m].
-
-
-@dataclass(frozen=True, kw_only=True)
 class RobotSpec:
     """A robot, or a part of one."""
 
@@ -99,7 +87,6 @@ class RobotSpec:
     palms: tuple[PalmSpec, ...] = ()
     mount: str = ""  #: Name of the site that carries a tool.
     tool: "Placed | None" = None  #: The tool, and its pose in the frame of that site.
-    meshes: MeshSource | None = None  #: Meshes for pictures.
 
     def holding(self, tool: "RobotSpec", pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> "RobotSpec":
         """Return the robot with a tool on its mount."""

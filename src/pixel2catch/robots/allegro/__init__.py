@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, MeshSource, PalmSpec, RobotSpec
+from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, RobotSpec
 
 Handedness = Literal["left", "right"]
 
@@ -73,16 +73,6 @@ positions of either hand, on the last link of the UR5e, rounded up; and of the l
 RIGHT_PALM = replace(PALM, hand=(((-0.055, -0.075, -0.03), (0.15, 0.18, 0.25)),))
 """The same of the right hand, whose thumb is at the other side."""
 
-MENAGERIE = (
-    ("palm", "palm"),
-    *(
-        (f"{theirs}_{part}", f"{finger}_link_{link}")
-        for theirs, finger in (("ff", "index"), ("mf", "middle"), ("rf", "ring"), ("th", "thumb"))
-        for part, link in (("base", 0), ("proximal", 1), ("medial", 2), ("distal", 3), ("tip", 3))
-    ),
-)
-"""Bodies of the Menagerie's model, and ours. Its palm's frame is at the upper edge of the palm."""
-
 
 def allegro(handedness: Handedness = "left") -> RobotSpec:
     """The left hand, as in the release, or its mirror image."""
@@ -92,7 +82,4 @@ def allegro(handedness: Handedness = "left") -> RobotSpec:
         root="palm",
         groups=(HAND,),
         palms=(PALM if handedness == "left" else RIGHT_PALM,),
-        meshes=MeshSource(
-            mjcf=f"wonik_allegro/{handedness}_hand.xml", bodies=MENAGERIE, pos=(0.0, 0.0, 0.095)
-        ),
     )

@@ -4,7 +4,7 @@ from dataclasses import replace
 from math import pi, radians
 from pathlib import Path
 
-from pixel2catch.robots.spec import JointGroup, JointSpec, MeshSource, RobotSpec
+from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
 
 ARM = JointGroup(
     name="arm",
@@ -50,16 +50,6 @@ UR5E = RobotSpec(
     root="base_link",
     groups=(ARM,),
     mount="tool0",
-    meshes=MeshSource(
-        mjcf="universal_robots_ur5e/ur5e.xml",
-        bodies=(
-            ("base", "base_link"),
-            *(
-                (f"{part}_link", f"{part}_link")
-                for part in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-            ),
-        ),
-    ),
 )
 
 UR5E_OF_RELEASE = replace(
