@@ -1,5 +1,6 @@
 """The boxes that a policy gets of a stream of images, and which thing the prompter points out."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 from math import inf
@@ -12,6 +13,7 @@ from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
 from pixel2catch.camera.image import Box, Edges, Image, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
+from pixel2catch.perception.regions import Blob
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
@@ -23,7 +25,7 @@ from pixel2catch.perception.segmenter import (
     Segmentation,
     Segmenter,
 )
-from pixel2catch.perception.tracker import PATIENCE, ObjectTracker, Prompter
+from pixel2catch.perception.tracker import MOST_CANDIDATES, PATIENCE, ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -250,3 +252,26 @@ def test_what_does_not_fly_is_not_found(amplitude: float, radius: float):
 
 def test_the_robots_own_motion_is_not_found():
     assert first_prompt(Prompter(), (BALL,), ignored=BALL) is None
+
+
+def specks(number: int, generator: np.random.Generator) -> ImageMotion:
+    """Motion of 3 by 3 px at random places of an image of the camera."""
+    shape = RGB_CAMERA.height, RGB_CAMERA.width
+    moving = np.zeros(shape, dtype=bool)
+    for row, column in zip(*(generator.integers(0, size - 3, number) for size in shape), strict=True):
+        moving[row : row + 3, column : column + 3] = True
+    blank = np.zeros(shape, dtype=np.uint8)
+    image = np.zeros((*shape, 3), dtype=np.uint8)
+    return ImageMotion(image=image, difference=blank, moving=moving, unknown=np.zeros(shape, dtype=bool))
+
+
+@pytest.mark.parametrize("number", [3, 6, 12, 20, 400])
+def test_specks_are_no_flight_and_cost_little(number: int, monkeypatch: pytest.MonkeyPatch):
+    calls = Counter[str]()
+    distance = Blob.distance
+    monkeypatch.setattr(Blob, "distance", lambda *of: (calls.update(["distance"]), distance(*of))[1])
+    generator, prompter = np.random.default_rng(number), Prompter()
+    for _ in range(60):
+        motion = specks(number, generator)
+        assert prompter.look(motion.image, motion) is None
+    assert calls["distance"] <= 60 * 3 * MOST_CANDIDATES**2

@@ -1,10 +1,11 @@
 """The tracker makes a box of every image; the prompter decides which of the things in it is the object."""
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, pi
 
 import numpy as np
 
@@ -34,13 +35,22 @@ or more, and rendered catches move by 61 at most."""
 LARGEST_GROWTH = 2.5
 """Largest ratio of the areas of a flying thing in two of three images. Source: ours."""
 
+MOST_CANDIDATES, MOST_IMAGES = 20, 5
+"""Most moving things of an object's size in an image in which flights are searched, and most images of a
+flight. Source: ours; a crowd of specks is noise, and the work grows with the square of their number."""
+
+LARGEST_CHANCE = 0.005
+"""Largest number of flights per image that things at random places may make. Source: ours: with three things
+an image, a flight needs three images, with ten it needs four."""
+
 
 class Prompter:
     """Points the object out before it is found, and after a loss.
 
     A box or a point from a person comes first, best while the object is held still. Then comes the largest
     thing of its colour, then what flies: a thing of an object's size that moved by about the same between
-    three images. Flights are found once the camera has seen the background for a second.
+    three images, or more if many things move. Flights are found once the camera has seen the background for a
+    second.
     """
 
     def __init__(
@@ -60,7 +70,7 @@ class Prompter:
     def reset(self) -> None:
         """Start a new throw."""
         self._given = self._usual
-        self._before: tuple[list[Blob], list[Blob]] = ([], [])
+        self._recent: deque[list[Blob]] = deque(maxlen=MOST_IMAGES)  # the newest image first
 
     def give(self, prompt: Prompt) -> None:
         """Point the object out in the next image, once."""
@@ -74,7 +84,7 @@ class Prompter:
             motion: What moves in it; None if nothing does.
         """
         given, self._given = self._given, None
-        flying = self._flying(motion)  # for every image, because it compares three
+        flying = self._flying(motion)  # for every image, because it compares several
         return given or self._colored(image) or flying
 
     def _colored(self, image: Pixels) -> BoxPrompt | None:
@@ -86,10 +96,13 @@ class Prompter:
     def _flying(self, motion: ImageMotion | None) -> BoxPrompt | None:
         if motion is None or motion.doubt == Weakness.FEW_IMAGES:
             return None
-        newest = self._sized(closed(motion.moving))
-        oldest, middle = self._before
-        self._before = (middle, newest)
-        flying = (now for now in newest for before in middle if _flies(now, before, oldest))
+        things = self._sized(closed(motion.moving))
+        self._recent.appendleft(things if len(things) <= MOST_CANDIDATES else [])
+        num_images = _num_images([len(blobs) for blobs in self._recent], motion.moving.size)
+        if num_images is None:
+            return None
+        newest, middle, *earlier = list(self._recent)[:num_images]
+        flying = (now for now in newest for before in middle if _flies(now, before, earlier))
         return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
 
     def _sized(self, mask: Mask) -> list[Blob]:
@@ -102,14 +115,32 @@ class Prompter:
         return [blob for blob in find_blobs(mask) if blob.is_plausible(self.limits)]
 
 
-def _flies(now: Blob, before: Blob, oldest: list[Blob]) -> bool:
-    """Whether two regions of successive images continue the flight of one in the image before."""
+def _num_images(counts: list[int], area: int) -> int | None:
+    """Images that a flight needs to be distinguished from chance; None if there are too few.
+
+    Args:
+        counts: Number of things in the last images, the newest first.
+        area: Number of pixels of an image.
+    """
+    if len(counts) < 3:
+        return None
+    chance = counts[0] * counts[1] * pi * LARGEST_SPEED**2 / area
+    for number, count in enumerate(counts[2:], start=3):
+        chance *= count * pi * LARGEST_CHANGE**2 / area
+        if chance <= LARGEST_CHANCE:
+            return number
+    return None
+
+
+def _flies(now: Blob, before: Blob, earlier: list[list[Blob]]) -> bool:
+    """Whether two regions of successive images continue a flight through the earlier images, newest first."""
     if not LEAST_SPEED <= now.distance(before.center) <= LARGEST_SPEED:
         return False
-    for first in oldest:
+    for first in earlier[0]:
         expected = (2 * before.center[0] - first.center[0], 2 * before.center[1] - first.center[1])
         areas = (now.area, before.area, first.area)
-        if now.distance(expected) <= LARGEST_CHANGE and max(areas) <= LARGEST_GROWTH * min(areas):
+        is_continued = now.distance(expected) <= LARGEST_CHANGE and max(areas) <= LARGEST_GROWTH * min(areas)
+        if is_continued and (len(earlier) == 1 or _flies(before, first, earlier[1:])):
             return True
     return False
 
