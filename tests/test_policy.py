@@ -10,7 +10,7 @@ import torch
 from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
-from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of
+from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of, method_of
 from pixel2catch.workcells import find_workcell
 
 METHOD = METHODS["proposed"]
@@ -231,3 +231,22 @@ def rewrite(folder: Path, text: str) -> None:
     tensors = load_file(folder / "policy.safetensors")
     save_file(tensors, folder / "policy.safetensors", metadata={"policy": text})
     (folder / "policy.json").write_text(text)
+
+
+def test_a_policy_on_another_device_is_a_copy(policy: Policy) -> None:
+    before = {name: value.clone() for name, value in policy.state_dict().items()}
+    moved = policy.to(torch.float64)
+    assert moved is not policy
+    assert all(value.dtype == torch.float64 for value in moved.parameters())
+    for name, value in policy.state_dict().items():
+        assert torch.equal(value, before[name]), name
+
+
+@pytest.mark.parametrize("term", ["observe", "privileged_state", "ObservationInputs"])
+def test_an_unknown_method_whose_term_is_another_function_does_not_fit(term: str) -> None:
+    contract = contract_of(dataclasses.replace(find_method("proposed"), name="mine"))
+    arm = contract.agents["arm"]
+    terms = tuple((name.replace("palm_pose", term), size) for name, size in arm.observation)
+    agents = contract.agents | {"arm": dataclasses.replace(arm, observation=terms)}
+    with pytest.raises(PolicyMismatchError, match=f"observes '{term}'"):
+        method_of(dataclasses.replace(contract, agents=agents))

@@ -11,9 +11,13 @@ Everything is imported where it is first used: `import pixel2catch` alone loads 
 
 import importlib
 import os
+import sys
 from typing import TYPE_CHECKING, Any
 
-# PyTorch's threads sleep while they have nothing to do: spinning, they take the cores from physics.
+#: Whether idle threads of PyTorch, which was imported before, wait in a loop; see `api.calls`.
+WAITS_IN_A_LOOP = "torch" in sys.modules and "OMP_WAIT_POLICY" not in os.environ
+
+# PyTorch's idle threads sleep: in a loop they would take the cores from physics.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
-from pixel2catch.envs.catch_env import CatchEnvCfg
+from pixel2catch.envs.catch_env import CatchEnvCfg, Step
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.metrics import assess
 from pixel2catch.evaluation.protocol import (
@@ -152,6 +152,19 @@ def test_the_same_seed_gives_the_same_result():
         del result["seconds"]
     assert first == second
     assert first["max_joint_speed"] != other["max_joint_speed"]
+
+
+def test_an_action_that_is_nan_is_reported_at_the_end_of_a_round():
+    """On a GPU a step does not wait for the device: what it found is reported when the round has ended."""
+    cfg = EvaluationCfg(objects=("cube_s",), num_envs=1, trials=1)
+    env = cfg.make_env(PROPOSED)
+
+    def spoil(_: Step, state: RoundState) -> None:
+        env._is_nan[0] = not state.is_running.any()
+
+    with pytest.raises(InvalidValueError, match="an action of agent 'arm' is NaN"):
+        run_round(env, Grasp(0), spoil)
+    env.close()
 
 
 def test_actions_are_latched_after_a_success():

@@ -1,11 +1,18 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
+import torch
+
+from pixel2catch import WAITS_IN_A_LOOP
 from pixel2catch.api.training import run
+from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -23,6 +30,9 @@ from pixel2catch.policy import LoadedPolicy, Policy, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, select_objects
 from pixel2catch.workcells import find_workcell
+
+MOST_SLEEPERS = 16  #: With many more cores than threads there is no need for any. Source: ours.
+_SLEEPERS: list[Thread] = []
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
 
@@ -53,8 +63,12 @@ def make(
         UnknownNameError: If a name is in no catalogue.
         InvalidValueError: If a value is out of range.
     """
-    if num_envs < 1:
-        raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1.")
+    require(Count, "num_envs", num_envs)
+    require(Seed, "seed", seed)
+    require(Device, "device", device)
+    _require_named("method", method, Method)
+    _require_named("task", task, CatchEnvCfg)
+    let_torch_sleep()
     cfg = find_task(task) if isinstance(task, str) else task
     if workcell is not None:
         cfg = cfg.with_workcell(find_workcell(_known(workcell)))
@@ -104,6 +118,7 @@ def evaluate(
         policy = load_policy(policy, device)
     elif isinstance(policy, Policy):
         policy = policy.to(device)
+    let_torch_sleep()
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,
@@ -147,6 +162,7 @@ def train(
         Pixel2CatchError: As `learning.train.train`.
     """
     require_known(options)
+    let_torch_sleep()
     given = {"dynamics": dynamics, "camera": camera}
     inputs = {key: None if file is None else Path(file) for key, file in given.items()}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
@@ -169,10 +185,39 @@ def train(
     return run(experiment, found, Path(out), resume=resume, preset=name, inputs=inputs)
 
 
+def let_torch_sleep() -> None:
+    """Let PyTorch's CPU threads sleep while they have no work, also where PyTorch was imported first.
+
+    OMP_WAIT_POLICY, which `pixel2catch` sets, is read when PyTorch is loaded. If it was loaded before, its
+    idle threads wait in a loop and take the cores from physics. GNU OpenMP ends that loop at once while a
+    process has more threads than cores: sleeping threads that each own a team of threads exceed that number.
+    """
+    threads, cores = torch.get_num_threads(), len(os.sched_getaffinity(0))
+    count = ceil(cores / max(threads - 1, 1))
+    if WAITS_IN_A_LOOP and threads > 1 and count <= MOST_SLEEPERS and not _SLEEPERS:
+        for _ in range(count):
+            is_started = Event()
+            _SLEEPERS.append(Thread(target=_sleep, args=(is_started,), daemon=True))
+            _SLEEPERS[-1].start()
+            is_started.wait()
+
+
+def _sleep(is_started: Event) -> None:
+    torch.ones(2**18).exp()  # large enough for all threads
+    is_started.set()
+    Event().wait()
+
+
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
     if isinstance(method, Method):
         return method
     return find_method(_known(method), find_workcell(cfg.scene.workcell))
+
+
+def _require_named(name: str, value: Any, *kinds: type) -> None:
+    if not isinstance(value, (str, *kinds)):
+        valid = " or ".join(("its name", *(f"a {kind.__name__}" for kind in kinds)))
+        raise InvalidValueError(f"{name} is {value!r:.200}; it must be {valid}.")
 
 
 def _selected(objects: Objects) -> tuple[str, ...]:
@@ -182,7 +227,8 @@ def _selected(objects: Objects) -> tuple[str, ...]:
 
 
 def _known(value: Any) -> str:
-    """The name of a value, which joins its catalogue, or what is meant by a name; its file is imported."""
+    """Return the name of a value, which joins its catalogue, or the name in a text such as FILE.py:NAME."""
+    _require_named("name", value, Method, ObjectSpec, WorkcellSpec)
     name = named(value) if isinstance(value, str) else add(value)
     import_files()
     return name

@@ -241,7 +241,7 @@ def run_round(
     state = _round_start(env)
     for step, state in round_steps(env, actor):
         watch(step, state)
-    env.world.simulation.check()
+    env.check()
     return Trials(record=state.record, is_verified=state.is_verified)
 
 

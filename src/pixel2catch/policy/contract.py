@@ -18,7 +18,7 @@ from pixel2catch.agents import AgentSpec, agents_of, commands_of
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.files import decoded, shown
 from pixel2catch.mdp import observations, rewards
-from pixel2catch.mdp.observations import ObservationTerm
+from pixel2catch.mdp.observations import ObservationInputs, ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm
 from pixel2catch.mdp.snapshot import BoxHistory, Measurement
 from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
@@ -226,7 +226,7 @@ def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSp
 
 def _term(name: str, method: str) -> ObservationTerm:
     term = vars(observations).get(name)
-    if getattr(term, "__module__", None) != observations.__name__:
+    if getattr(term, "__annotations__", {}).get("frame") is not ObservationInputs:  # another function
         raise _undefined(method, f"observes {shown(name)}")
     return cast(ObservationTerm, term)
 

@@ -1,5 +1,6 @@
 """Policy: the deterministic controller that training writes and every other command reads."""
 
+import copy
 import itertools
 import json
 from collections.abc import Sequence
@@ -115,6 +116,16 @@ class Policy(nn.Module):
             self._hidden_states = {
                 name: state * ~is_ended[:, None] for name, state in self._hidden_states.items()
             }
+
+    def to(self, *args: Any, **kwargs: Any) -> "Policy":  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return a copy on another device, with empty hidden states.
+
+        The arguments are those of `torch.nn.Module.to`, which would move the policy itself.
+        """
+        copied = copy.deepcopy(self)
+        copied.reset()
+        nn.Module.to(copied, *args, **kwargs)
+        return copied
 
     @torch.no_grad()
     def act(

@@ -1,0 +1,114 @@
+"""The commands as functions: what is given is used, and what is wrong is named."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jaxtyping import config
+
+import pixel2catch as p2c
+from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
+from pixel2catch.learning.experiment import read_run
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.cfg import SceneCfg
+
+SMALL: dict[str, Any] = {
+    "num_envs": 4,
+    "rollout_steps": 2,
+    "mini_batches": 2,
+    "transitions": 8,
+    "hidden": (8,),
+}
+OWN = p2c.CatchEnvCfg(
+    name="own",
+    scene=SceneCfg(physics_hz=60.0, cone="elliptic", multiccd=True),
+    sensing=SensingCfg(latency_steps=(3, 4)),
+)
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ({"method": None}, "method is None"),
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"num_envs": 1.5}, "num_envs is 1.5"),
+        ({"num_envs": "4"}, "num_envs is '4'"),
+        ({"num_envs": True}, "num_envs is True"),
+        ({"seed": None}, "seed is None"),
+        ({"task": None}, "task is None"),
+        ({"workcell": 5}, "name is 5"),
+        ({"objects": [3]}, "name is 3"),
+        ({"device": "gpu"}, "device is 'gpu'"),
+    ],
+)
+def test_a_wrong_argument_of_make_is_named(given: dict[str, Any], name: str):
+    config.update("jaxtyping_disable", True)  # as for users
+    with pytest.raises(InvalidValueError, match=name):
+        p2c.make(**given)
+
+
+def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path):
+    file = tmp_path / "dynamics.json"
+    arm = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(latency=0.02)
+    DynamicsFile(dynamics=arm).save(file)
+    out = tmp_path / "run"
+    p2c.train("only_center", out, task=OWN, dynamics=file, **SMALL)
+    run = read_run(out)
+    assert run.experiment.train.physics_stages == ()
+    assert (run.experiment.env.scene, run.experiment.env.sensing) == (OWN.scene, OWN.sensing)
+    assert run.experiment.env.dynamics == arm
+    assert (out / "dynamics.json").read_bytes() == file.read_bytes()
+    assert p2c.load_policy(out).contract.task == "own"
+    with pytest.raises(CheckpointError, match="'own', and 'nominal' is given"):
+        p2c.train("only_center", out, task="nominal", resume=True)
+    p2c.train("only_center", out, resume=True, transitions=16)
+    assert read_run(out).experiment.env == run.experiment.env
+
+
+def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
+    file = tmp_path / "dynamics.json"
+    DynamicsFile().save(file)
+    has_dynamics = replace(OWN, dynamics=JointDynamics.nominal())
+    experiment = p2c.preset("cpu", **SMALL)
+    wrong: tuple[tuple[type[Exception], str, dict[str, Any]], ...] = (
+        (InvalidValueError, "leave out one of them", {"task": has_dynamics, "dynamics": file}),
+        (InvalidValueError, "leave out task", {"preset": experiment, "task": "wide"}),
+        (InvalidValueError, "set env.sensing.latency_steps", {"latency_steps": (1, 3)}),
+        (UnknownNameError, "Did you mean 'num_envs'", {"num_env": 3}),
+    )
+    for error, words, given in wrong:
+        with pytest.raises(error, match=words):
+            p2c.train("proposed", tmp_path / "run", **given)
+    assert [path.name for path in tmp_path.iterdir()] == ["dynamics.json"]
+
+
+IDLE = """
+import sys, time
+import torch
+import pixel2catch
+from pixel2catch.api.calls import let_torch_sleep
+if sys.argv[1] == "calm":
+    let_torch_sleep()
+values, start = torch.ones(2**18), time.process_time() - time.thread_time()
+for _ in range(100):
+    values.exp()
+    time.sleep(0.003)
+print(time.process_time() - time.thread_time() - start)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="GNU OpenMP")
+def test_idle_threads_of_torch_take_no_time(monkeypatch: pytest.MonkeyPatch):
+    """Also where torch was imported first: without the remedy, a second thread waits in a loop."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    seconds = [
+        float(subprocess.run([sys.executable, "-c", IDLE, mode], capture_output=True, check=True).stdout)
+        for mode in ("as it is", "calm")
+    ]
+    assert seconds[1] < 0.5 * seconds[0]
