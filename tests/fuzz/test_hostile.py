@@ -26,7 +26,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.perception.calibration.target import read_image
-from pixel2catch.robots.mjcf import read_mjcf
+from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import bags, messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile

@@ -33,8 +33,8 @@ from pixel2catch.perception.labels import Label, Labels
 from pixel2catch.perception.sources import SourceCfg, ticks_of
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import to_onnx
-from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.ur5e import UR5E
+from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.profile import PROFILES, Profile

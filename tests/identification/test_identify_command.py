@@ -20,7 +20,7 @@ from pixel2catch.identification.simulation import RecordedMotion, behind_play
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
-MOST_FILES = 19  #: Budget of files of the package from a recording to its dynamics file.
+MOST_FILES = 16  #: Budget of files of the package from a recording to its dynamics file.
 PHYSICS_HZ = 60
 NOISE = 2e-4
 NOMINAL = JointDynamics.nominal(ARM)

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pixel2catch.checks import Count, Device, OutputFile, Positive
-from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import Given, TaskFields, with_given
 from pixel2catch.files import json_text
+from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, NewFolder, PhysicsRate
-from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.reports import circumstances
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Within
-from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.reports import circumstances
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Run

@@ -14,13 +14,13 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder, NotNegative, Positive
-from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.reports import circumstances
 from pixel2catch.scene.constants import OBJECT_RADIUS
 
 if TYPE_CHECKING:

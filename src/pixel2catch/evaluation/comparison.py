@@ -14,7 +14,7 @@ from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interv
 from pixel2catch.evaluation.report import DASH, Cells, Row, Section, percent, table, write_files, write_report
 from pixel2catch.evaluation.result_tables import CONTACT_RATES, MAIN_RATES, PAPER, RATES
 from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading
-from pixel2catch.offline_page import circumstances_lines
+from pixel2catch.reports import circumstances_lines
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from numpy import ndarray
 from PIL import Image
 
-from pixel2catch.circumstances import circumstances
 from pixel2catch.evaluation.figures import landing_figure, objects_figure
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -15,7 +14,7 @@ from pixel2catch.evaluation.recorded_throws import OUTCOMES, ThrowCollection
 from pixel2catch.evaluation.report import Row, percent, png
 from pixel2catch.evaluation.result_tables import objects_rows, quality_rows, results_rows
 from pixel2catch.files import json_text
-from pixel2catch.offline_page import box, folded, page, picture, plain_table, section, what_was_run
+from pixel2catch.reports import box, circumstances, folded, page, picture, plain_table, section, what_was_run
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
 RATES_NOTE = (

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from pixel2catch import offline_page
-from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, read_json_object, write_atomically
+from pixel2catch.reports import circumstances
 
 if TYPE_CHECKING:  # importing it takes a second
     from matplotlib.figure import Figure

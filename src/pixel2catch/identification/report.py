@@ -35,7 +35,7 @@ from pixel2catch.identification.identify import (
     worse_than_command,
 )
 from pixel2catch.identification.intervals import CONFIDENCE
-from pixel2catch.offline_page import Cell, box, element, listing, page, picture, section, table, what_was_run
+from pixel2catch.reports import Cell, box, element, listing, page, picture, section, table, what_was_run
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files

@@ -17,11 +17,11 @@ import torch
 
 from pixel2catch import files
 from pixel2catch.arrays import open_archive
-from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError, InvalidValueError
 from pixel2catch.learning.config import CONFIG_FILE
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import PolicyContract
+from pixel2catch.reports import circumstances
 
 FORMAT_VERSION = 2
 FIX = "Start without --resume, or with the configuration that it was begun with."

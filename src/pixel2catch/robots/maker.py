@@ -18,7 +18,6 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.poses import (
     Inertial,
     Pose,
@@ -31,7 +30,14 @@ from pixel2catch.robots.poses import (
     sphere_points,
 )
 from pixel2catch.robots.spec import RobotSpec
-from pixel2catch.robots.workcell import COLLISION_GROUP, WorkcellSpec, add_robots, parts_of, robot_mjcf
+from pixel2catch.robots.workcell import (
+    COLLISION_GROUP,
+    WorkcellSpec,
+    add_robots,
+    parts_of,
+    read_mjcf,
+    robot_mjcf,
+)
 
 Surface = Literal["collision", "visual"]
 Line = tuple[Float[ndarray, "3"], Float[ndarray, "3"]]

@@ -1,9 +1,20 @@
-"""Reports as one HTML page that needs nothing but itself: no network, no other file, no script."""
+"""Circumstances of a result, and reports as one HTML page without references to other files or scripts."""
 
 import base64
+import datetime
+import importlib.metadata
+import os
+import platform
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any, NamedTuple
+
+PACKAGES = ("pixel2catch", "torch", "mujoco", "mujoco-warp", "warp-lang", "numpy")
+"""Packages whose versions a result can depend on."""
 
 STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; color: #1c1c1c; margin: 2rem auto; padding: 0 1rem;
@@ -42,7 +53,7 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere }
 
 
 class Cell(NamedTuple):
-    """One entry of a table: its text, a verdict (a class of `STYLE`) that colours it, and a small note."""
+    """One entry of a table: its text, a verdict (a class of `STYLE`) for its colour, and a small note."""
 
     text: str
     verdict: str = ""
@@ -50,39 +61,39 @@ class Cell(NamedTuple):
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """The whole page, with its title above its parts."""
+    """Return a page with a title above its parts."""
     head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
     body = "\n".join((element("h1", title), *parts))
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
 
 
 def element(tag: str, text: str) -> str:
-    """Text in an element."""
+    """Return text in an element."""
     return f"<{tag}>{escape(text)}</{tag}>"
 
 
 def section(title: str, text: str, *parts: str, tag: str = "h2") -> str:
-    """Parts under a heading, below a text if there is one."""
+    """Return parts under a heading and a text."""
     return "\n".join((element(tag, title), *([element("p", text)] if text else ()), *parts))
 
 
 def listing(texts: Sequence[str]) -> str:
-    """A list, if there is anything to list."""
+    """Return a list, or nothing if there are no texts."""
     return f"<ul>{''.join(element('li', text) for text in texts)}</ul>" if texts else ""
 
 
 def box(text: str, verdict: str) -> str:
-    """What a reader must know first, in the colour of a verdict."""
+    """Return a box with a main result, in the colour of a verdict."""
     return f'<div class="box {verdict}">{element("p", text)}</div>'
 
 
 def folded(summary: str, text: str) -> str:
-    """Text as it is, which a click on its summary shows."""
+    """Return preformatted text that a click on its summary shows."""
     return f"<details>{element('summary', summary)}{element('pre', text)}</details>"
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
-    """A table."""
+    """Return a table."""
     head = "".join(element("th", column) for column in columns)
     body = ""
     for row in rows:
@@ -97,26 +108,26 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
 
 
 def plain_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """A table of texts by column; the first row has all columns."""
+    """Return a table of texts by column; the first row has all columns."""
     columns = list(rows[0])
     return table(columns, [[Cell(row.get(column, "")) for column in columns] for row in rows])
 
 
 def picture(data: bytes, kind: str, caption: str) -> str:
-    """A picture of a kind such as png, below its caption."""
+    """Return a picture of a kind, such as png, below its caption."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     caption = escape(caption)
     return f'<figure><figcaption>{caption}</figcaption><img alt="{caption}" src="{source}"></figure>'
 
 
 def what_was_run(circumstances: Mapping[str, Any], *lines: str) -> str:
-    """The section that says how, when, where and with which versions a result came about, and what else."""
+    """Return a section with the circumstances of a result and further lines."""
     command = f"<p>{element('code', circumstances['command'])}</p>"
     return section("What was run", "", command, listing([*circumstances_lines(circumstances), *lines]))
 
 
 def circumstances_lines(circumstances: Mapping[str, Any]) -> list[str]:
-    """When, where and with which versions something was done."""
+    """Return the time, the revision, the machine and the versions as lines."""
     versions = ", ".join(f"{name} {version or '?'}" for name, version in circumstances["versions"].items())
     gpus = ", ".join(circumstances.get("gpus", ())) or "no GPU"
     where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores, {gpus}"
@@ -124,3 +135,46 @@ def circumstances_lines(circumstances: Mapping[str, Any]) -> list[str]:
         f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
         f"Python {circumstances['python']}, {versions}",
     ]
+
+
+def circumstances() -> dict[str, Any]:
+    """Return the time, command, versions and machine of this process."""
+    import torch  # takes seconds
+
+    return {
+        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "command": shlex.join(["pixel2catch", *sys.argv[1:]]),
+        "git_revision": _git_revision(),
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in PACKAGES},
+        "platform": platform.platform(),
+        "cpu": _cpu_name(),
+        "cpu_cores": os.cpu_count(),
+        "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
+    }
+
+
+def _cpu_name() -> str | None:
+    """Return the kernel's name of the first processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), None)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _git_revision() -> str | None:
+    """Return the git revision of this package's source, with "+" after changes."""
+    describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+")
+    command = ["git", "-C", str(Path(__file__).parent), *describe]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
