@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from pixel2catch import offline_page
+from pixel2catch import reports
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, read_json_object, write_atomically
-from pixel2catch.reports import circumstances
 
 if TYPE_CHECKING:  # importing it takes a second
     from matplotlib.figure import Figure
@@ -51,17 +50,17 @@ def write_report(
     """
     pictures = {each.file: png(each.figure) for each in sections if each.figure}
     parts = [
-        offline_page.section(
+        reports.section(
             each.title,
             each.text,
-            *([offline_page.picture(pictures[each.file], "png", each.title)] if each.figure else ()),
-            *([offline_page.plain_table(each.rows)] if each.rows else ()),
+            *([reports.picture(pictures[each.file], "png", each.title)] if each.figure else ()),
+            *([reports.plain_table(each.rows)] if each.rows else ()),
         )
         for each in sections
     ]
     files: dict[str, str | bytes] = {
         "table.md": as_markdown(title, sections),
-        "page.html": offline_page.page(title, [*parts, offline_page.what_was_run(circumstances())]),
+        "page.html": reports.page(title, [*parts, reports.what_was_run(reports.circumstances())]),
         "table.json": json_text(data),
     }
     for kind, rows in data.items():
