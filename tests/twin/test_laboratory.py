@@ -39,7 +39,7 @@ PROFILE = Profile.load("ur5e_allegro_v4")
 IMAGE = PROFILE.camera.image
 CYCLES = 300  #: 0.6 s: 18 images.
 GREY = np.full((480, 640, 3), 120, dtype=np.uint8)
-OF_MACHINE = {"cores", "kernel", "real-time priority", "ticks", "CPU governor", "receive buffers"}
+OF_MACHINE = {"kernel", "real-time priority", "ticks", "receive buffers"}
 
 
 class Laboratory:
@@ -228,11 +228,7 @@ def test_a_robot_that_was_stopped_is_named(laboratory: Laboratory):
     requests.close()
 
 
-def settings(root: Path, governors: str, buffer: int, realtime: str) -> Path:
-    for number, name in enumerate(governors.split()):
-        folder = root / f"sys/devices/system/cpu/cpu{number}/cpufreq"
-        folder.mkdir(parents=True)
-        (folder / "scaling_governor").write_text(name + "\n")
+def settings(root: Path, buffer: int, realtime: str) -> Path:
     (root / "sys/kernel").mkdir(parents=True)
     (root / "sys/kernel/realtime").write_text(realtime + "\n")
     (root / "proc/sys/net/core").mkdir(parents=True)
@@ -241,20 +237,16 @@ def settings(root: Path, governors: str, buffer: int, realtime: str) -> Path:
 
 
 def test_a_machine_that_is_set_up_and_one_that_is_not(tmp_path: Path):
-    good = settings(tmp_path / "good", "performance performance", 8_388_608, "1")
-    assert machine.governor(good) == "performance"
+    good = settings(tmp_path / "good", 8_388_608, "1")
     assert machine.kernel(good) == "PREEMPT_RT"
     assert machine.receive_buffers(good) == "net.core.rmem_max is 8388608"
-    poor = settings(tmp_path / "poor", "performance powersave", 212_992, "0")
-    with pytest.raises(Broken, match="powersave: 'sudo cpupower"):
-        machine.governor(poor)
+    poor = settings(tmp_path / "poor", 212_992, "0")
     with pytest.raises(Absent, match="no PREEMPT_RT"):
         machine.kernel(poor)
     with pytest.raises(Broken, match=r"212992, less than 4000000: images are lost. 'sudo sysctl"):
         machine.receive_buffers(poor)
-    for probe in (machine.governor, machine.receive_buffers):
-        with pytest.raises(Absent, match="the system does not tell"):
-            probe(tmp_path)
+    with pytest.raises(Absent, match="the system does not tell"):
+        machine.receive_buffers(tmp_path)
 
 
 def test_settings_of_the_network_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

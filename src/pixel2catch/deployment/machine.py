@@ -12,22 +12,11 @@ from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import SERVO_PRIORITY, scheduled
 
 GUIDE = "docs/laboratory.md"  #: Page with the steps.
-LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
 LEAST_BUFFER = 4_000_000  #: Least receive buffer of a socket [bytes]: four images. Source: ours.
 NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
 
 MIDDLEWARE = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 """Values of RMW_IMPLEMENTATION that plain DDS can receive from; the first is the default of ROS 2."""
-
-
-def cores(root: Path = Path("/")) -> str:
-    """Check the number of cores of this process; name the isolated ones."""
-    number = len(os.sched_getaffinity(0))
-    path = root / "sys/devices/system/cpu/isolated"
-    isolated = path.read_text().strip() if path.exists() else ""
-    if number < LEAST_CORES:
-        raise Broken(f"{number} cores; servo, policy, perception and drivers need {LEAST_CORES}")
-    return f"{number} cores, isolated: {isolated or 'none'}"
 
 
 def kernel(root: Path = Path("/")) -> str:
@@ -65,17 +54,6 @@ def ticks(limits: ServoLimits) -> str:
         stop = f"the servo stops at {1e3 * limits.tick_age:g} ms"
         raise Broken(f"{measured}, {stop}: end other programs ({GUIDE})")
     return measured
-
-
-def governor(root: Path = Path("/")) -> str:
-    """Check the governor of the cores' frequency."""
-    paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
-    if not paths:
-        raise Absent("the system does not tell, as in virtual machines")
-    found = sorted({path.read_text().strip() for path in paths})
-    if found != ["performance"]:
-        raise Broken(f"{', '.join(found)}: 'sudo cpupower frequency-set -g performance'")
-    return "performance"
 
 
 def receive_buffers(root: Path = Path("/")) -> str:
