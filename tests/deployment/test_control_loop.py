@@ -26,7 +26,6 @@ from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLo
 from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -100,9 +99,10 @@ def test_a_camera_without_images_is_reported():
         while bench.step()["verdict"] != "no prompt":
             pass
         begin = around.clock.now()
-        while bench.step()["verdict"] != "no image":
-            assert around.clock.now() < begin + SILENCE + CONTROL_DT
-        assert around.clock.now() > begin + SILENCE - CONTROL_DT
+        around.clock.sleep_until(begin + SILENCE - 3.0 * CONTROL_DT)
+        assert bench.step()["verdict"] == "no prompt"
+        around.clock.sleep_until(begin + SILENCE)
+        assert bench.step()["verdict"] == "no image"
 
 
 def test_arming_begins_a_new_throw():
@@ -172,22 +172,6 @@ def test_the_servo_gets_the_stamp_of_an_image_at_once():
         assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
 
 
-def test_a_camera_without_stamps_is_reported_once():
-    with surroundings() as around:
-        bench = LoopBench(around, controller=remembering())
-        bench.tick(Mode.ARMED)
-        bench.point()
-        reports, before = list[str](), 0.0
-        for _ in range(3):
-            image, before = messages.image(picture(), 0.0), around.clock.now()
-            around.camera.publish(image)
-            reports.append(bench.step()["message"])
-        assert [bool(report) for report in reports].count(True) == 1
-        newest = around.servo.receive()[-1]
-        arrived = newest.image_stamp + ASSUMED_AGE * CONTROL_DT
-        assert before <= arrived <= newest.target_stamp
-
-
 def test_stops_and_refusals_are_reported_once_and_counted():
     with surroundings() as around:
         bench = LoopBench(around)
@@ -200,20 +184,6 @@ def test_stops_and_refusals_are_reported_once_and_counted():
         summary = bench.loop.statistics.summary()
         assert summary["stops"] == {"image stale, dead man": 1}
         assert summary["refusals"] == {"start pose": 1}
-
-
-def test_prompts_of_a_second_program_change_nothing_and_are_reported():
-    with surroundings() as around:
-        bench = LoopBench(around)
-        other = around.broker.node(around.clock).publisher(PROFILE.operator.prompt)
-        bench.tick(Mode.ARMED)
-        bench.point()
-        around.show(picture())
-        assert bench.step()["object"] == "seen"
-        other.publish(messages.text(json.dumps({"box": [0, 0, 9, 9]})))
-        status = bench.step()
-        assert status["object"] == "seen"
-        assert "was refused" in status["message"]
 
 
 def test_the_sender_of_a_stop_request_is_reported_until_the_robot_is_armed_again():

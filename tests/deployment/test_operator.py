@@ -2,10 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import chain, repeat
@@ -13,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from loop_lab import BOX, PROFILE, PassingClock, moved
-from networks import MakeNode, dds_nodes, ros_nodes
+from networks import MakeNode, ros_nodes
 
-from domains import PATIENCE, own_domain
+from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import (
@@ -123,7 +119,7 @@ def test_without_names_of_senders_prompts_count_only_from_one_publisher(make: Ma
 
 
 BAD_PROMPTS = {
-    **{text: text for text in ("", "{}", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}', "[1, 2, 3, 4]")},
+    **{text: text for text in ("", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}')},
     "400 digits": '{"box": [0, 0, ' + 400 * "9" + ", 9]}",
     "deep": 20_000 * "[" + 20_000 * "]",
     "infinite": '{"box": [0, 0, Infinity, 9]}',
@@ -160,14 +156,10 @@ LISTS = '"stopped_by": [], "refused": [], "found": []'
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "[]", "{}", 20_000 * "[", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}'),
+        *("", "[]", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}'),
         *(
-            f'{{"mode": "run", "message": "", {LISTS}, "box": {box}}}'
-            for box in ("5", "[1, 2, 3]", '[1, 2, 3, "x"]', "[0, 0, Infinity, NaN]", "[0, 0, 1e300, 9]")
-        ),
-        *(
-            f'{{"mode": "run", "message": "", {LISTS}, "latency_ms": {ms}}}'
-            for ms in ("22.5", "{}", '{"p50": 1, "p90": "2", "p99": 3}', '{"p50": 1, "p90": NaN, "p99": 3}')
+            f'{{"mode": "run", "message": "", {LISTS}, {entry}}}'
+            for entry in ('"box": [1, 2, 3]', '"box": [0, 0, 1e300, NaN]', '"latency_ms": {"p50": 1}')
         ),
     ],
 )
@@ -328,37 +320,6 @@ def test_an_unplugged_device_releases_the_switch_and_is_an_error(device: Device,
     assert switches.pressed == set()
 
 
-def test_the_command_holds_the_switch_over_dds_until_its_end(device: Device, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    command = [sys.executable, "-m", "pixel2catch", "operate", str(device.path)]
-    with ExitStack() as stack:
-        node = dds_nodes(stack)("laboratory")
-        queue = node.subscription(PROFILE.operator.dead_man, depth=1000)
-        process = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE))
-        stack.callback(process.kill)
-        assert process.stderr is not None
-        while b"listening" not in (line := process.stderr.readline()):
-            assert line
-        device.press(HOLD)
-        states = until(queue, 3)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
-        assert states[:3] == [True, True, True]
-        while states[-1]:
-            states += until(queue, 1)
-
-
 def test_the_command_without_a_switch_is_refused(capsys: pytest.CaptureFixture[str]):
     assert main(["operate"]) == 2
     assert "--web" in capsys.readouterr().err
-
-
-def until(queue: Subscription, num: int) -> list[bool]:
-    """Wait for so many messages."""
-    states: list[bool] = []
-    end = time.monotonic() + PATIENCE
-    while len(states) < num:
-        assert time.monotonic() < end
-        states += taken(queue)
-        time.sleep(0.01)
-    return states
