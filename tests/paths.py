@@ -2,7 +2,8 @@
 
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any
@@ -14,38 +15,56 @@ import pixel2catch
 PACKAGE = Path(pixel2catch.__file__).parent
 
 
-def files_run(function: Callable[[], object]) -> set[str]:
-    """Return the files, relative to the package, whose functions run in a call of the function.
+class FileCounter:
+    """Counts files in all threads while it is switched on.
 
-    All threads count. A compiled function counts with all compiled functions that it refers to. What runs
-    while a module is imported does not count. Child processes do not count.
+    A compiled function counts with all compiled functions that it refers to. What runs while a module is
+    imported does not count. Child processes do not count.
     """
-    counted: dict[CodeType, bool] = {}
 
-    def on_event(frame: FrameType, event: str, _: object) -> None:
+    def __init__(self) -> None:
+        """Start with no file, switched off."""
+        self._codes: dict[CodeType, bool] = {}
+
+    @contextmanager
+    def switched(self, *, on: bool) -> Iterator[None]:
+        """Count, or do not count, in this context; contexts may be nested."""
+        before, function = sys.getprofile(), self._on_event if on else None
+        for each in (threading.setprofile, sys.setprofile):
+            each(function)  # type: ignore[arg-type]
+        try:
+            yield
+        finally:
+            for each in (threading.setprofile, sys.setprofile):
+                each(before)  # type: ignore[arg-type]
+
+    def files(self) -> set[str]:
+        """Return the counted files, relative to the package."""
+        codes = {code for code, is_counted in self._codes.items() if is_counted}
+        for dispatcher in _dispatchers():
+            if dispatcher.py_func.__code__ in codes:
+                codes |= _referred(dispatcher.py_func, set())
+        paths = {Path(code.co_filename) for code in codes}
+        return {str(path.relative_to(PACKAGE)) for path in paths if path.is_relative_to(PACKAGE)}
+
+    def _on_event(self, frame: FrameType, event: str, _: object) -> None:
         code = frame.f_code
-        if event == "call" and not counted.get(code) and code.co_filename.startswith(f"{PACKAGE}/"):
-            counted[code] = not _is_import(frame)
+        if event == "call" and not self._codes.get(code) and code.co_filename.startswith(f"{PACKAGE}/"):
+            self._codes[code] = not _is_import(frame)
 
-    threading.setprofile(on_event)
-    sys.setprofile(on_event)
-    try:
+
+def files_run(function: Callable[[], object]) -> set[str]:
+    """Return the files, relative to the package, whose functions run in a call of the function."""
+    counter = FileCounter()
+    with counter.switched(on=True):
         function()
-    finally:
-        sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
-    codes = {code for code, is_counted in counted.items() if is_counted}
-    for dispatcher in _dispatchers():
-        if dispatcher.py_func.__code__ in codes:
-            codes |= _referred(dispatcher.py_func, set())
-    paths = {Path(code.co_filename) for code in codes}
-    return {str(path.relative_to(PACKAGE)) for path in paths if path.is_relative_to(PACKAGE)}
+    return counter.files()
 
 
 def _is_import(frame: FrameType | None) -> bool:
-    """Return whether the top level of a module, below `files_run`, called a frame."""
-    while frame is not None and frame.f_code is not files_run.__code__:
-        if frame.f_code.co_name == "<module>":
+    """Return whether the top level of a module of the package called a frame."""
+    while frame is not None:
+        if frame.f_code.co_name == "<module>" and frame.f_code.co_filename.startswith(f"{PACKAGE}/"):
             return True
         frame = frame.f_back
     return False
