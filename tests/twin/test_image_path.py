@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from paths import FileCounter
 
+from paths import FileCounter
 from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.policy import Policy
