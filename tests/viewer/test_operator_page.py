@@ -133,7 +133,7 @@ def test_the_switch_is_held_while_its_holder_says_so():
     button.press(me)
     for time_ in (0.2, 0.4, 0.6):
         now[0] = time_
-        button.go_on(me)
+        button.keep(me)
         assert button.holder is me
     with pytest.raises(DeploymentError, match="another page"):
         button.press(other)
@@ -141,8 +141,8 @@ def test_the_switch_is_held_while_its_holder_says_so():
     assert button.holder is me
     now[0] = 0.86  # silent for 0.26 s
     assert button.holder is None
-    with pytest.raises(DeploymentError, match="has fallen"):
-        button.go_on(me)
+    with pytest.raises(DeploymentError, match="was released"):
+        button.keep(me)
     assert button.holder is None
     button.press(other)
     button.drop()
@@ -188,7 +188,7 @@ def test_a_page_beside_a_pedal_has_no_switch():
     desk = Desk(has_switch=False)
     with desk.visitor() as visitor:
         ask(visitor, "press")
-        assert "is none of" in error_of(visitor)
+        assert "is no request" in error_of(visitor)
         assert not desk.page.is_held
         assert not desk.go_on()["has_switch"]
     desk.page.close()

@@ -20,7 +20,6 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from domains import PATIENCE, free_port, own_domain
-from pixel2catch.cli.main import main
 from pixel2catch.cli.operate import Keys
 from pixel2catch.deployment.operator import EVENT, KEY
 from pixel2catch.deployment.recorder import BagRecorder
@@ -109,11 +108,6 @@ def test_a_recording_is_played_and_played_again(recording: Path):
         page.close()
         playing.result(PATIENCE)
     page.free()
-
-
-def test_a_replay_needs_a_folder_or_a_page(recording: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["replay", str(recording)]) == 2
-    assert "--web" in capsys.readouterr().err
 
 
 @contextmanager

@@ -1,22 +1,15 @@
 """The page to play with, as its visitors use it: in a browser, and started from the command line."""
 
-import os
 import re
-import signal
-import subprocess
-import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from domains import PATIENCE, free_port
-from pixel2catch.cli.main import main
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.config import PageCfg, PlayCfg
@@ -65,7 +58,7 @@ def test_a_throw_is_shown_counted_kept_and_shown_again(visited: Visited):
     assert "1 of 1" in page.rates.content
     num_frames = len(page.throws[1].frames)
     visited.wait_for(lambda: page.stage.num_pictures >= num_frames)
-    page.look_again(1)
+    page.show_again(1)
     visited.wait_for(lambda: page.stage.num_pictures >= 2 * num_frames)
     assert "again: throw 1" in page.stage.text.content
     assert len(page.throws) == 1
@@ -121,23 +114,3 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
 def test_unknown_objects_are_refused_before_there_is_a_page():
     with pytest.raises(UnknownNameError, match="teapot"):
         PlayPage(PlayCfg(objects=("teapot",)))
-
-
-def test_the_command_says_where_and_ends_with_ctrl_c(tmp_path: Path):
-    command = [sys.executable, "-m", "pixel2catch", "play", "--web", "--port", str(free_port())]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    with process:
-        line = process.stdout.readline()
-        match = re.search(r"http://127\.0\.0\.1:\d+", line)
-        assert match, line
-        with urllib.request.urlopen(match[0], timeout=PATIENCE) as answer:
-            assert answer.status == 200
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
-    assert not os.listdir(tmp_path)  # no video
-
-
-def test_a_host_of_nobody_is_refused(capsys: pytest.CaptureFixture[str]):
-    assert main(["play", "--web", "--host", "192.0.2.1"]) == 2
-    assert "192.0.2.1" in capsys.readouterr().err

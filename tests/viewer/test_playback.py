@@ -4,7 +4,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 from domains import PATIENCE
-from pixel2catch.viewer.playback import Playback
+from pixel2catch.viewer.stage import Playback
 
 
 def test_slow_motion_takes_longer():

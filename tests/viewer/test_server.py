@@ -82,12 +82,6 @@ def test_a_foreign_name_that_leads_here_is_refused(own: PageServer, host: str):
     assert status(own.address, Host=host) in (400, 403)
 
 
-def test_nobody_may_frame_it(own: PageServer):
-    with urllib.request.urlopen(own.address, timeout=PATIENCE) as answer:
-        assert answer.headers["X-Frame-Options"] == "DENY"
-        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
-
-
 async def talk(visitor: Any) -> None:
     await visitor.send("hello")
 
@@ -111,7 +105,9 @@ def test_a_page_of_our_own_is_as_closed_as_the_other():
         assert handshake(link, origin) == 403
     with connect(link.replace("http", "ws"), origin=Origin(root), open_timeout=PATIENCE) as ours:
         assert ours.recv(PATIENCE) == "hello"
-    with urllib.request.urlopen(root, timeout=PATIENCE) as answer:  # viser's, which ours shows in a frame
+    with urllib.request.urlopen(root, timeout=PATIENCE) as answer:  # the root leads to our page
+        assert answer.url == server.address
+    with urllib.request.urlopen(f"{root}/?hideViserLogo", timeout=PATIENCE) as answer:  # viser's, in a frame
         assert "frame-ancestors 'self'" in answer.headers["Content-Security-Policy"]
     server.close()
 

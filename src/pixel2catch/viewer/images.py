@@ -1,4 +1,4 @@
-"""The camera's image on a page, with the box that the policy gets, drawn beside the simulation."""
+"""The camera's image on a page, with the box of the policy, drawn in a thread of its own."""
 
 import base64
 import contextlib
@@ -17,10 +17,10 @@ from pixel2catch.rendering.video import draw_box
 from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.scene import ROOM_SEED
-from pixel2catch.viewer.throws import Frame
+from pixel2catch.viewer.throws import ThrowStep
 
-PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave the physics its core.
-REST = 2.0  #: Least rest after an image, over the time that it took: the physics goes first.
+PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, so that the physics has a core.
+REST = 2.0  #: Least pause after an image over its drawing time, so that the physics is not delayed.
 DARK = 40  #: Level of an image where nothing can be drawn but the box.
 
 
@@ -28,7 +28,7 @@ QUALITY = 80  #: Of the JPEG images of a page.
 
 
 def jpeg(image: np.ndarray, quality: int = QUALITY) -> bytes:
-    """An image, red, green, blue, as pages get it."""
+    """Return an image (red, green, blue) as JPEG."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "jpeg", quality=quality)
     return buffer.getvalue()
@@ -37,18 +37,18 @@ def jpeg(image: np.ndarray, quality: int = QUALITY) -> bytes:
 class Picture:
     """An image on a page that may change often.
 
-    Not viser's own: that one frees an image before a busy browser has loaded it, which is an error there.
+    Differs from viser's image, which is freed before a busy browser has loaded it.
     """
 
     def __init__(self, gui: viser.GuiApi, camera: CameraSpec) -> None:
-        """A dark picture of the camera's size."""
+        """Show a dark image of the camera's size."""
         self._style = f"width:100%;display:block;aspect-ratio:{camera.width}/{camera.height}"
         self._html = gui.add_html("")
         self.show(np.full((camera.height, camera.width, 3), DARK, np.uint8))
 
     def show(self, image: np.ndarray) -> None:
-        """Show an image, red, green, blue."""
-        self.image = image  #: What is shown.
+        """Show an image (red, green, blue)."""
+        self.image = image  #: The shown image.
         data = base64.b64encode(jpeg(image)).decode()
         self._html.content = (
             f'<img alt="the camera\'s image" decoding="sync" style="{self._style}" '
@@ -57,12 +57,12 @@ class Picture:
 
 
 class CameraImages:
-    """Draws the newest frame that it was given, in a thread of its own; close it."""
+    """Draws the newest control step in a thread of its own; close it."""
 
     def __init__(self, picture: Picture, scene: SceneCfg) -> None:
         """Draw into a picture of the page."""
         self._picture, self._scene = picture, scene
-        self._frames: Queue[Frame | None] = Queue(maxsize=1)
+        self._steps: Queue[ThrowStep | None] = Queue(maxsize=1)
         self._thread = Thread(target=self._run, name="camera images", daemon=True)
         self._thread.start()
 
@@ -72,12 +72,12 @@ class CameraImages:
             self.show(None)
             self._thread.join(timeout=0.05)
 
-    def show(self, frame: Frame | None) -> None:
-        """Draw this frame next, instead of any that waits; none ends the thread."""
+    def show(self, step: ThrowStep | None) -> None:
+        """Draw this control step next, instead of a waiting one; none ends the thread."""
         with contextlib.suppress(Empty):
-            self._frames.get_nowait()
+            self._steps.get_nowait()
         with contextlib.suppress(Full):
-            self._frames.put_nowait(frame)
+            self._steps.put_nowait(step)
 
     def _run(self) -> None:
         with contextlib.ExitStack() as stack:
@@ -85,14 +85,14 @@ class CameraImages:
                 camera = stack.enter_context(RoomCamera(self._scene, ROOM_SEED))
             except DeviceUnavailableError:
                 camera = None
-            while (frame := self._frames.get()) is not None:
+            while (step := self._steps.get()) is not None:
                 begin = time.monotonic()
-                self._picture.show(self._drawn(camera, frame))
+                self._picture.show(self._drawn(camera, step))
                 spent = time.monotonic() - begin
                 time.sleep(max(PERIOD - spent, REST * spent))
 
-    def _drawn(self, camera: RoomCamera | None, frame: Frame) -> np.ndarray:
+    def _drawn(self, camera: RoomCamera | None, step: ThrowStep) -> np.ndarray:
         size = (self._scene.camera.height, self._scene.camera.width, 3)
-        image = np.full(size, DARK, np.uint8) if camera is None else camera.image(frame.exposure)
-        draw_box(image, frame.box)
+        image = np.full(size, DARK, np.uint8) if camera is None else camera.image(step.exposure)
+        draw_box(image, step.box)
         return image

@@ -1,7 +1,7 @@
-"""The page of an operator: what the camera and perception see, what the servo does, and what one may ask for.
+"""The page of an operator: camera image, perception, servo, and requests.
 
-It only listens and asks on the network, as any other node. A browser is no safety device: the switch on the
-page falls as soon as there is doubt whether anybody holds it, and the hardware emergency stop stays.
+It is a node of the network like any other. A browser is no safety device: the switch on the page is released
+as soon as it may not be held, and the hardware emergency stop remains necessary.
 """
 
 from collections.abc import Callable
@@ -24,27 +24,25 @@ from pixel2catch.viewer.server import OwnPage, open_server, page_files
 from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
 from pixel2catch.viewer.wire import WireScene, status_rows
 
-PATH = "/operate"  #: Where the page is on its server.
+PATH = "/operate"  #: Path of the page on its server.
 
-PERIOD = 0.02  #: Real time between two looks at network and page [s]. Source: ours, half of the switch's.
-PICTURE_TIME = (
-    1 / 15
-)  #: Time between two images and moves of the scene [s]. Source: ours, light on the machine.
-SILENCE = 1.0  #: Time after which a deployment, or a camera, that says nothing is gone [s]. Source: ours.
-REFUSAL_TIME = 6.0  #: For how long it is said why arming was refused [s].
+PERIOD = 0.02  #: Real time between two polls of network and page [s]. Source: ours, half of the switch's.
+PICTURE_TIME = 1 / 15  #: Time between two images and updates of the scene [s]. Source: ours.
+SILENCE = 1.0  #: Time without messages after which deployment or camera are absent [s]. Source: ours.
+REFUSAL_TIME = 6.0  #: Time for which the reason of a refused arming is shown [s].
 REQUEST_AGE = 0.5
-"""How long ago a page may have heard what it answers with a request [s]. Source: ours, the pause between two
-requests to arm; what waits in a page that sleeps, or before a program that hangs, is older."""
+"""Largest age of the state that a page had when it sent a request [s]. Source: ours, the pause between two
+requests to arm; requests that waited in a suspended page or for a program that hung are older."""
 
-LEAST_SIDE = 3.0  #: Of a box with which somebody points at something [px].
+LEAST_SIDE = 3.0  #: Least side of a box that points at the object [px].
 
-ACTIVE = ("armed", "ramp", "run", "several")  #: Modes in which the robot moves, or may.
-REQUESTS = "stop, arm, press, hold, let_go, point"  #: What every page may ask for.
+ACTIVE = ("armed", "ramp", "run", "several")  #: Modes in which the robot may move.
+REQUESTS = "stop, arm, press, hold, let_go, point"  #: Requests of every page.
 
 
 @final
 class OperatorPage:
-    """The page; `update` makes it current."""
+    """The page; `update` refreshes it."""
 
     def __init__(
         self,
@@ -62,61 +60,61 @@ class OperatorPage:
         """Serve it.
 
         Args:
-            cfg: Where.
-            title: What the browser calls it.
+            cfg: Where it is served.
+            title: Title in the browser.
             scene: Robot and camera; the twin's scene, if it is one.
             profile: Topics and names of the robot's drivers.
-            transport: The node that listens.
+            transport: The node of the page.
             clock: The clock of the deployment.
-            console: What is sent; its owner watches it.
-            button: The switch on the page; none if another one is held, such as a pedal.
-            more: Does what a page may ask for besides `REQUESTS`, or raises DeploymentError.
+            console: Sends the requests; its owner calls `watch`.
+            button: The switch on the page; none beside a pedal.
+            more: Handles requests besides `REQUESTS`, or raises DeploymentError.
         """
         self._console, self._clock, self._camera = console, clock, profile.camera
         self._button, self._more, self._title = button, more, title
         self._images = transport.subscription(profile.camera.image)
-        self._visitors = Visitors(self._heed, self._part)
+        self._visitors = Visitors(self._handle, self._release)
         own = OwnPage(path=PATH, files=page_files(PATH), talk=self._visitors.talk)
         self._server = open_server(cfg, title, own)
         self._server.viser.gui.main_panel.minimize()
-        self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: What is in the frame.
+        self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: The scene.
         self._status = console.status
         self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
         self._refusal, self._image = "", b""
         self._is_stopping, self._num_heard, self._is_switched = False, 0, Event()
-        self.state: dict[str, Any] = {}  #: What the page was told last.
+        self.state: dict[str, Any] = {}  #: The state that the page shows.
 
     @property
     def address(self) -> str:
-        """Where it is served."""
+        """Address of the page."""
         return self._server.address
 
     @property
     def is_held(self) -> bool:
-        """Whether somebody holds the switch on the page."""
+        """Whether a browser holds the switch of the page."""
         return self._button is not None and self._button.holder is not None
 
     def update(self, truth: dict[str, Any] | None = None, twin: dict[str, Any] | None = None) -> None:
-        """Tell what has arrived; of a twin its newest state, and what its page says of it."""
+        """Send the newest state to all browsers; of a twin also its true state and its texts."""
         now = self._clock.now()
         if self._console.status is not self._status:
-            self._hear(self._console.status, now)
+            self._read_status(self._console.status, now)
         if self._is_stopping:
             self._console.stop()
         if now - self._shown_time >= PICTURE_TIME:
             self._shown_time = now
-            self._look(now)
+            self._read_image()
             self.scene.update(truth or {})
-        self.state = self._told(now) | {"twin": twin}
-        self._visitors.tell(self.state, self._image)
+        self.state = self._page_state(now) | {"twin": twin}
+        self._visitors.send(self.state, self._image)
 
     def rest(self) -> None:
-        """Wait until it is time for the next update, or the switch was pressed or let go."""
+        """Wait for the next update, or until the switch is pressed or released."""
         self._is_switched.wait(PERIOD)
         self._is_switched.clear()
 
     def operate(self, is_over: Callable[[], bool], report: Callable[[dict[str, Any]], None]) -> None:
-        """Operate by the page until it is over, and let go of the switch then; report the newest status."""
+        """Operate by the page until `is_over`, then release the switch; report the newest status."""
         try:
             while not is_over():
                 self._console.holds = self.is_held
@@ -132,25 +130,25 @@ class OperatorPage:
         """End the page."""
         self._server.close()
 
-    def _hear(self, status: dict[str, Any], now: float) -> None:
-        """Take a status that has just arrived."""
+    def _read_status(self, status: dict[str, Any], now: float) -> None:
+        """Take over a new status."""
         self._status, self._status_time = status, now
         if (refusal := refusal_words(status)) or status.get("mode") in ACTIVE:
             self._refusal, self._refusal_time = refusal, now
         if self._is_stopping and status.get("mode") not in ACTIVE:
             self._is_stopping, self._num_heard = False, self._num_heard + 1
 
-    def _look(self, now: float) -> None:
-        """Take the newest image, and encode it if anybody looks."""
+    def _read_image(self) -> None:
+        """Take the newest image, and encode it if a browser is connected."""
         for message in self._images.take()[-1:]:
-            with suppress(DeploymentError):  # one that cannot be read shows nothing
+            with suppress(DeploymentError):  # unreadable images are skipped
                 pixels = messages.read_image(message.data).pixels
-                self._image_time = now
+                self._image_time = self._shown_time
                 if self._visitors.num:
                     self._image = jpeg(pixels)
 
-    def _told(self, now: float) -> dict[str, Any]:
-        """All that the page shows, but for the image."""
+    def _page_state(self, now: float) -> dict[str, Any]:
+        """Return what the page shows, without the image."""
         is_heard = now - self._status_time < SILENCE
         status = self._status if is_heard else {}
         words = status_words(status)
@@ -175,16 +173,16 @@ class OperatorPage:
             "details": status_rows(status) if is_heard else [],
         }
 
-    def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
-        """Do what a browser asks for: to stop at any time, all else if it has just heard of us."""
-        heard = asked.pop("heard", None)
+    def _handle(self, visitor: Visitor, request: dict[str, Any]) -> None:
+        """Do what a browser requests; stops at any time, the rest only if its state is recent."""
+        heard = request.pop("heard", None)
         is_recent = isinstance(heard, int | float) and abs(self._clock.now() - heard) <= REQUEST_AGE
-        if not is_recent and asked.get("do") not in ("stop", "let_go"):
-            raise DeploymentError("what was pressed came too late, and does not count: press again")
-        self._do(visitor, asked)
+        if not is_recent and request.get("do") not in ("stop", "let_go"):
+            raise DeploymentError("the request came too late and does not count: press again")
+        self._do(visitor, request)
 
-    def _do(self, visitor: Visitor, asked: dict[str, Any]) -> None:
-        match asked:
+    def _do(self, visitor: Visitor, request: dict[str, Any]) -> None:
+        match request:
             case {"do": "stop"}:
                 self._stop()
             case {"do": "arm"}:
@@ -193,36 +191,36 @@ class OperatorPage:
                 self._button.press(visitor)
                 self._is_switched.set()
             case {"do": "hold"} if self._button:
-                self._button.go_on(visitor)
+                self._button.keep(visitor)
             case {"do": "let_go"} if self._button:
-                self._part(visitor)
+                self._release(visitor)
             case {"do": "point", "box": box}:
                 self._console.point(box_in_image(box, self._camera))
             case _ if self._more:
-                self._more(asked)
+                self._more(request)
             case _:
-                raise DeploymentError(f"{asked} is none of {REQUESTS}")
+                raise DeploymentError(f"{request} is no request; valid: {REQUESTS}")
 
     def _stop(self) -> None:
-        """Ask to stop at once, and again until a status says that the servo has."""
+        """Request a stop now, and again until a status reports it."""
         if self._button:
             self._button.drop()
             self._is_switched.set()
         self._is_stopping = True
         self._console.stop()
 
-    def _part(self, visitor: Visitor) -> None:
-        """Let the switch fall if this browser holds it, which lets go of it or is gone."""
+    def _release(self, visitor: Visitor) -> None:
+        """Release the switch if this browser holds it."""
         if self._button:
             self._button.let_go(visitor)
             self._is_switched.set()
 
 
 def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
-    """The part of a box that is in the image: xmin, ymin, xmax, ymax [px].
+    """Return the part of a box in the image: xmin, ymin, xmax, ymax [px].
 
     Raises:
-        DeploymentError: It is no box, or there is none of it in the image.
+        DeploymentError: It is no box, or outside the image.
     """
     is_box = isinstance(box, list) and len(box) == 4 and all(type(edge) in (int, float) for edge in box)
     if not (is_box and all(map(isfinite, box))):

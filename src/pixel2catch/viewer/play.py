@@ -1,4 +1,4 @@
-"""`pixel2catch play --web`: throws to play with. One process, and no network but the page's own."""
+"""The page of `pixel2catch play --web`: throws to play with, in one process."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -13,16 +13,15 @@ from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 from pixel2catch.viewer.config import PlayCfg
-from pixel2catch.viewer.disturbances import DISTURBANCES, HINTS, Setting
 from pixel2catch.viewer.process import PlayingPage
 from pixel2catch.viewer.server import PageServer, open_server
 from pixel2catch.viewer.stage import Stage
-from pixel2catch.viewer.throws import PlayedThrow, Thrower, ThrowOrder
+from pixel2catch.viewer.throws import DISTURBANCES, HINTS, PlayedThrow, Setting, ThrowOrder, ThrowPlayer
 
-NUM_KEPT = 50  #: Throws that can be looked at again.
-BETWEEN_THROWS = 0.7  #: Time from the end of a throw to the next, if there is one after the other [s].
-RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Where the release point can be dragged to [m].
-GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of throws that were caught, and that were not.
+NUM_KEPT = 50  #: Number of throws that can be shown again.
+BETWEEN_THROWS = 0.7  #: Time between two repeated throws [s].
+RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Limits of the release point [m].
+GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of catches and misses.
 
 
 @final
@@ -30,29 +29,29 @@ class PlayPage(PlayingPage):
     """The page; `run` plays until it is closed."""
 
     def __init__(self, cfg: PlayCfg, server: PageServer | None = None) -> None:
-        """Serve the page, on a server that is there if one is given.
+        """Serve the page, on an existing server if one is given.
 
         Raises:
-            Pixel2CatchError: If the policy, an object or a file does not do, or the page cannot be served.
+            Pixel2CatchError: The policy, an object or a file is not valid, or the page cannot be served.
         """
-        self._cfg, self._thrower = cfg, Thrower(cfg.dynamics, cfg.camera)
-        select_objects(cfg.objects)  # refused before the page is there
+        self._cfg, self._thrower = cfg, ThrowPlayer(cfg.dynamics, cfg.camera)
+        select_objects(cfg.objects)  # an error before the page is served
         self._policy = str(cfg.policy or DEFAULT_POLICY)
         self._task = self._thrower.task(self._policy)
-        self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be looked at again, by number.
+        self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be shown again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
-        self._again: PlayedThrow | None = None  #: What shall be looked at again.
+        self._again: PlayedThrow | None = None  #: Throw to show again.
         super().__init__(server or open_server(cfg.page, "Pixel2Catch"))
-        viser = self.server.viser
-        viser.on_client_connect(lambda _: self._welcome())
-        self.stage = Stage(viser, self._task.scene, self.playback)  #: What the page shows of a throw.
+        site = self.server.viser
+        site.on_client_connect(lambda _: self._welcome())
+        self.stage = Stage(site, self._task.scene, self.playback)  #: The throw on the page.
         with self.stage.controls:
-            self._add_controls(viser.gui)
-        self._add_release_point(viser)
+            self._add_controls(site.gui)
+        self._add_release_point(site)
 
     @property
     def order(self) -> ThrowOrder:
-        """What the next throw shall be like, as the page has it now."""
+        """Settings of the next throw, from the page."""
         x, y, z = (float(value) for value in self.release.position)
         return ThrowOrder(
             policy=self.policy.value,
@@ -62,7 +61,7 @@ class PlayPage(PlayingPage):
         )
 
     def _play(self) -> None:
-        """Throw, or show again, as it is asked for; a first throw comes with the first visitor."""
+        """Run one throw, or show one again."""
         again, self._again = self._again, None
         try:
             if again is None:
@@ -70,57 +69,57 @@ class PlayPage(PlayingPage):
             else:
                 self.stage.replay(again)
         except Pixel2CatchError as error:
-            self.stage.tell(f"**{error}**")
+            self.stage.show_text(f"**{error}**")
             return
         if again is None and self.is_repeated.value and self.server.viser.get_clients():
             self.playback.wait(BETWEEN_THROWS * self.playback.speed)
             self._wanted.set()
 
     def throw(self) -> None:
-        """Begin a throw now; one that goes on is forgotten."""
+        """Begin a throw now; a running one is discarded."""
         self._again = None
         self.begin()
 
-    def look_again(self, number: int) -> None:
+    def show_again(self, number: int) -> None:
         """Show a throw again."""
         self.is_repeated.value = False
         self._again = self.throws[number]
         self.begin()
 
     def free(self) -> None:
-        """Free environment and drawing, too."""
+        """See `PlayingPage.free`."""
         self.stage.close()
         self._thrower.close()
         super().free()
 
     def _welcome(self) -> None:
-        """Throw for a visitor, if nothing is thrown by itself any more or yet."""
+        """Throw for a new visitor, if throws are repeated or none was run."""
         if self.is_repeated.value or not self._thrower.num_throws:
             self._wanted.set()
 
     def _throw(self) -> None:
-        """A throw, from its beginning to its end."""
+        """Run and show one throw."""
         order, renewed = self.order, self._thrower.num_renewed
         task = self._thrower.task(order.policy)
         self.stage.set_scene(task.scene)
-        throwing = self._thrower.throw(order, self._cfg.seed + self._thrower.num_throws)
+        running = self._thrower.throw(order, self._cfg.seed + self._thrower.num_throws)
         if self._thrower.num_renewed != renewed:
             self._counts.clear()
-        for frame in throwing.run():
-            if len(throwing.frames) == 1:
-                self.stage.begin(throwing.path, throwing.flight_time)
-                self.stage.tell(f"throw {throwing.number}: {throwing.object_name}")
+        for frame in running.run():
+            if len(running.frames) == 1:
+                self.stage.begin(running.path, running.flight_time)
+                self.stage.show_text(f"throw {running.number}: {running.object_name}")
             if not self.stage.show(frame):
                 return
-        played = throwing.played()
+        played = running.played()
         self.stage.end()
-        self.stage.tell(f"throw {played.number}: {played.object_name} **{played.outcome}**")
+        self.stage.show_text(f"throw {played.number}: {played.object_name} **{played.outcome}**")
         self._keep(played)
 
     def _keep(self, played: PlayedThrow) -> None:
-        """Count a throw, and put it on the list."""
+        """Count a throw, and add it to the list."""
         self._counts[played.order, played.is_success] += 1
-        self._tell_rates()
+        self._show_rates()
         self.throws[played.number] = played
         label = f"{played.number}  {played.object_name}: {played.outcome}"
         with self.list:
@@ -130,14 +129,14 @@ class PlayPage(PlayingPage):
                 order=-played.number,
                 hint=f"policy {played.order.policy}: show it again",
             )
-        button.on_click(lambda _: self.look_again(played.number))
+        button.on_click(lambda _: self.show_again(played.number))
         self._buttons.append(button)
         if len(self._buttons) > NUM_KEPT:
             self._buttons.pop(0).remove()
             del self.throws[min(self.throws)]
 
-    def _tell_rates(self) -> None:
-        """Show how often throws like those to come were caught."""
+    def _show_rates(self) -> None:
+        """Show the success rate of throws with the present settings."""
         caught, missed = (self._counts[self.order, is_success] for is_success in (True, False))
         self.rates.content = rates_text(caught, caught + missed)
 
@@ -156,7 +155,7 @@ class PlayPage(PlayingPage):
             self.is_release_set = gui.add_checkbox(
                 "release at the handle",
                 False,
-                hint="Else the release point is drawn; drag the handle to set it.",
+                hint="Otherwise the release point is drawn; drag the handle to set it.",
             )
         with tabs.add_tab("Made harder"):
             self.sliders = [self._add_slider(gui, i) for i in range(len(DISTURBANCES))]
@@ -164,10 +163,10 @@ class PlayPage(PlayingPage):
         self.list = tabs.add_tab("Throws")
         self._buttons: list[viser.GuiButtonHandle] = []
         for handle in (self.policy, self.objects, self.is_release_set, *self.sliders):
-            handle.on_update(lambda _: self._tell_rates())
+            handle.on_update(lambda _: self._show_rates())
 
     def _add_slider(self, gui: viser.GuiApi, number: int) -> Any:
-        """A slider with one handle for a number, or two for a range."""
+        """Add a slider with one handle for a number, or two for a range."""
         disturbance = DISTURBANCES[number]
         setting = disturbance.of(self._task)
         add: Callable[..., Any] = gui.add_multi_slider if isinstance(setting, tuple) else gui.add_slider
@@ -183,11 +182,11 @@ class PlayPage(PlayingPage):
     def _reset_sliders(self) -> None:
         for slider, disturbance in zip(self.sliders, DISTURBANCES, strict=True):
             slider.value = disturbance.of(self._task)
-        self._tell_rates()
+        self._show_rates()
 
-    def _add_release_point(self, viser: viser.ViserServer) -> None:
-        """A handle to drag; dragging it sets the release point."""
-        self.release = viser.scene.add_transform_controls(
+    def _add_release_point(self, site: viser.ViserServer) -> None:
+        """Add a handle whose position sets the release point."""
+        self.release = site.scene.add_transform_controls(
             "/release",
             scale=0.35,
             disable_rotations=True,
@@ -198,13 +197,13 @@ class PlayPage(PlayingPage):
 
         def dragged(_: object) -> None:
             self.is_release_set.value = True
-            self._tell_rates()
+            self._show_rates()
 
         self.release.on_update(dragged)
 
 
 def rates_text(caught: int, throws: int) -> str:
-    """The success rate so far, with its 95 % interval."""
+    """Return the success rate so far, with its 95 % interval."""
     if not throws:
         return "**S.R.** no throw like this yet"
     low, high = wilson_interval(caught, throws)
@@ -213,5 +212,5 @@ def rates_text(caught: int, throws: int) -> str:
 
 
 def _setting(value: Any) -> Setting:
-    """A slider's value; the handles of a range may have passed each other."""
+    """Return a slider's value; the handles of a range may be swapped."""
     return (float(min(value)), float(max(value))) if isinstance(value, tuple) else float(value)

@@ -1,4 +1,4 @@
-"""Curves of the present throw: what the policy sees, what it commands, where the object flies."""
+"""Curves of a throw: box, commands, and height of the object."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,12 @@ from viser import uplot
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.viewer.throws import FlightPath, Frame
+from pixel2catch.viewer.throws import FlightPath, ThrowStep
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#17becf")
-SHOWN = (-0.7, 2.6)  #: Times that a plot shows [s].
-PLOT_HEIGHT = 150  #: Of a plot [px].
-LEGEND_LINES = 6  #: Most lines of a plot that has a legend.
+SHOWN = (-0.7, 2.6)  #: Range of time of a plot [s].
+PLOT_HEIGHT = 150  #: Height of a plot [px].
+LEGEND_LINES = 6  #: Largest number of lines of a plot with a legend.
 
 
 def add_plot(
@@ -26,7 +26,7 @@ def add_plot(
     limits: tuple[float, float] | None = SHOWN,
     heights: tuple[float, float] | None = None,
 ) -> viser.GuiUplotHandle:
-    """Add an empty plot of named lines over time [s], or over something else; all of it without limits."""
+    """Add an empty plot of named lines over time [s] or `x`; without limits it shows all values."""
     scales = {} if heights is None else {"y": uplot.Scale(auto=False, range=heights)}
     scale = uplot.Scale(time=False) if limits is None else uplot.Scale(time=False, auto=False, range=limits)
     series = [uplot.Series(label=x)]
@@ -44,10 +44,10 @@ def add_plot(
 
 
 class ThrowPlots:
-    """The plots of a throw; `show` makes them current."""
+    """The plots of a throw; `show` updates them."""
 
     def __init__(self, gui: viser.GuiApi, workcell: WorkcellSpec) -> None:
-        """Add them where the page is being built."""
+        """Add the plots at the present place of the page."""
         self._path = add_plot(gui, "height of the object [m]", ("ballistic", "flown"))
         self._box = add_plot(gui, "box [shares of the image]", PIXEL_FEATURES[:4])
         self._change = add_plot(gui, "its change in a step [px]", PIXEL_FEATURES[4:])
@@ -60,12 +60,12 @@ class ThrowPlots:
         ]
 
     def remove(self) -> None:
-        """Take them off the page."""
+        """Remove the plots from the page."""
         for plot in (self._path, self._box, self._change, *(plot for _, plot in self._groups)):
             plot.remove()
 
-    def show(self, frames: Sequence[Frame], path: FlightPath, flight_time: float) -> None:
-        """Draw what happened so far."""
+    def show(self, frames: Sequence[ThrowStep], path: FlightPath, flight_time: float) -> None:
+        """Draw the control steps so far."""
         time = np.array([frame.time for frame in frames])
         flown = np.array([frame.object_pos[2] for frame in frames])
         until = np.linspace(0.0, flight_time, len(path))

@@ -1,4 +1,4 @@
-"""How pages run: until Ctrl-C, or beside work that must not wait for them, in a process that ends with it."""
+"""Running a page: until Ctrl-C, or in a process of its own beside other work."""
 
 import os
 import signal
@@ -15,23 +15,23 @@ import torch
 
 from pixel2catch.interruption import StopRequest, end_with_parent
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.playback import Playback
 from pixel2catch.viewer.server import PageServer, require_address
+from pixel2catch.viewer.stage import Playback
 
-NICENESS = 10  #: Of the process of a page that only shows. Source: ours, below all that has to keep a time.
+NICENESS = 10  #: Niceness of the process of a page without a switch. Source: ours, below real-time work.
 
 
 class PlayingPage(ABC):
-    """A page that plays something whenever that is asked for, until it is closed."""
+    """A page that plays something on request, until it is closed."""
 
     def __init__(self, server: PageServer) -> None:
-        """Play nothing yet."""
-        self.server = server  #: What serves it.
-        self.playback = Playback()  #: How time goes.
+        """Wait for a request."""
+        self.server = server  #: Its server.
+        self.playback = Playback()  #: Pace of time.
         self._closed, self._wanted = Event(), Event()
 
     def begin(self) -> None:
-        """Play from the beginning; what is played now is broken off."""
+        """Play from the beginning; interrupt what is played now."""
         self.playback.interrupt()
         self._wanted.set()
 
@@ -52,16 +52,16 @@ class PlayingPage(ABC):
         self.begin()
 
     def free(self) -> None:
-        """Free what the page holds, after `run`."""
+        """Free all resources, after `run`."""
         self.server.close()
 
     @abstractmethod
     def _play(self) -> None:
-        """Play what is asked for, once."""
+        """Play once what was requested."""
 
 
 def serve_until_interrupted(make_page: Callable[[], PlayingPage]) -> None:
-    """Make a page, say where it is, and run it until Ctrl-C."""
+    """Make a page, print its address, and run it until Ctrl-C."""
     with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
         page = make_page()
         print(f"open {page.server.address} in a browser; Ctrl-C ends it", flush=True)
@@ -78,10 +78,10 @@ def serve_until_interrupted(make_page: Callable[[], PlayingPage]) -> None:
 def page_process(
     serve: Callable[..., Any], cfg: PageCfg, *args: Any, niceness: int = NICENESS
 ) -> Iterator[None]:
-    """A process that calls `serve` with these arguments, and ends with the context.
+    """Call `serve` with these arguments in a process that ends with the context.
 
     Raises:
-        InvalidValueError: If this machine cannot listen on the page's address.
+        InvalidValueError: This machine cannot listen on the page's address.
     """
     require_address(cfg)
     process = get_context("spawn").Process(target=_run, args=(niceness, serve, cfg, *args), daemon=True)
@@ -94,7 +94,7 @@ def page_process(
 
 
 def _run(niceness: int, serve: Callable[..., Any], *args: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the command's
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.nice(niceness)
     end_with_parent()
     torch.set_num_threads(1)

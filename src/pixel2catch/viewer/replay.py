@@ -1,4 +1,4 @@
-"""`pixel2catch replay --web`: a recorded deployment to look at: robot, images with the box, states."""
+"""The page of `pixel2catch replay --web`: robot, images and states of a recorded deployment."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -27,14 +27,14 @@ from pixel2catch.viewer.wire import WireScene, status_rows
 
 @final
 class RecordingPage(PlayingPage):
-    """A page that plays a recording; `run` plays it until the page is closed."""
+    """A page that plays a recording; `run` plays until it is closed."""
 
     def __init__(self, cfg: PageCfg, recording: Path, profile: Profile, camera: CameraSpec) -> None:
         """Serve the page.
 
         Raises:
-            InvalidValueError: If this machine cannot listen on the page's address.
-            PerceptionError: If the recording cannot be read.
+            InvalidValueError: This machine cannot listen on the page's address.
+            PerceptionError: The recording cannot be read.
         """
         self._recording, self._clock = recording, StepClock(lambda _: None)
         broker = Broker()
@@ -42,7 +42,7 @@ class RecordingPage(PlayingPage):
         topics = {part.state_topic for part in profile.robots} | {profile.camera.image}
         self._node, self._topics = laboratory, topics | {profile.operator.status}
         with BagPlayer(recording, laboratory, self._topics):
-            pass  # it can be read
+            pass  # the recording can be read
         super().__init__(open_server(cfg, "Pixel2Catch recording"))
         server = self.server.viser
         self._statuses = node.subscription(profile.operator.status)
@@ -51,14 +51,14 @@ class RecordingPage(PlayingPage):
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(380)
         self.wire = WireScene(server, scene, profile, node, self._clock)  #: The robot.
-        #: The newest image, with the box that the deployment saw.
+        #: The newest image, with the box of the deployment.
         self.picture = Picture(server.gui, camera)
-        self.words = server.gui.add_markdown("")  #: What the deployment did.
-        self.time_text = server.gui.add_markdown("")  #: How far it is.
+        self.words = server.gui.add_markdown("")  #: State of the deployment in words.
+        self.time_text = server.gui.add_markdown("")  #: Time since the start.
         add_time_controls(server.gui, self.playback)
         server.gui.add_button("from the beginning").on_click(lambda _: self.begin())
         with server.gui.add_folder("Details", expand_by_default=False):
-            self.table = server.gui.add_markdown("")  #: What else is in the newest status.
+            self.table = server.gui.add_markdown("")  #: Other entries of the newest status.
         self._wanted.set()
 
     def _play(self) -> None:
@@ -73,13 +73,13 @@ class RecordingPage(PlayingPage):
                 self.time_text.content = f"**{self._clock.time - player.start:.1f} s**"
 
     def _show(self, status: dict[str, Any]) -> None:
-        """Show what has arrived, and the newest status."""
+        """Show new messages, and the newest status."""
         self.wire.update({})
         self.words.content = f"**{status_words(status).headline}** {status.get('message', '')}"
         rows = "\n".join(f"| {name} | {text} |" for name, text in status_rows(status))
         self.table.content = f"| | |\n|---|---|\n{rows}"
         for message in self._images.take():
-            with suppress(DeploymentError):  # a message that cannot be read shows nothing
+            with suppress(DeploymentError):  # unreadable messages are skipped
                 pixels = messages.read_image(message.data).pixels.copy()
                 if box := status.get("box"):
                     draw_box(pixels, np.array(box, dtype=float))

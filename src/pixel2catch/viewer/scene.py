@@ -1,4 +1,4 @@
-"""The scene in its room as nodes of a page: robot, table, thrower, and an object with its path."""
+"""The scene on a page: robot, table, thrower, and an object with its path."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,24 +22,24 @@ MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
     mjtGeom.mjGEOM_CAPSULE.value: lambda x, y, _: shapes.capsule(x, 2 * y),
     mjtGeom.mjGEOM_CYLINDER.value: lambda x, y, _: shapes.cylinder(x, 2 * y),
 }
-"""Shapes of the scene's geoms by their types, from their sizes."""
+"""Functions that make the shape of a geom from its sizes, by type."""
 
-ROOM_SEED = 0  #: Of the looks of the room on pages.
-PLANE_SIZE = 5.0  #: Half a side of a plane without end [m].
-PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes, by their materials.
-BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that are in the room, and not in a laboratory.
-LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent.
-SKY_LEVEL = (226, 232, 238)  #: What is behind everything.
-SUN = (1.6, -2.2, 3.4)  #: Where the light is that casts shadows [m]; it shines towards the origin.
-VIEW_POS, VIEW_AT = (0.2, -4.6, 2.6), (1.5, 0.0, 0.9)  #: From where and whereto one looks at first [m].
-ROOT = "/scene"  #: What all nodes of the scene hang on.
+ROOM_SEED = 0  #: Seed of the looks of the room on pages.
+PLANE_SIZE = 5.0  #: Half a side of an infinite plane [m].
+PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes by material.
+BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that no laboratory has.
+LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent to the browser.
+SKY_LEVEL = (226, 232, 238)  #: Colour of the background.
+SUN = (1.6, -2.2, 3.4)  #: Position of the light that casts shadows [m]; it shines towards the origin.
+VIEW_POS, VIEW_AT = (0.2, -4.6, 2.6), (1.5, 0.0, 0.9)  #: Initial position and target of the view [m].
+ROOT = "/scene"  #: Root node of the scene.
 PATH_COLOR, CAMERA_COLOR = (255, 150, 30), (40, 90, 200)
 
-Path = Float[np.ndarray, "num_points 3"]
+FlightPath = Float[np.ndarray, "num_points 3"]
 
 
 class SceneView:
-    """What is shown of one scene; `show` moves it."""
+    """One scene on a page; `show` moves it."""
 
     def __init__(self, server: viser.ViserServer, scene: SceneCfg) -> None:
         """Add the scene to the page."""
@@ -49,10 +49,10 @@ class SceneView:
         self._light()
         server.initial_camera.position, server.initial_camera.look_at = VIEW_POS, VIEW_AT
         server.initial_camera.fov = np.radians(50.0)
-        self.bodies: dict[str, viser.FrameHandle] = {}  #: What is shown of every body, by its name.
+        self.bodies: dict[str, viser.FrameHandle] = {}  #: Nodes of the bodies, by name.
         for geom in range(self._model.ngeom):
             self._add_geom(geom)
-        #: The object, whichever it is.
+        #: Node of the object.
         self.thrown = self._nodes.add_frame(f"{ROOT}/object", show_axes=False, visible=False)
         self._looks = {
             name: self._nodes.add_frame(f"{ROOT}/object/{name}", show_axes=False) for name in OBJECTS
@@ -77,7 +77,7 @@ class SceneView:
         )
 
     def show(self, exposure: Exposure, before: Exposure | None = None, share: float = 1.0) -> None:
-        """Move everything to where it is, or was at a share of the way from an exposure before."""
+        """Move everything to an exposure, or to a share of the way from an earlier exposure."""
         now = self._positions(exposure)
         if before is not None and share < 1.0:
             way, start = np.zeros(self._model.nv), self._positions(before)
@@ -94,16 +94,16 @@ class SceneView:
                     look.visible = name == exposure.object_name
 
     def show_bystanders(self, are_there: bool) -> None:
-        """Show thrower and hanging ball, or not."""
+        """Show or hide thrower and hanging ball."""
         for name in BYSTANDERS:
             self.bodies[name].visible = are_there
 
     def remove(self) -> None:
-        """Take the scene off the page."""
+        """Remove the scene from the page."""
         self._root.remove()
 
-    def show_path(self, path: Path) -> None:
-        """Draw where the object should fly, as dashes; nothing where it has fewer than two points."""
+    def show_path(self, path: FlightPath) -> None:
+        """Draw the path of the object as dashes; nothing if it has fewer than two points."""
         dashes = np.stack([path[:-1], 0.4 * path[:-1] + 0.6 * path[1:]], axis=1)
         self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, thickness=0.012)
 
@@ -119,7 +119,7 @@ class SceneView:
         return room_positions(self._model, exposure.moment, 0.0, exposure.thrower)
 
     def _light(self) -> None:
-        """A sun with shadows, and light from everywhere."""
+        """Add a sun with shadows, and light from all sides."""
         nodes = self._nodes
         nodes.configure_default_lights(enabled=False)
         nodes.configure_environment_map(None)
@@ -130,7 +130,7 @@ class SceneView:
         nodes.add_light_directional(f"{ROOT}/sun", position=SUN, intensity=2.2, cast_shadow=True)
 
     def _add_geom(self, geom: int) -> None:
-        """Add a geom to its body; not the object's, which changes."""
+        """Add a geom to its body, unless it is the object's, which changes."""
         model = self._model
         body = model.body(int(model.geom_bodyid[geom])).name
         if body not in self.bodies and body != "object":
@@ -174,7 +174,7 @@ def _levels(rgb: tuple[float, ...] | np.ndarray) -> tuple[int, int, int]:
 
 
 def _move(frame: viser.FrameHandle, pos: np.ndarray, quat: np.ndarray) -> None:
-    """Move a node, if it is not there yet."""
+    """Move a node if its pose changed."""
     if np.abs(frame.position - pos).max() > LEAST_MOVE:
         frame.position = pos.copy()
     if np.abs(frame.wxyz - quat).max() > LEAST_MOVE:

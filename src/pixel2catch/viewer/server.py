@@ -1,9 +1,8 @@
-"""The web server of every page: viser's, which answers the browser of its owner and no other page in it.
+"""The web server of every page: viser's, with checks of every request.
 
-A page has buttons, and any web page that is open in a browser can send requests to this machine. So a request
-must be made to this machine by name (else a foreign name that resolves to it would do), come from the page
-itself, and nobody may frame the page. Where others can reach the server, the address has a token in it as
-well; a browser that came with it keeps it in a cookie.
+Any web page in a browser can send requests to this machine. So a request must name this machine as its host
+(against DNS rebinding) and come from the page itself, and no other page may frame it. If other machines can
+reach the server, the address has a token, which the browser keeps in a cookie.
 """
 
 import contextlib
@@ -32,35 +31,42 @@ from pixel2catch.viewer.config import PageCfg
 
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of a page's files.
 
-LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: What this machine's own browser calls it.
+FRAMED = "hideViserLogo"  #: Part of the query with which an own page frames viser's page.
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: Names of this machine in its own browser.
 
 UNFRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
-"""Headers of every answer: nobody may lay the page under another one and borrow a click."""
+"""Headers of every answer: no other page may frame this one."""
 
 FRAMED_BY_OWN = {"X-Frame-Options": "SAMEORIGIN", "Content-Security-Policy": "frame-ancestors 'self'"}
-"""Headers of what a page of our own shows in a frame: viser's page, beside it."""
+"""Headers of viser's page beside an `OwnPage`, which shows it in a frame."""
 
 OWN_POLICY = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"
-"""What a page of our own may load: nothing from elsewhere, and no script that is not one of its files."""
+"""What an `OwnPage` may load: only files of this server, and no inline scripts."""
 
 Answer = Callable[[Any, Request], Response | None]
-"""What `websockets` asks before a handshake: an HTTP answer, or none to go on with it."""
+"""Hook of `websockets` before a handshake: an HTTP answer, or none to continue."""
 
-Talk = Callable[[ServerConnection], Awaitable[None]]  #: What `websockets` calls for a connection.
+Talk = Callable[[ServerConnection], Awaitable[None]]  #: Handler of a connection of `websockets`.
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnPage:
-    """A page of our own, beside that of viser and on the same server."""
+    """An HTML page of this package, beside viser's and on the same server."""
 
-    path: str  #: Where it is, such as "/operate".
-    files: Mapping[str, tuple[str, bytes]]  #: Types and contents of its files, by their paths.
-    talk: Talk  #: What speaks with the page, as long as it is open.
+    path: str  #: Its path, such as "/operate".
+    files: Mapping[str, tuple[str, bytes]]  #: Types and contents of its files, by path.
+    talk: Talk  #: Handler of the connection of an open page.
 
     def answer(self, request: Request) -> Response | None:
-        """The file that is asked for; none if it is none of this page's."""
-        path = request.path.partition("?")[0]
-        if path not in self.files or "Upgrade" in request.headers:
+        """Return the requested file, or a redirect from "/" to this page; none for files of viser."""
+        path, _, query = request.path.partition("?")
+        if "Upgrade" in request.headers:
+            return None
+        if path == "/" and FRAMED not in query:
+            place = f"{self.path}?{query}" if query else self.path
+            headers = {"Location": place, "Content-Length": "0"} | UNFRAMED
+            return Response(http.HTTPStatus.TEMPORARY_REDIRECT.value, "Temporary Redirect", Headers(headers))
+        if path not in self.files:
             return None
         kind, body = self.files[path]
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-cache"}
@@ -68,28 +74,28 @@ class OwnPage:
         return Response(http.HTTPStatus.OK.value, "OK", Headers(headers | framing), body)
 
     async def handle(self, other: Talk, connection: ServerConnection) -> None:
-        """Speak with the page, if it is the one that connects; else leave it to the other."""
+        """Handle the connection of this page; leave others to the other handler."""
         is_ours = connection.request is not None and connection.request.path.startswith(self.path)
         await (self.talk if is_ours else other)(connection)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RequestCheck:
-    """Which requests are answered."""
+    """Checks which requests are answered."""
 
-    names: tuple[str, ...]  #: Names of this machine that a request may be made to; any, if there are none.
-    token: str = ""  #: What the address or a cookie must have in it; nothing if empty.
+    names: tuple[str, ...]  #: Valid host names of a request; all, if empty.
+    token: str = ""  #: Token that the address or a cookie must have; no token if empty.
     cookie: str = ""  #: Name of that cookie.
 
     @classmethod
     def of(cls, host: str) -> "RequestCheck":
-        """The check for a server that listens on this address."""
-        if is_loopback(host):
+        """Return the check for a server that listens on this address."""
+        if ip_address_of(host).is_loopback:
             return cls(names=(*LOOPBACK_NAMES, host))
         return cls(names=(), token=secrets.token_urlsafe(24), cookie=f"pixel2catch_{secrets.token_hex(4)}")
 
     def refusal(self, request: Request) -> str:
-        """Why a request is not answered; empty if it is."""
+        """Return why a request is refused; empty if it is answered."""
         host, origin = (_only(request.headers, name) for name in ("Host", "Origin"))
         if host is None or (self.names and _name(host) not in self.names):
             return f"This page is for {', '.join(self.names) or 'requests that name one host'}."
@@ -102,7 +108,7 @@ class RequestCheck:
         return ""
 
     def is_in_address(self, request: Request) -> bool:
-        """Whether the token is in a request's address."""
+        """Return whether a request's address has the token."""
         given = parse_qs(urlsplit(request.path).query).get("token", [""])[-1]
         return bool(self.token) and secrets.compare_digest(given.encode(), self.token.encode())
 
@@ -115,7 +121,7 @@ class RequestCheck:
         return secrets.compare_digest(given.encode(), self.token.encode())
 
     def before(self, answer: Answer, own: OwnPage | None = None) -> Answer:
-        """The answers of a server, and of a page of our own, to requests that pass."""
+        """Return the hook that refuses a request, or lets the own page or the server answer it."""
 
         def checked(connection: Any, request: Request) -> Response | None:
             reason = self.refusal(request)
@@ -138,22 +144,22 @@ class RequestCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class PageServer:
-    """A server that runs, and where."""
+    """A running server and its address."""
 
     viser: viser.ViserServer
-    address: str  #: What to open in a browser.
+    address: str  #: Address to open in a browser.
 
     def close(self) -> None:
-        """End it."""
+        """End the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.viser.stop()
 
 
 def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageServer:
-    """Serve an empty page of viser's, and one of our own, to whose address visitors are sent then.
+    """Serve an empty page of viser, and an own page, if one is given, whose address is then returned.
 
     Raises:
-        InvalidValueError: If this machine cannot listen on that address.
+        InvalidValueError: This machine cannot listen on that address.
     """
     require_address(cfg)
     check = RequestCheck.of(cfg.host)
@@ -168,7 +174,7 @@ def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageSer
 
 
 def page_files(path: str) -> dict[str, tuple[str, bytes]]:
-    """Files of a page of our own by their paths, with their types: the folder of its name, and `link.js`."""
+    """Return types and contents of the files of an own page by path: its folder, and `link.js`."""
     name, viewer = path.removeprefix("/"), files("pixel2catch.viewer")
     found = {file.name: file.read_bytes() for file in (viewer / "link.js", *(viewer / name).iterdir())}
     contents = {
@@ -178,16 +184,11 @@ def page_files(path: str) -> dict[str, tuple[str, bytes]]:
     return contents | {path: contents[f"{path}/{name}.html"]}
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
-    return ip_address_of(host).is_loopback
-
-
 def ip_address_of(host: str) -> Any:
-    """The IP address of a host's name.
+    """Return the IP address of a host's name.
 
     Raises:
-        InvalidValueError: If it has none.
+        InvalidValueError: It has none.
     """
     try:
         return ip_address(socket.getaddrinfo(host, None)[0][4][0])
@@ -199,10 +200,10 @@ def ip_address_of(host: str) -> Any:
 
 
 def require_address(cfg: PageCfg) -> None:
-    """See that a server can listen; viser would try a thousand ports and then wait for ever.
+    """Require an address on which a server can listen; viser would try a thousand ports and then hang.
 
     Raises:
-        InvalidValueError: If it cannot.
+        InvalidValueError: It is not one of this machine.
     """
     if not 0 <= cfg.port < 65536:
         raise InvalidValueError(f"the page's port is {cfg.port}; it must be from 0 to 65535.")
@@ -218,10 +219,7 @@ def require_address(cfg: PageCfg) -> None:
 
 @contextlib.contextmanager
 def _checked(check: RequestCheck, own: OwnPage | None) -> Iterator[None]:
-    """Let the server that is made within ask the check first, and then our own page.
-
-    viser has no place for either.
-    """
+    """Wrap the server that is made in this context, because viser has no hook for requests."""
     module: Any = websockets.asyncio.server
     serve, times = module.serve, 0
 
@@ -245,13 +243,13 @@ def _checked(check: RequestCheck, own: OwnPage | None) -> Iterator[None]:
 
 
 def _only(headers: Headers, name: str) -> str | None:
-    """The value of a header that is there once."""
+    """Return the value of a header that occurs once."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else None
 
 
 def _name(host: str) -> str:
-    """The name in a `Host` header, without its port."""
+    """Return the name in a `Host` header, without its port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

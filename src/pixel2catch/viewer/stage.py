@@ -1,6 +1,7 @@
-"""What every page shows of a throw: the scene, the camera's image, the curves, and how fast time goes."""
+"""A throw on a page: the scene, the camera's image, the curves, and the controls of time."""
 
 import time
+from threading import Condition
 
 import numpy as np
 import viser
@@ -8,45 +9,112 @@ import viser
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.images import CameraImages, Picture
-from pixel2catch.viewer.playback import Playback
 from pixel2catch.viewer.plots import ThrowPlots
 from pixel2catch.viewer.scene import SceneView
-from pixel2catch.viewer.throws import FlightPath, Frame, PlayedThrow
+from pixel2catch.viewer.throws import FlightPath, PlayedThrow, ThrowStep
 from pixel2catch.workcells import find_workcell
 
-PLOT_PERIOD = 0.25  #: Least time between two changes of the plots [s]. Source: ours, light in the browser.
-RATE_PERIOD = 1.0  #: Time over which pictures are counted [s].
-SPEEDS = {"real time": 1.0, "half": 0.5, "a quarter": 0.25, "a tenth": 0.1}  #: How fast time can go.
+PLOT_PERIOD = 0.25  #: Least time between two changes of the plots [s]. Source: ours, for slow browsers.
+LEAST_WIDTH = 590  #: Least width of the scene beside both panels [px]: that of a page of 1300 px.
+RATE_PERIOD = 1.0  #: Time over which the rate of pictures is measured [s].
+MOST_LATE = 0.1  #: Largest delay of pictures that is made up for [s]. Source: ours.
+SPEEDS = {"real time": 1.0, "half": 0.5, "a quarter": 0.25, "a tenth": 0.1}  #: Speeds of time by name.
+
+
+class Playback:
+    """Paces the pictures of one thread; any thread may change the speed."""
+
+    def __init__(self) -> None:
+        """Begin in real time."""
+        self._changed = Condition()
+        self._speed, self._is_paused, self._num_steps = 1.0, False, 0
+        self._is_interrupted = False
+        self._due = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Seconds on the page in a real second."""
+        return self._speed
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still."""
+        return self._is_paused
+
+    def set_speed(self, speed: float) -> None:
+        """Set the speed."""
+        self._set(_speed=speed)
+
+    def pause(self, is_paused: bool) -> None:
+        """Stop time, or continue."""
+        self._set(_is_paused=is_paused, _num_steps=0)
+
+    def step(self) -> None:
+        """Stop time after one more step."""
+        self._set(_is_paused=True, _num_steps=self._num_steps + 1)
+
+    def interrupt(self) -> None:
+        """End all waits until the next `begin`."""
+        self._set(_is_interrupted=True)
+
+    def begin(self) -> None:
+        """Begin to play."""
+        self._due = time.monotonic()
+        self._set(_is_interrupted=False)
+
+    def wait(self, duration: float) -> bool:
+        """Wait until the next picture is due, this time after the last [s]; return whether to continue."""
+        with self._changed:
+            if not self._is_paused:
+                self._due = max(self._due + duration / self._speed, time.monotonic() - MOST_LATE)
+            while not self._is_interrupted:
+                if self._is_paused:
+                    self._due = time.monotonic()
+                    if self._num_steps:
+                        self._num_steps -= 1
+                        break
+                    self._changed.wait()
+                elif (left := self._due - time.monotonic()) > 0:
+                    self._changed.wait(left)
+                else:
+                    break
+            return not self._is_interrupted
+
+    def _set(self, **values: float) -> None:
+        with self._changed:
+            vars(self).update(values)
+            self._changed.notify_all()
 
 
 class Stage:
-    """Shows throws as they happen, or again; one thread calls `begin`, `show` and `end`."""
+    """Shows throws while they happen, or again; one thread calls `begin`, `show` and `end`."""
 
     def __init__(self, server: viser.ViserServer, scene: SceneCfg, playback: Playback) -> None:
-        """Build the page of a scene; what is special to a page goes into `controls`."""
+        """Build the page of a scene; each page adds its own controls to `controls`."""
         self._server, self._playback = server, playback
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         self.text = gui.add_markdown("")
-        self.speed = add_time_controls(gui, playback)  #: How fast time goes, by a name of `SPEEDS`.
+        self.speed = add_time_controls(gui, playback)  #: Speed of time, a name of `SPEEDS`.
         self.rate_text = gui.add_markdown("")
         self.picture = Picture(gui, scene.camera)  #: The camera's image, with the box of the policy.
-        self.controls = gui.add_folder("Throws")  #: Where a page adds what is its own.
+        self.controls = gui.add_folder("Throws")  #: Folder for the controls of a page.
         panel = gui.add_panel()
         self._plots_tab = panel.add_tab("Plots")
         panel.dock_left()
         panel.set_width(330)
-        self._frames: list[Frame] = []
+        server.on_client_connect(lambda visitor: _fold(panel, visitor))
+        self._frames: list[ThrowStep] = []
         self._path: FlightPath = np.zeros((1, 3))
         self._flight_time = 0.0
         self._plotted, self._counted = 0.0, (time.monotonic(), 0)
         self.is_playing = False  #: Whether a throw is being shown.
-        self.num_pictures = 0  #: Pictures so far.
+        self.num_pictures = 0  #: Number of pictures so far.
         self._open(scene)
 
     def set_scene(self, scene: SceneCfg) -> None:
-        """Show another scene, if it is another one."""
+        """Show a scene, if it differs from the present one."""
         if scene == self._scene:
             return
         self._images.close()
@@ -54,17 +122,17 @@ class Stage:
         self.view.remove()
         self._open(scene)
 
-    def tell(self, text: str) -> None:
-        """Say what happens, in Markdown."""
+    def show_text(self, text: str) -> None:
+        """Show a text, in Markdown."""
         self.text.content = text
 
     def begin(self, path: FlightPath, flight_time: float) -> None:
-        """Begin to show a throw that should fly along a path."""
+        """Begin to show a throw with the expected path of its object."""
         self._frames, self._path, self._flight_time = [], path, flight_time
         self.view.show_path(path)
 
-    def show(self, frame: Frame) -> bool:
-        """Show the next control step of a throw when its time has come; return whether to go on."""
+    def show(self, frame: ThrowStep) -> bool:
+        """Show the next control step when it is due; return whether to continue."""
         before = self._frames[-1].exposure if self._frames else None
         self._frames.append(frame)
         self._images.show(frame)
@@ -82,21 +150,21 @@ class Stage:
         return True
 
     def end(self) -> None:
-        """Show all of the curves of a throw that is over."""
+        """Show the complete curves of a throw."""
         self.is_playing = False
         self._plot()
 
     def replay(self, played: PlayedThrow) -> None:
         """Show a throw again."""
         self.begin(played.path, played.flight_time)
-        self.tell(f"again: throw {played.number}: {played.object_name} **{played.outcome}**")
+        self.show_text(f"again: throw {played.number}: {played.object_name} **{played.outcome}**")
         for frame in played.frames:
             if not self.show(frame):
                 return
         self.end()
 
     def close(self) -> None:
-        """End the drawing."""
+        """End the thread that draws images."""
         self._images.close()
 
     def _open(self, scene: SceneCfg) -> None:
@@ -119,8 +187,14 @@ class Stage:
             self._counted = now, self.num_pictures
 
 
+def _fold(panel: viser.PanelHandle, visitor: viser.ClientHandle) -> None:
+    """Minimize a panel if a browser is too narrow for the scene beside it."""
+    if visitor.camera.image_width < LEAST_WIDTH:
+        panel.minimize()
+
+
 def add_time_controls(gui: viser.GuiApi, playback: Playback) -> viser.GuiDropdownHandle[str]:
-    """Add what makes time stand still, go on, go slower or step by step."""
+    """Add controls that stop time, continue, slow it down or go step by step."""
     buttons = gui.add_button_group("time", ("pause", "go on", "one step"))
 
     def clicked(_: object) -> None:

@@ -1,7 +1,8 @@
-"""Throws one by one, in one environment, as the page asks for them; each can be looked at again."""
+"""Throws one by one in one environment, with disturbances; each can be shown again."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, Episode, failure
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_steps
+from pixel2catch.evaluation.stress.suite import part
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
 from pixel2catch.policy import LoadedPolicy
@@ -22,29 +24,103 @@ from pixel2catch.rendering.room import Bystanders
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import select_objects
 from pixel2catch.shipped import policy_folder
-from pixel2catch.viewer.disturbances import Setting, disturbed, released_at
-from pixel2catch.viewer.scene import Path as FlightPath
+from pixel2catch.viewer.scene import FlightPath
+
+Setting = float | tuple[float, float]  #: A number, or the range from which every throw draws its own.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbance:
+    """A field of the task and its slider."""
+
+    label: str  #: Text of the slider, with the unit.
+    part: str  #: Part of the task, such as `sensing`.
+    name: str  #: Field of that part: a number or a range.
+    largest: float  #: Largest value, in the unit of the label; the least is 0.
+    step: float  #: Step of the slider, in that unit.
+    scale: float  #: The field's unit over the label's.
+    #: Field with the grid of the drawn values, which is set to the step; none if empty.
+    grid: str
+
+    def of(self, task: CatchEnvCfg) -> Setting:
+        """Return the setting of a task, in the unit of the label."""
+        value = getattr(getattr(task, self.part), self.name)
+        return tuple(each / self.scale for each in value) if isinstance(value, tuple) else value / self.scale
+
+    def applied(self, task: CatchEnvCfg, setting: Setting) -> CatchEnvCfg:
+        """Return the task with a setting in the unit of the label; the task itself if it has that setting."""
+        if setting == self.of(task):
+            return task
+        value = (
+            tuple(each * self.scale for each in setting)
+            if isinstance(setting, tuple)
+            else setting * self.scale
+        )
+        grid = {self.grid: self.step} if self.grid else {}
+        return part(self.part, **{self.name: value}, **grid)(task)
+
+
+HINTS = {
+    "latency [steps]": "Control steps of 33 ms between an image and its box; every throw draws its own.",
+    "box noise [px]": "Largest error of each edge of the box.",
+    "missing boxes [%]": "Share of the images in which the object is not found.",
+    "camera turned [°]": "Angle between the camera and the one that the policy assumes.",
+    "camera moved [cm]": "Distance between the camera and the one that the policy assumes.",
+    "command delay [steps]": "Control steps between a command and its effect; every throw draws its own.",
+    "restitution": "Speed after an impact over the speed before; every throw draws its own.",
+    "drag: air [kg/m³]": "Density of the air that slows the object; real air has 1.2. "
+    "The thrower throws harder to reach the same point.",
+}
+"""Hint of each slider."""
+
+DISTURBANCES = tuple(
+    Disturbance(label=label, part=part, name=name, largest=largest, step=step, scale=scale, grid=grid)
+    for label, part, name, largest, step, scale, grid in (
+        ("latency [steps]", "sensing", "latency_steps", 5.0, 0.5, 1.0, "latency_grid"),
+        ("box noise [px]", "sensing", "corner_noise", 20.0, 1.0, 1.0, ""),
+        ("missing boxes [%]", "sensing", "drop_rate", 60.0, 5.0, 1e-2, ""),
+        ("camera turned [°]", "sensing", "camera_turn", 4.0, 0.25, radians(1.0), ""),
+        ("camera moved [cm]", "sensing", "camera_offset", 8.0, 0.5, 1e-2, ""),
+        ("command delay [steps]", "randomization", "command_delay", 3.0, 0.5, 1.0, "command_delay_grid"),
+        ("restitution", "randomization", "restitution", 0.8, 0.05, 1.0, ""),
+        ("drag: air [kg/m³]", "randomization", "air_density", 3.6, 0.1, 1.0, ""),
+    )
+)
+
+
+def disturbed(task: CatchEnvCfg, settings: tuple[Setting, ...]) -> CatchEnvCfg:
+    """Return the task with a setting for each of `DISTURBANCES`."""
+    for disturbance, setting in zip(DISTURBANCES, settings, strict=True):
+        task = disturbance.applied(task, setting)
+    return task
+
+
+def released_at(task: CatchEnvCfg, pos: tuple[float, float, float]) -> CatchEnvCfg:
+    """Return the task with one release point for all throws [m]; the aims stay."""
+    x, y, z = pos
+    throws = replace(task.throws, release_x=(x, x), release_y=(y, y), release_z=(z, z))
+    return replace(task, throws=throws)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowOrder:
-    """What the next throw shall be like; throws of equal orders are counted together."""
+    """Settings of a throw; throws of equal settings are counted together."""
 
     policy: str  #: Folder or name of the policy.
-    objects: str  #: What is thrown, as `select_objects` takes it, separated by commas.
+    objects: str  #: What is thrown, names of `select_objects` separated by commas.
     settings: tuple[Setting, ...]  #: Of each of `DISTURBANCES`.
-    release_pos: tuple[float, float, float] | None = None  #: Where it is released [m]; drawn if none.
+    release_pos: tuple[float, float, float] | None = None  #: Release point [m]; drawn if none.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
-    """What there is to show of one control step."""
+class ThrowStep:
+    """What the page shows of one control step."""
 
-    exposure: Exposure  #: Robot, object and thrower; its time is that since the release [s].
+    exposure: Exposure  #: Robot, object and thrower; the time is since the release [s].
     box: Float[np.ndarray, "4"]  #: The box that the policy gets [px].
-    pixel_features: Float[np.ndarray, "8"]  #: What it makes of it, in the order of `PIXEL_FEATURES`.
-    joint_pos: Float[np.ndarray, " num_joints"]  #: What the encoders say [rad].
-    joint_pos_target: Float[np.ndarray, " num_joints"]  #: What was commanded [rad].
+    pixel_features: Float[np.ndarray, "8"]  #: Features of that box, in the order of `PIXEL_FEATURES`.
+    joint_pos: Float[np.ndarray, " num_joints"]  #: Measured positions [rad].
+    joint_pos_target: Float[np.ndarray, " num_joints"]  #: Commanded positions [rad].
 
     @property
     def time(self) -> float:
@@ -53,7 +129,7 @@ class Frame:
 
     @property
     def object_pos(self) -> Float[np.ndarray, "3"]:
-        """Where the object is [m]."""
+        """Position of the object [m]."""
         return self.exposure.moment.qpos[-7:-4]
 
 
@@ -61,38 +137,38 @@ class Frame:
 class PlayedThrow:
     """A throw that is over."""
 
-    number: int  #: It counts from 1.
-    order: ThrowOrder  #: What it was to be like.
+    number: int  #: Number of the throw, from 1.
+    order: ThrowOrder  #: Its settings.
     object_name: str  #: What was thrown.
-    path: FlightPath  #: Where the object would fly, untouched, evenly over its time [m].
-    flight_time: float  #: That time [s].
-    frames: tuple[Frame, ...]  #: All its control steps.
+    path: FlightPath  #: Path of the object without contact, at even times [m].
+    flight_time: float  #: Duration of that path [s].
+    frames: tuple[ThrowStep, ...]  #: All its control steps.
     is_success: bool  #: Whether it was caught, by the paper's rule.
-    outcome: str  #: How it ended, in words.
+    outcome: str  #: Outcome in words.
 
 
-class Thrower:
-    """Throws what was ordered, and has an environment for as long as orders are equal."""
+class ThrowPlayer:
+    """Simulates throws; keeps the environment while the settings stay equal."""
 
     def __init__(self, dynamics: Path | None = None, camera: Path | None = None) -> None:
-        """Nothing is loaded before the first order; files are as of `task_of`."""
+        """Load nothing yet; dynamics and camera files are those of `task_of`."""
         self._dynamics, self._camera = dynamics, camera
         self._policies: dict[str, tuple[LoadedPolicy, Method]] = {}
         self._written: dict[str, float] = {}
         self._env: CatchEnv | None = None
         self._order: ThrowOrder | None = None
         self.num_throws = 0  #: Throws so far.
-        self.num_renewed = 0  #: How often a policy was read that a training had changed.
+        self.num_renewed = 0  #: Number of times that a policy was read again because a training changed it.
 
     def task(self, policy: str) -> CatchEnvCfg:
-        """The undisturbed task of a policy."""
+        """Return the undisturbed task of a policy."""
         return task_of(self._loaded(policy)[0], dynamics=self._dynamics, camera=self._camera)
 
-    def throw(self, order: ThrowOrder, seed: int) -> "Throwing":
+    def throw(self, order: ThrowOrder, seed: int) -> "RunningThrow":
         """Begin a throw.
 
         Raises:
-            Pixel2CatchError: If there is no such policy or object, or a file does not fit.
+            Pixel2CatchError: There is no such policy or object, or a file does not fit.
         """
         policy, method = self._loaded(order.policy)
         if self._env is None or order != self._order:
@@ -105,7 +181,7 @@ class Thrower:
             self._env, self._order = cfg.make_env(method), order
         self._env.seed(seed)
         self.num_throws += 1
-        return Throwing(self._env, policy, order, self.num_throws)
+        return RunningThrow(self._env, policy, order, self.num_throws)
 
     def close(self) -> None:
         """Free the environment."""
@@ -114,7 +190,7 @@ class Thrower:
         self._env = None
 
     def _loaded(self, policy: str) -> tuple[LoadedPolicy, Method]:
-        """The policy; read again when a training has written a newer one."""
+        """Return the policy; read it again if its file is newer."""
         file = policy_folder(Path(policy)) / "policy.safetensors"
         written = file.stat().st_mtime if file.exists() else 0.0
         if self._written.get(policy) != written:
@@ -124,21 +200,21 @@ class Thrower:
         return self._policies[policy]
 
 
-class Throwing:
-    """A throw that goes on."""
+class RunningThrow:
+    """A throw that is being simulated."""
 
     def __init__(self, env: CatchEnv, policy: LoadedPolicy, order: ThrowOrder, number: int) -> None:
-        """Nothing happens before the first of `frames`."""
+        """Simulate nothing yet."""
         self._env, self._policy, self.order, self.number = env, policy, order, number
         self._camera = env.cfg.sensing.camera.camera
-        self.frames: list[Frame] = []  #: What happened so far.
-        self.object_name = ""  #: What is thrown.
-        self.path: FlightPath = np.zeros((1, 3))  #: Where the object would fly, untouched [m].
-        self.flight_time = 0.0  #: How long [s].
+        self.frames: list[ThrowStep] = []  #: Control steps so far.
+        self.object_name = ""  #: Object that is thrown.
+        self.path: FlightPath = np.zeros((1, 3))  #: Path of the object without contact [m].
+        self.flight_time = 0.0  #: Duration of that path [s].
         self._state: RoundState | None = None
 
-    def run(self) -> Iterator[Frame]:
-        """Every control step until the throw is decided and a hold is tested."""
+    def run(self) -> Iterator[ThrowStep]:
+        """Yield every control step until the throw is decided and a hold is tested."""
         simulation = self._env.world.simulation
         qpos, qvel = (simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
         bystanders: Bystanders | None = None
@@ -164,7 +240,7 @@ class Throwing:
             yield self.frames[-1]
 
     def played(self) -> PlayedThrow:
-        """The throw, which is over."""
+        """Return the throw, which is over."""
         assert self._state is not None
         record = self._state.record
         is_success = bool(record.is_success)
@@ -180,9 +256,9 @@ class Throwing:
             outcome=caught if is_success else FAILURES[int(failure(record))].replace("_", " "),
         )
 
-    def _frame(self, step: Step, exposure: Exposure, box_before: torch.Tensor) -> Frame:
+    def _frame(self, step: Step, exposure: Exposure, box_before: torch.Tensor) -> ThrowStep:
         measured = step.measurement
-        return Frame(
+        return ThrowStep(
             exposure=exposure,
             box=measured.box[0].numpy().copy(),
             pixel_features=pixel_features(box_before, measured.box, self._camera)[0].numpy(),
@@ -192,7 +268,7 @@ class Throwing:
 
 
 def _flight(episode: Episode) -> FlightPath:
-    """Where the object of the only environment flies to the height it is aimed at."""
+    """Return the path of the object of the only environment up to the aimed height."""
     throw = episode.throw
     drag = torch.zeros(1) if episode.drag is None else episode.drag
     path = flight_path(throw.pos, throw.lin_vel, drag, throw.flight_time())

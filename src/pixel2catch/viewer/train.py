@@ -1,4 +1,4 @@
-"""`pixel2catch train --web`: the curves of a training, how long it takes, and throws of its newest policy."""
+"""The page of `pixel2catch train --web`: curves, remaining time, and throws of the newest policy."""
 
 import sys
 import time
@@ -14,25 +14,25 @@ from pixel2catch.viewer.play import PlayPage
 from pixel2catch.viewer.plots import add_plot
 from pixel2catch.viewer.server import open_server
 
-PERIOD = 2.0  #: Time between two looks at the run [s]. Source: ours, less than an update takes.
-RATES = ("tracking_rate", "success_rate")  #: Metrics of the first plot, of those that a run has.
-REWARD = "reward/"  #: What the metrics of the second plot begin with.
+PERIOD = 2.0  #: Time between two reads of the metrics [s]. Source: ours, less than an update.
+RATES = ("tracking_rate", "success_rate")  #: Metrics of the first plot, if the run has them.
+REWARD = "reward/"  #: Prefix of the metrics of the second plot.
 
 
 class TrainingCurves:
-    """Curves and progress of a run; `update` makes them current."""
+    """Curves and progress of a run; `update` reads its metrics."""
 
     def __init__(self, gui: viser.GuiApi, run: Path, transitions: int) -> None:
-        """Add them to the page of a run that is to have so many transitions."""
+        """Add them to the page of a run with this number of transitions."""
         self._gui, self._run, self._transitions = gui, run, transitions
         self._folder = gui.add_folder("Training", order=-1.0)
         with self._folder:
             self.text = gui.add_markdown("no update yet")
         self._plots: dict[tuple[str, ...], viser.GuiUplotHandle] = {}
-        self.num_rows = 0  #: Rows of metrics that are shown.
+        self.num_rows = 0  #: Number of shown rows of metrics.
 
     def update(self) -> None:
-        """Read the run's metrics, and show them if there are more."""
+        """Read the run's metrics, and show new rows."""
         rows = read_rows(self._run / METRICS_FILE)
         if len(rows) == self.num_rows:
             return
@@ -57,7 +57,7 @@ class TrainingCurves:
 
 
 def progress_text(row: dict[str, float], transitions: int) -> str:
-    """How far a training is, and the time that is left, by its newest row of metrics."""
+    """Return progress and remaining time in words, from the newest row of metrics."""
     left = max(transitions - row["transitions"], 0.0) / max(row["transitions_per_second"], 1e-9)
     minutes, seconds = divmod(round(left), 60)
     share = 100 * row["transitions"] / transitions
@@ -66,7 +66,7 @@ def progress_text(row: dict[str, float], transitions: int) -> str:
 
 
 def serve_training(cfg: PageCfg, run: Path, transitions: int) -> None:
-    """Serve the page of a run for as long as this process lives; throws begin with the first policy."""
+    """Serve the page of a run until this process ends; throws begin with the first policy."""
     server = open_server(cfg, "Pixel2Catch training")
     print(f"the training's page: {server.address}", file=sys.stderr, flush=True)
     curves = TrainingCurves(server.viser.gui, run, transitions)

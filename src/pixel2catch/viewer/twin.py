@@ -1,6 +1,6 @@
-"""The twin's page: an operator's page, with buttons for the thrower. Needs viser.
+"""The twin's page: an operator's page with buttons for the thrower.
 
-One button does all that an operator does for a throw; the others do it step by step.
+One button does all steps of a throw; the others do one step each.
 """
 
 import sys
@@ -19,7 +19,7 @@ from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.operator_page import OperatorPage
 from pixel2catch.viewer.visitors import HeldButton
 
-REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
+REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: Requests to the twin, one button each.
 
 PHASES: dict[str, str] = {
     Phase.EMPTY: "the room is empty",
@@ -27,12 +27,12 @@ PHASES: dict[str, str] = {
     Phase.FLYING: "{object} flies",
     Phase.OVER: "{object} {outcome}",
 }
-"""A throw in words."""
+"""Phases of a throw in words."""
 
 
 @final
 class TwinPage:
-    """The page; `update` makes it current."""
+    """The page; `update` refreshes it."""
 
     def __init__(
         self,
@@ -43,11 +43,11 @@ class TwinPage:
         clock: Clock,
         button: HeldButton | None = None,
     ) -> None:
-        """Serve the page of a scene, by the clock of twin and deployment."""
+        """Serve the page of a scene, with the clock of twin and deployment."""
         self._operator = RehearsalOperator(transport, profile.operator, clock)
-        self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
-        self.seed = 0  #: Of the next throw.
-        self.outcomes: dict[str, str] = {}  #: How throws ended, by their numbers.
+        self.trial: Thread | None = None  #: Thread of the newest automatic throw.
+        self.seed = 0  #: Seed of the next throw.
+        self.outcomes: dict[str, str] = {}  #: Outcomes of throws by number.
         self._problem = ""
         title, console = "Pixel2Catch twin", self._operator.console
         self.page = OperatorPage(
@@ -59,16 +59,16 @@ class TwinPage:
             clock,
             console,
             button=button or HeldButton(),
-            more=self._heed,
-        )  #: What is shown.
+            more=self._handle,
+        )  #: The operator's page.
 
     @property
     def console(self) -> OperatorConsole:
-        """The operator's, one for the page and its throws: the servo heeds no second."""
+        """The operator's console, one for page and throws, because the servo obeys only one."""
         return self._operator.console
 
     def update(self) -> None:
-        """Show what has arrived, and go on holding the switch while somebody does."""
+        """Show new messages, and pass on the state of the switch."""
         if not self._is_in_trial:
             self.console.holds = self.page.is_held
             self._operator.watch()
@@ -77,13 +77,13 @@ class TwinPage:
             self.outcomes[str(truth.get("throw"))] = str(truth.get("outcome"))
         self.page.update(truth, self._words(truth))
 
-    def ask(self, name: str) -> None:
-        """Ask the twin for one of `REQUESTS`."""
+    def request(self, name: str) -> None:
+        """Send one of `REQUESTS` to the twin."""
         more = {"seed": self._next_seed()} if name == "prepare" else {}
         self._operator.request(do=name, **more)
 
     def catch(self) -> None:
-        """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
+        """Run a whole throw in a thread, unless one is running."""
         if not self._is_in_trial:
             self.trial = Thread(target=self._try, args=(self._next_seed(),), daemon=True)
             self.trial.start()
@@ -101,7 +101,7 @@ class TwinPage:
         return self.seed - 1
 
     def _words(self, truth: dict[str, Any]) -> dict[str, Any]:
-        """What the page says of the twin."""
+        """Return the texts of the twin's part of the page."""
         known = {name: truth.get(name) for name in ("object", "outcome")}
         words = PHASES.get(truth.get("phase", ""))
         outcomes = [*self.outcomes.values()]
@@ -110,15 +110,15 @@ class TwinPage:
         num_caught = sum(outcome == "caught" for outcome in outcomes)
         return {
             "seed": self.seed,
-            "throw": words.format(**known) if words else "nothing is heard of the twin",
+            "throw": words.format(**known) if words else "no message from the twin",
             "result": f"{outcomes[-1]}; {num_caught} of {len(outcomes)} caught" if outcomes else "none",
             "trouble": "; ".join(filter(None, (*said, halted))),
             "is_busy": self._is_in_trial,
         }
 
-    def _heed(self, asked: dict[str, Any]) -> None:
-        """Do what this page asks for besides what every page does."""
-        match asked:
+    def _handle(self, request: dict[str, Any]) -> None:
+        """Do what a browser requests of the twin."""
+        match request:
             case {"do": "catch"}:
                 self.catch()
             case {"do": "seed", "seed": int(seed)} if 0 <= seed < 2**31:
@@ -126,12 +126,14 @@ class TwinPage:
             case {"do": "show"}:
                 self._point()
             case {"do": str(name)} if name in REQUESTS:
-                self.ask(name)
+                self.request(name)
             case _:
-                raise DeploymentError(f"{asked} is none of catch, seed, show, {', '.join(REQUESTS)}")
+                raise DeploymentError(
+                    f"{request} is no request; valid: catch, seed, show, {', '.join(REQUESTS)}"
+                )
 
     def _point(self) -> None:
-        """Point at the object by what is true."""
+        """Point at the true box of the object."""
         box = self._operator.truth.get("box")
         if not box:
             raise DeploymentError("the camera sees no object: prepare a throw first")
@@ -143,7 +145,7 @@ class TwinPage:
 
 
 def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
-    """Serve the page until this process is ended."""
+    """Serve the page until this process ends."""
     clock = RealClock(rate)
     with make_transport("dds", "pixel2catch_page", LOOPBACK, clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)

@@ -1,4 +1,4 @@
-"""The browsers that look at a page of our own: what they are told, and what they hold."""
+"""The browsers of an own page: the state that is sent to them, and the switch that they hold."""
 
 import asyncio
 import json
@@ -14,36 +14,36 @@ from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchEr
 from pixel2catch.files import json_object
 
 BEAT_AGE = 0.4
-"""Real time for which a browser that says nothing still holds the switch [s]. Source: ours: it says so every
-0.05 s (`operate.js`), and draws in between; letting go is said at once, this is for one that hangs."""
+"""Real time after which a silent browser no longer holds the switch [s]. Source: ours: `operate.js` repeats
+`hold` every 0.05 s and sends a release at once, so this is for a browser that hangs."""
 
-LONGEST = 1000  #: Characters of a request; ours have a hundred.
+LONGEST = 1000  #: Largest number of characters of a request; those of our pages have a hundred.
 
-Visitor = ServerConnection  #: One browser, as long as it is connected.
-Heed = Callable[[Visitor, dict[str, Any]], None]  #: Does what a browser asks for, or raises Pixel2CatchError.
+Visitor = ServerConnection  #: A connected browser.
+Handle = Callable[[Visitor, dict[str, Any]], None]
+"""Does what a browser requests, or raises Pixel2CatchError."""
 
 
 @final
 class HeldButton:
-    """The dead-man's switch of a page: one browser holds it, for as long as it says so again and again.
+    """The dead-man's switch of a page: one browser holds it while it keeps repeating so.
 
-    One that falls silent must press anew; what it says of holding before counts for nothing. Any thread may
-    call this.
+    A browser that was silent must press again; its further `hold` requests do not count. Thread-safe.
     """
 
     def __init__(self, age: float = BEAT_AGE, now: Callable[[], float] = time.monotonic) -> None:
-        """Begin with nobody holding it; a browser may be silent for so long [s]."""
+        """Begin with the switch released; a holding browser may be silent for `age` [s]."""
         self._age, self._now = age, now
         self._holding: tuple[object, float] | None = None
 
     @property
     def holder(self) -> object | None:
-        """The browser that holds it now, if one does."""
+        """The browser that holds it now, if any."""
         holding = self._holding
         return holding[0] if holding and self._now() <= holding[1] else None
 
     def press(self, visitor: object) -> None:
-        """Begin to hold it.
+        """Hold the switch.
 
         Raises:
             DeploymentError: Another browser holds it.
@@ -52,44 +52,44 @@ class HeldButton:
             raise DeploymentError("another page holds the switch: let go of it there")
         self._holding = (visitor, self._now() + self._age)
 
-    def go_on(self, visitor: object) -> None:
-        """Go on holding it.
+    def keep(self, visitor: object) -> None:
+        """Keep holding the switch.
 
         Raises:
-            DeploymentError: It has fallen, as the browser was silent for too long, or somebody stopped.
+            DeploymentError: It was released, as the browser was silent for too long or the robot stopped.
         """
         if self.holder is not visitor:
-            raise DeploymentError("the switch has fallen: let go of it, and hold it again")
+            raise DeploymentError("the switch was released: let go of it, and hold it again")
         self.press(visitor)
 
     def let_go(self, visitor: object) -> None:
-        """Hold it no longer, if that browser does."""
+        """Release the switch, if that browser holds it."""
         if self.holder is visitor:
             self.drop()
 
     def drop(self) -> None:
-        """Let it fall, whoever holds it."""
+        """Release the switch, whoever holds it."""
         self._holding = None
 
 
 @final
 class Visitors:
-    """Tells every browser the newest state and image, as fast as it takes them; any thread may `tell`."""
+    """Sends the newest state and image to every browser as fast as it takes them; `send` is thread-safe."""
 
-    def __init__(self, heed: Heed, on_leave: Callable[[Visitor], None]) -> None:
-        """Begin with nobody; both functions are called in the server's thread."""
-        self._heed, self._on_leave = heed, on_leave
+    def __init__(self, handle: Handle, on_leave: Callable[[Visitor], None]) -> None:
+        """Begin without browsers; both functions are called in the server's thread."""
+        self._handle, self._on_leave = handle, on_leave
         self._news: dict[Visitor, asyncio.Event] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._state, self._image = "", b""
 
     @property
     def num(self) -> int:
-        """How many there are."""
+        """Number of connected browsers."""
         return len(self._news)
 
-    def tell(self, state: dict[str, Any], image: bytes) -> None:
-        """Tell all of a state, if it is another one, and of an image, a JPEG, if it is."""
+    def send(self, state: dict[str, Any], image: bytes) -> None:
+        """Send a state and an image (JPEG) to all browsers, where they changed."""
         written = json.dumps(state)
         if (written, image) == (self._state, self._image):
             return
@@ -103,14 +103,14 @@ class Visitors:
             news.set()
 
     async def talk(self, visitor: Visitor) -> None:
-        """Speak with a browser until it leaves; one that says what no page of ours says is cut off."""
+        """Serve a browser until it leaves; close the connection after a message that is no request."""
         self._loop = asyncio.get_running_loop()
         news = self._news[visitor] = asyncio.Event()
         news.set()
         sending = asyncio.create_task(self._send(visitor, news))
         try:
-            async for said in visitor:
-                await self._hear(visitor, said)
+            async for message in visitor:
+                await self._receive(visitor, message)
         except ConnectionClosed:
             pass
         finally:
@@ -118,15 +118,15 @@ class Visitors:
             sending.cancel()
             self._on_leave(visitor)
 
-    async def _hear(self, visitor: Visitor, said: str | bytes) -> None:
+    async def _receive(self, visitor: Visitor, message: str | bytes) -> None:
         try:
-            asked = json_object(said) if isinstance(said, str) and len(said) <= LONGEST else None
+            request = json_object(message) if isinstance(message, str) and len(message) <= LONGEST else None
         except InvalidValueError:
-            asked = None
-        if asked is None:
+            request = None
+        if request is None:
             return await visitor.close(1008, "not a request")
         try:
-            self._heed(visitor, asked)
+            self._handle(visitor, request)
         except Pixel2CatchError as error:
             await visitor.send(json.dumps({"error": str(error)}))
 

@@ -1,4 +1,4 @@
-"""What is on the wire of a deployment, on a page: the robot as a scene, and the states behind the words."""
+"""Messages of a deployment on a page: the robot as a scene, and the rows of a status."""
 
 from contextlib import suppress
 from typing import Any, final
@@ -21,7 +21,7 @@ from pixel2catch.workcells import find_workcell
 
 @final
 class WireScene:
-    """Shows robot and, of a twin, object and thrower as a node hears of them; `update` makes it current."""
+    """Shows the robot by its joint states, and object and thrower of a twin; `update` refreshes it."""
 
     def __init__(
         self,
@@ -41,10 +41,10 @@ class WireScene:
         self.view = SceneView(server, scene)  #: The scene.
 
     def update(self, state: dict[str, Any]) -> None:
-        """Move everything to where it is, by what has arrived and the newest state of the twin, if any."""
+        """Move everything by new messages, and by the newest state of the twin, if any."""
         for subscription in self._joints:
             for message in subscription.take():
-                with suppress(DeploymentError):  # a message that cannot be read shows nothing
+                with suppress(DeploymentError):  # unreadable messages are skipped
                     reading = messages.read_joint_state(message.data)
                     for part in self._parts:
                         part.merge(reading, self._joint_pos)
@@ -52,7 +52,7 @@ class WireScene:
             self._move(state)
 
     def _move(self, state: dict[str, Any]) -> None:
-        self.view.show_bystanders(bool(state))  # of a real laboratory nobody knows where they are
+        self.view.show_bystanders(bool(state))  # their pose in a real laboratory is unknown
         now, phase = self._clock.now(), state.get("phase")
         pose = np.array(state.get("object_pose") or (*self._held_pos, 1.0, 0.0, 0.0, 0.0))
         if phase == Phase.HELD or phase == Phase.EMPTY:
@@ -65,7 +65,7 @@ class WireScene:
 
 
 def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is in a status, in rows of a name and a text, for those who want to know more than the words."""
+    """Return the entries of a status as rows of a name and a text."""
     return [
         ("servo", status.get("mode", "not heard of")),
         ("stopped by", _what(status.get("stopped_by"))),
@@ -78,7 +78,7 @@ def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def listed(values: Any) -> str:
-    """Some words of a message, or that there are none."""
+    """Return the entries of a list in words; `nothing` if it is empty."""
     return ", ".join(map(str, values)) if isinstance(values, list) and values else "nothing"
 
 
