@@ -4,19 +4,24 @@ import copy
 import math
 import typing
 from collections.abc import Iterator
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from types import UnionType
 from typing import Any, get_args, get_origin
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
 
+from pixel2catch.api.calls import make
 from pixel2catch.checks import require_valid
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.experiment import Experiment
 
 BOUNDS: dict[str, tuple[float, float]] = {
     # physics: at least one step in a control step of 30 Hz
@@ -101,22 +106,46 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "variants.share": (0, 1),
 }
 
+TRAINING: dict[str, tuple[float, float]] = {
+    "num_envs": (1, 10_000_000),
+    "seed": (0, 2**32 - 1),
+    "physics_stages": (30, 30_000),
+    "start_transitions": (1, 1e12),
+    "teacher_share": (0, 1),
+    "final_teacher_weight": (0, 1),
+    "transitions": (1, 1e12),
+    "rollout_steps": (1, 10_000_000),
+    "epochs": (1, 10_000_000),
+    "mini_batches": (1, 10_000_000),
+    "learning_rate": (0, 1),
+    "final_learning_rate": (0, 1),
+    "kl_target": (0, 10),
+    "discount": (0, 1),
+    "gae_lambda": (0, 1),
+    "ratio_clip": (0, 10),
+    "value_clip": (0, 1000),
+    "value_loss_scale": (0, 1000),
+    "entropy_scale": (0, 100),
+    "gradient_clip": (0, 1e6),
+    "hidden": (1, 65_536),
+    "recurrent": (0, 65_536),
+    "initial_log_std": (-10, 3),
+    "rewards": (-1e6, 1e6),
+    "checkpoint_seconds": (0, 1e6),
+    "report_seconds": (0, 1e6),
+}
+
 COUPLED = (
     *("scene.physics_hz", "variants.share", "scene.object_solimp[0]", "scene.object_solimp[1]"),
     *("quat", "width", "height", "distortion", "pose_covariance"),
 )
 """Ends of names whose values must also fit others; only values beyond their ranges are drawn."""
 
-TASK = CatchEnvCfg(
-    variants=(
-        TaskVariant(
-            share=0.5,
-            throws=TASKS["nominal"].throws,
-            randomization=TASKS["nominal"].randomization,
-            sensing=TASKS["nominal"].sensing,
-        ),
-    )
+NOMINAL = CatchEnvCfg()
+VARIANT = TaskVariant(
+    share=0.5, throws=NOMINAL.throws, randomization=NOMINAL.randomization, sensing=NOMINAL.sensing
 )
+TASK = replace(NOMINAL, variants=(VARIANT,))
 
 
 def numbers_of(kind: Any, path: str) -> Iterator[str]:
@@ -131,7 +160,7 @@ def numbers_of(kind: Any, path: str) -> Iterator[str]:
     elif get_origin(kind) is tuple and len(get_args(kind)) == 5:
         for index, each in enumerate(get_args(kind)):
             yield from numbers_of(each, f"{path}[{index}]")
-    elif get_origin(kind) in (tuple, UnionType, typing.Union):
+    elif get_origin(kind) in (dict, tuple, UnionType, typing.Union):
         yield from dict.fromkeys(name for each in get_args(kind) for name in numbers_of(each, path))
 
 
@@ -139,7 +168,8 @@ def test_the_table_has_every_number():
     names = [*numbers_of(CatchEnvCfg, "")]
     own = [name for name in names if not name.startswith("variants.") or name == "variants.share"]
     assert sorted(own) == sorted(BOUNDS)
-    assert all(math.isfinite(bound) for bounds in BOUNDS.values() for bound in bounds)
+    assert sorted(numbers_of(TrainCfg, "")) == sorted(TRAINING)
+    assert all(math.isfinite(bound) for bounds in (*BOUNDS.values(), *TRAINING.values()) for bound in bounds)
 
 
 def value_at(value: Any, path: str) -> Any:
@@ -208,6 +238,18 @@ def test_a_number_beyond_its_range_is_refused_by_name(case: tuple[str, float]):
     assert " must be " in str(error.value)
 
 
+@pytest.mark.parametrize("name", TRAINING)
+def test_a_number_of_a_training_beyond_its_range_is_refused(name: str):
+    experiment = Experiment(env=NOMINAL, train=TrainCfg())
+    default = getattr(experiment.train, name)
+    low, high = TRAINING[name]
+    for number in (low - 1, 2 * high + 1, math.nan, math.inf):
+        value = (number,) if isinstance(default, tuple) else number
+        value = {"arm.success": number} if name == "rewards" else value
+        with pytest.raises(InvalidValueError, match=rf"train\.{name}.* is .*; it must be "):
+            require_valid(with_value(experiment, f"train.{name}", value))
+
+
 @settings(max_examples=100)
 @given(st.sampled_from([path for path in sorted(BOUNDS) if not path.endswith(COUPLED)]), st.floats(0.0, 1.0))
 def test_a_number_within_its_range_is_taken(path: str, share: float):
@@ -267,6 +309,31 @@ def test_a_value_of_another_kind_is_refused(path: str, value: Any):
 def test_a_bad_value_of_a_variant_is_named():
     with pytest.raises(InvalidValueError, match=r"env\.variants\[0\]\.throws\.spin is -1"):
         require_valid(with_value(TASK, "variants[0].throws.spin", -1.0), "env")
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ({"method": None}, "method"),
+        ({"task": None}, "task"),
+        ({"num_envs": 1.5}, "num_envs"),
+        ({"num_envs": "4"}, "num_envs"),
+        ({"num_envs": True}, "num_envs"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"seed": None}, "seed"),
+        ({"device": "gpu"}, "device"),
+        ({"task": replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0))}, "task.throws.spin"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_functions_of_the_package_refuse_bad_values(values: dict[str, Any], name: str):
+    with pytest.raises((InvalidValueError, TypeCheckError), match=name):
+        make(**values)
+
+
+def test_an_evaluation_refuses_bad_values_of_its_task():
+    with pytest.raises(InvalidValueError, match=r"throws\.spin is -1"):
+        EvaluationCfg(objects=("cube_s",), task=replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0)))
 
 
 def test_tasks_and_disturbances_are_valid():

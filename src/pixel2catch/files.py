@@ -43,8 +43,12 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
     replaced.
 
     Raises:
+        InvalidValueError: A path exists and is not a regular file.
         OSError: The disk is full, read-only or gone; nothing was replaced.
     """
+    for path in contents:
+        if path.exists() and not path.is_file():
+            raise InvalidValueError(f"'{path}' is a folder, a pipe or a device; name a file.")
     temporaries = {path: path.with_name(path.name + ".tmp") for path in contents}
     try:
         for path, content in contents.items():

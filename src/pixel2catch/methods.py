@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.own_files import catalogue
@@ -21,6 +22,16 @@ class Method:
     agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
     pixel_features: tuple[str, ...]  #: Names out of `camera.boxes.PIXEL_FEATURES`.
     num_boxes: int = 1  #: Measured boxes that it remembers.
+
+    def __post_init__(self) -> None:
+        """Refuse a method without agents, two agents of one name, and unknown pixel features."""
+        names = [agent.name for agent in self.agents]
+        if not names or len(set(names)) < len(names):
+            raise InvalidValueError(
+                f"method '{self.name}' has the agents {names}; it needs one or more, each with its own name."
+            )
+        for feature in set(self.pixel_features) - set(PIXEL_FEATURES):
+            raise UnknownNameError("pixel feature", feature, PIXEL_FEATURES)
 
     @property
     def knows_age(self) -> bool:

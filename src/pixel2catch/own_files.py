@@ -30,13 +30,19 @@ Value = TypeVar("Value")
 
 
 def take_option(args: Sequence[str]) -> list[str]:
-    """The arguments without `--import FILE.py`, and names for `FILE.py:NAME`; `VARIABLE` gets the files."""
+    """Return arguments without `--import FILE.py`, and names for `FILE.py:NAME`; `VARIABLE` gets the files.
+
+    Raises:
+        InvalidValueError: The option names no file.
+    """
     rest: list[str] = []
     remaining = iter(args)
     for argument in remaining:
         name, _, value = argument.partition("=")
         if name == OPTION:
-            announce(value or next(remaining, ""))
+            if not (file := value or next(remaining, "")):
+                raise InvalidValueError(f"{OPTION} needs a Python file behind it, such as {OPTION} mine.py.")
+            announce(file)
         else:
             rest.append(named(argument))
     return rest
@@ -88,7 +94,7 @@ def import_file(name: str) -> ModuleType:
         spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[path.stem]
-        if isinstance(error, Pixel2CatchError) or not isinstance(error, Exception):
+        if isinstance(error, Pixel2CatchError) or not isinstance(error, Exception | SystemExit):
             raise
         lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
         where = f" in line {lines[-1]}" if lines else ""

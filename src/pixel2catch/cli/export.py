@@ -6,6 +6,7 @@ from typing import Literal, cast
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import Count, Seed
 from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.link import Robot
@@ -30,10 +31,10 @@ class Export:
     format: Literal["onnx", "lerobot"] = "onnx"  #: What is written.
     #: The file, or the data set's new folder. Default: the source's name in the working directory.
     out: Path | None = None
-    #: For throws: what is thrown: seen, unseen, real, sizes, names of objects, or several of them.
-    objects: tuple[str, ...] = ("seen",)
-    throws: int = 100  #: For throws: how many.
-    seed: int = 0  #: For throws: seed of everything that is drawn.
+    #: For throws: what is thrown: seen, unseen, real, sizes, or names of objects. Default: seen.
+    objects: tuple[str, ...] = ()
+    throws: Count = 100  #: For throws: how many.
+    seed: Seed = 0  #: For throws: seed of everything that is drawn.
     #: For throws: draw what the robot's camera sees, which takes seconds a throw. Recorded images are always
     #: taken over.
     images: bool = False
@@ -43,6 +44,8 @@ class Export:
         """Write it."""
         source = self.source or Path(DEFAULT_POLICY)
         name = source.resolve().parent.name if source.name == "policy" else source.stem
+        if self.format == "onnx" and (self.objects or self.images or self.throws != Export.throws):
+            raise InvalidValueError("--objects, --throws and --images need --format lerobot; add it.")
         if self.format == "onnx":
             self._write_policy(self.out or Path(f"{name}.onnx"))
         else:
@@ -100,7 +103,7 @@ class Export:
 
         policy, method = load_policy(self.source)
         cfg = EvaluationCfg(
-            objects=select_objects(self.objects),
+            objects=select_objects(self.objects or ("seen",)),
             num_envs=self.throws,
             trials=1,
             seed=self.seed,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PREFIX = "--env."  #: What options that are fields of the task begin with.
 HELP = "--env.help"
 
-OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
+OF_THE_PROTOCOL = ("objects", "episode", "scene.workcell")  #: Fields that an evaluation sets itself.
 
 TaskFields = tyro.conf.FlagConversionOff[tyro.conf.AvoidSubcommands[Any]]
 """Type of a field for a `CatchEnvCfg`: tyro takes the fields of the default instance. None has no options."""
@@ -101,9 +101,9 @@ class TaskOptions:
             InvalidValueError: The protocol of evaluations sets a given field itself.
         """
         for name in self.given:
-            if name.partition(".")[0] in OF_THE_PROTOCOL:
+            if name in OF_THE_PROTOCOL or name.partition(".")[0] in OF_THE_PROTOCOL:
                 raise InvalidValueError(
-                    f"'{command}' sets --env.{name} itself; leave it out, and name objects by --objects."
+                    f"'{command}' sets --env.{name} itself, by the policy and by --objects; leave it out."
                 )
         changed = with_given(task, self.env, self.given)
         if self.robot_model:

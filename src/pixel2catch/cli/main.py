@@ -2,6 +2,9 @@
 
 import errno
 import importlib.metadata
+import io
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -40,17 +43,20 @@ EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
 EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
 EXIT_TERMINATED = 143  #: Exit status after a termination signal, likewise.
 
+LEAST_COLUMNS = 40  #: Width of help in narrower terminals [characters]; the parser hangs in very narrow ones.
+
 OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "bad_alloc")
 """How libraries say in an error that memory is short."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status; the arguments are those of the process if absent."""
-    args = take_option(sys.argv[1:] if args is None else args)
-    if args == ["--version"]:
-        print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
-        return 0
     try:
+        _prepare_terminal()
+        args = take_option(sys.argv[1:] if args is None else args)
+        if args == ["--version"]:
+            print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
+            return 0
         with raise_on_termination():
             command = parse(args)
             require_valid(command)
@@ -70,6 +76,21 @@ def main(args: Sequence[str] | None = None) -> int:
         print("pixel2catch: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return 0
+
+
+def _prepare_terminal() -> None:
+    """Write what an encoding lacks as '?', and give help enough columns.
+
+    Raises:
+        InvalidValueError: Standard output is closed, so that results would be lost.
+    """
+    if sys.stdout is None:
+        raise InvalidValueError("standard output is closed; redirect it to a file or to /dev/null.")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    if shutil.get_terminal_size().columns < LEAST_COLUMNS:
+        os.environ["COLUMNS"] = str(LEAST_COLUMNS)
 
 
 def _sentence(error: Exception) -> str:

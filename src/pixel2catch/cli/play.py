@@ -21,8 +21,8 @@ class Play:
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
-    #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
-    out: FilmPath = Path("play.mp4")
+    #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw. Default: play.mp4.
+    out: FilmPath | None = None
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: Count = 4  #: Number of throws.
@@ -33,9 +33,12 @@ class Play:
 
     def run(self) -> None:
         """Throw, draw and write; or serve the page."""
+        if self.web and self.out:
+            raise InvalidValueError("--web writes no film; leave out --out or --web.")
         if self.web:
             self._serve()
             return
+        out = self.out or Path("play.mp4")
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.film import write_throws
@@ -50,14 +53,14 @@ class Play:
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
         throws = recorded_throws(cfg, policy, method)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_throws(
-            self.out,
+            out,
             throws,
             task.scene,
             on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
         )
-        print(f"wrote {self.out}: {num_pictures} pictures")
+        print(f"wrote {out}: {num_pictures} pictures")
 
     def _serve(self) -> None:
         """Serve the page until Ctrl-C; it takes no robot model."""

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome
 
 REPORT = "report.json"  #: The report's file in the output folder; the output of both processes is beside it.
-LOCKSTEP_ONLY = ("perception_jitter_ms", "clock_error_ms", "plain")  #: Fields that need `lockstep`.
+LOCKSTEP_ONLY = (
+    "perception_ms",
+    "perception_jitter_ms",
+    "clock_error_ms",
+    "plain",
+)  #: Fields that need `lockstep`.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +74,11 @@ class Rehearse:
 
 def _require_one_kind(cfg: RehearsalCfg) -> None:
     """Refuse options of one kind of rehearsal in the other."""
-    given = [f"--{name.replace('_', '-')}" for name in LOCKSTEP_ONLY if getattr(cfg, name)]
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name in LOCKSTEP_ONLY
+        if getattr(cfg, name) != getattr(RehearsalCfg, name)
+    ]
     if given and not cfg.lockstep:
         raise InvalidValueError(f"{', '.join(given)} needs --lockstep: add it")
     if cfg.lockstep and cfg.clock != 1.0:

@@ -15,7 +15,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder, NotNegative, Positive
 from pixel2catch.cli.console import results_console, say
-from pixel2catch.errors import PerceptionError
+from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -69,7 +69,10 @@ class Track:
             from pixel2catch.evaluation import box_scores
             from pixel2catch.perception.labels import load_labels
             from pixel2catch.perception.sightings import Tally
+            from pixel2catch.ros2.bags import is_bag
 
+        if self.topic and not is_bag(Path(self.source)):
+            raise InvalidValueError(f"--topic needs a rosbag, but '{self.source}' is none; leave it out.")
         labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
         notes: list[str] = []

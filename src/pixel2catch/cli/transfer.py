@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
+from pixel2catch.checks import Count, NotEmpty, PhysicsRate, ResultsFolder, Seed, Within
 from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
@@ -29,7 +29,7 @@ class Transfer:
     #: catch_alone+fit.
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Engines: mujoco, physx, drake; the others are compared with the first, the home.
-    engines: tuple[str, ...] = ("mujoco", "physx")
+    engines: Annotated[tuple[str, ...], NotEmpty()] = ("mujoco", "physx")
     #: Restitutions of the objects; drake has 0 alone. Default: drawn for every throw, from 0 to 0.5, as in
     #: training.
     restitution: tuple[Share, ...] = ()

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pixel2catch.checks import (
+    Above,
     Count,
     Device,
-    NotNegative,
     PhysicsRate,
-    Positive,
     Seed,
     Share,
     Within,
@@ -18,6 +17,7 @@ from pixel2catch.checks import (
 )
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 
+Transitions = Annotated[int, Within(1, 1_000_000_000_000)]  #: Control steps of all environments.
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 PresetName = Literal["fast", "large", "cpu", "paper"]
 
@@ -51,7 +51,7 @@ class TrainCfg:
     start: Path | None = None
     #: Transitions after such a start in which only the value networks learn; over as many again the learning
     #: rate rises. Source: ours.
-    start_transitions: Annotated[int, Within(1)] = 2_000_000
+    start_transitions: Transitions = 2_000_000
     #: Policy whose actions are imitated at first, in the states that the trained policy reaches; named as
     #: --start. It may be of another method, such as one that observes the object's position. Default: none.
     teacher: Path | None = None
@@ -61,7 +61,7 @@ class TrainCfg:
     #: Weight of imitation that stays to the end. Source: ours.
     final_teacher_weight: Share = 0.0
     #: Length of the training: control steps, summed over the environments. Source: release.
-    transitions: Annotated[int, Within(1)] = 51_200_000
+    transitions: Transitions = 51_200_000
     #: Control steps of every environment between two updates.
     rollout_steps: Count = 8
     #: Passes over a rollout in an update. Source: release.
@@ -74,28 +74,28 @@ class TrainCfg:
     #: How the learning rate changes: linear over the transitions, or adapted to the KL divergence.
     schedule: Literal["linear", "kl"] = "linear"
     #: Learning rate at the start.
-    learning_rate: Positive = 1e-3
+    learning_rate: Annotated[float, Above(0.0, 1.0)] = 1e-3
     #: Learning rate at the end (linear), or its lower bound (kl).
-    final_learning_rate: NotNegative = 3e-5
+    final_learning_rate: Share = 3e-5
     #: Target of the KL divergence with the kl schedule. Source: paper, Sec. IV-E.
-    kl_target: Positive = 0.016
+    kl_target: Annotated[float, Above(0.0, 10.0)] = 0.016
     #: Discount factor (gamma) of a control step. Source: paper, Sec. IV-E.
     discount: Share = 0.99
     #: Lambda of the generalised advantage estimate. Source: release.
     gae_lambda: Share = 0.95
     #: Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E.
-    ratio_clip: Positive = 0.2
+    ratio_clip: Annotated[float, Above(0.0, 10.0)] = 0.2
     #: Clip of the change of a (standardised) value in an update. Source: release.
-    value_clip: Positive = 0.2
+    value_clip: Annotated[float, Above(0.0, 1000.0)] = 0.2
     #: Error of a value: clipped, after the clip (release), or maximum, the larger of that and the error
     #: without the clip, whose gradient does not vanish beyond the clip.
     value_loss: Literal["clipped", "maximum"] = "clipped"
     #: Weight of the value loss. Source: release.
-    value_loss_scale: NotNegative = 2.0
+    value_loss_scale: Annotated[float, Within(0.0, 1000.0)] = 2.0
     #: Weight of the entropy bonus. Source: release.
-    entropy_scale: NotNegative = 0.0
+    entropy_scale: Annotated[float, Within(0.0, 100.0)] = 0.0
     #: Largest norm of an agent's gradient. Source: release.
-    gradient_clip: Positive = 1.0
+    gradient_clip: Annotated[float, Above(0.0, 1e6)] = 1.0
     #: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E (cpu: ours). With --start: those
     #: of that policy.
     hidden: tuple[Width, ...] = (512, 256, 128)
@@ -103,10 +103,10 @@ class TrainCfg:
     #: for none. Source: ours.
     recurrent: Annotated[int, Within(0, 65_536)] = 0
     #: Logarithm of the standard deviation of the actions at the start. Source: ours (release: 0).
-    initial_log_std: float = -0.7
+    initial_log_std: Annotated[float, Within(-10.0, 3.0)] = -0.7
     #: Weights of reward terms that differ from the method's, such as arm.success 5 hand.grasp 0.3. Default:
     #: the method's.
-    rewards: dict[str, float] = dataclasses.field(default_factory=dict)
+    rewards: dict[str, Annotated[float, Within(-1e6, 1e6)]] = dataclasses.field(default_factory=dict)
     #: Project of Weights & Biases that also gets configuration and curves; its environment variables, such as
     #: WANDB_MODE=offline, hold. Default: none.
     wandb: str | None = None
@@ -114,9 +114,9 @@ class TrainCfg:
     #: minute more at the start and at each change of the physics rate. A CPU needs a C++ compiler.
     fuse: bool = False
     #: Time between two checkpoints [s].
-    checkpoint_seconds: NotNegative = 60.0
+    checkpoint_seconds: Annotated[float, Within(0.0, 1e6)] = 60.0
     #: Time between two report lines where there is no terminal [s].
-    report_seconds: NotNegative = 10.0
+    report_seconds: Annotated[float, Within(0.0, 1e6)] = 10.0
 
     def __post_init__(self) -> None:
         """Check that a training with these values is possible."""
