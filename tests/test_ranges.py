@@ -322,7 +322,7 @@ def test_a_bad_value_of_a_variant_is_named():
         ({"num_envs": 0}, "num_envs"),
         ({"seed": None}, "seed"),
         ({"device": "gpu"}, "device"),
-        ({"task": replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0))}, "task.throws.spin"),
+        ({"task": replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0))}, "env.throws.spin"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
