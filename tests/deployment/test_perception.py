@@ -233,7 +233,7 @@ def processed(took: Callable[[], float], seconds: float) -> list[tuple[float, fl
         if box := runner.poll():
             assert box.verdict is Verdict.SEEN
             assert runner.times["begun"] >= runner.times["received"] >= box.stamp + LATENCY
-            found.append((box.stamp, runner.times["looked"]))
+            found.append((box.stamp, runner.times["perceived"]))
         clock.time += TICK
     return found
 

@@ -52,7 +52,7 @@ def image(stamp: float, by: float = 0.0) -> Image:
 
 def see(pipeline: PolicyPipeline, image: Image, now: float) -> Box:
     box = pipeline.perceive(image, now)
-    pipeline.remember(box)
+    pipeline.add_box(box)
     return box
 
 
@@ -124,7 +124,7 @@ def test_a_new_throw_starts_as_a_new_pipeline():
     for step in range(3):
         decide(used, image(step * CONTROL_DT, 9.0 * step), HOME, step * CONTROL_DT)
     for pipeline in (used, fresh):
-        pipeline.forget()
+        pipeline.begin_throw()
         pipeline.point(PROMPT)
     assert used.decide(HOME, 9.0) is None
     first, expected = (decide(pipeline, image(9.0), HOME, 9.01) for pipeline in (used, fresh))
@@ -241,7 +241,7 @@ def test_visibility_by_the_age_of_the_newest_box():
     ages = (0.02, LONGEST_GAP - 0.001, LONGEST_GAP + 0.001, LOSS_TIME - 0.001, LOSS_TIME + 0.001)
     words = [str(pipeline.sight.at(1.0 + age)) for age in ages]
     assert words == ["seen", "seen", "searching", "searching", "lost"]
-    pipeline.forget()
+    pipeline.begin_throw()
     assert pipeline.sight.at(1.1) == "never seen"
 
 
@@ -271,5 +271,5 @@ def test_a_box_that_jumps_again_and_again_is_a_problem():
     for step in range(2 * NUM_JUMPS):
         see(pipeline, image(step * CONTROL_DT, 150.0 * (step % 2)), step * CONTROL_DT)
     assert "jumps" in pipeline.sight.problem
-    pipeline.forget()
+    pipeline.begin_throw()
     assert pipeline.sight.problem == ""

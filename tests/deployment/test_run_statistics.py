@@ -33,10 +33,10 @@ def test_an_empty_histogram_has_no_percentiles_and_a_long_duration_is_counted():
 
 def test_the_ages_of_an_image_at_each_stage_are_in_the_summary():
     statistics = RunStatistics()
-    ages = {"exposed": 0.0, "received": 0.017, "begun": 0.018, "looked": 0.024, "decided": 0.026}
+    ages = {"exposed": 0.0, "received": 0.017, "begun": 0.018, "perceived": 0.024, "decided": 0.026}
     for number in range(10):
         statistics.count_stages({name: 1.0 + number / 30 + age for name, age in ages.items()})
     stages = statistics.summary()["stages_ms"]
     assert {name: values["p50"] for name, values in stages.items()} == pytest.approx(
-        {"received": 17.0, "begun": 18.0, "looked": 24.0, "decided": 26.0}
+        {"received": 17.0, "begun": 18.0, "perceived": 24.0, "decided": 26.0}
     )

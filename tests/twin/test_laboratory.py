@@ -245,7 +245,7 @@ def test_a_machine_that_is_set_up_and_one_that_is_not(tmp_path: Path):
         machine.kernel(poor)
     with pytest.raises(Broken, match=r"212992, less than 4000000: images are lost. 'sudo sysctl"):
         machine.receive_buffers(poor)
-    with pytest.raises(Absent, match="the system does not tell"):
+    with pytest.raises(Absent, match="the system does not show it"):
         machine.receive_buffers(tmp_path)
 
 

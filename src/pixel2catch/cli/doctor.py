@@ -4,8 +4,6 @@ import importlib
 import importlib.metadata
 import importlib.util
 import platform
-import shutil
-import subprocess
 import sys
 import warnings
 from dataclasses import asdict, dataclass
@@ -33,16 +31,7 @@ NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Version of the loaded dr
 CUDA_BUILD = "'uv pip install --torch-backend=auto --reinstall-package torch torch'"
 """Command that installs a build of PyTorch for this machine. Source: documentation of uv."""
 
-LEAST_FREE = 1e9  #: Free space that a run may need [bytes]. Source: ours; a study has 200 MB.
-
 DDS_SECONDS = 5.0  #: Time in which two nodes must find each other [s]. Source: ours.
-
-_WARP_PROBE = """
-import mujoco_warp, warp
-device = warp.get_device("cuda:0")
-assert (warp.full(8, 3.0, device=device).numpy() == 3.0).all()
-print(f"Warp {warp.__version__} computes on {device.name}")
-"""
 
 
 def optional(module: str, distribution: str, extra: str) -> str:
@@ -98,14 +87,6 @@ def policy_and_physics() -> str:
     return f"{method.name} loads and acts"
 
 
-def disk() -> str:
-    """Check the free space in the working folder."""
-    free = shutil.disk_usage(Path.cwd()).free
-    if free < LEAST_FREE:
-        raise Broken(f"only {free / 1e9:.2f} GB free in {Path.cwd()}: make room or work elsewhere")
-    return f"{free / 1e9:.0f} GB free"
-
-
 def rendering() -> str:
     """Check OpenGL without a display."""
     from pixel2catch.rendering.renderer import find_gl_backend
@@ -149,7 +130,13 @@ def warp() -> str:
 
     if not torch.cuda.is_available():
         raise Absent("needs a CUDA device")
-    return _in_process(_WARP_PROBE, f"{install_command()} --upgrade, and a driver that this Warp supports")
+    warp = importlib.import_module("warp")
+    try:
+        device = warp.get_device("cuda:0")
+        warp.full(8, 3.0, device=device).numpy()
+    except Exception as error:  # of any layer of the driver
+        raise Broken(f"{error}: {install_command()} --upgrade, and a driver for this Warp") from error
+    return f"Warp {warp.__version__} computes on {device.name}"
 
 
 def torchvision() -> str:
@@ -158,19 +145,13 @@ def torchvision() -> str:
 
     if importlib.util.find_spec("torchvision") is None:
         return "not installed, not needed"
-    return _in_process(
-        "import torchvision; print(torchvision.__version__)",
-        f"it does not match PyTorch {torch.__version__} and breaks SAM 2: pip uninstall torchvision",
-    )
-
-
-def _in_process(code: str, remedy: str) -> str:
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-        raise Broken(f"{lines[-1]}: {remedy}")
-    return done.stdout.strip().splitlines()[-1]
+    try:
+        return importlib.import_module("torchvision").__version__
+    except Exception as error:  # of its compiled operators
+        raise Broken(
+            f"{error}: it does not match PyTorch {torch.__version__} and breaks SAM 2: pip uninstall "
+            "torchvision"
+        ) from error
 
 
 def dds() -> str:
@@ -251,7 +232,6 @@ class Doctor:
             check("Python", python, is_needed=True),
             check("packages", packages, is_needed=True),
             check("policy, physics", policy_and_physics, is_needed=True),
-            check("disk", disk, is_needed=True),
             check("rendering", rendering),
             check("GPU", cuda),
             check("Warp on the GPU", warp),

@@ -176,7 +176,7 @@ class ControlLoop:
                 self._connection.servo.send(self._with_image(self._sent, image.stamp))
         if box := self._perception.poll():
             self._box, self._times = box, self._perception.times
-            self._timer.learn(box.stamp, self._times["looked"])
+            self._timer.learn(box.stamp, self._times["perceived"])
         now = self._clock.now()
         if not self._timer.is_due(now, self._perception.stamp):
             return None
@@ -225,7 +225,7 @@ class ControlLoop:
             self._sent = targets
         end = self._clock.now()
         if is_active:
-            took = end - now + (times["looked"] - times["begun"] if times else 0.0)
+            took = end - now + (times["perceived"] - times["begun"] if times else 0.0)
             self.statistics.count_step(took=took, is_missed=times is None)
         if targets and is_active and times:
             self.statistics.count_stages({**times, "decided": end})
@@ -284,7 +284,7 @@ def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callab
 
 
 class SteppedServo:
-    """A servo in this process that ticks when it is told to, and the connection of a control loop to it."""
+    """A servo in this process that ticks on request, and the connection of a control loop to it."""
 
     def __init__(
         self,

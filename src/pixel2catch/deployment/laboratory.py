@@ -62,7 +62,7 @@ class _Photo(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heard:
+class TopicMessages:
     """Messages of a topic."""
 
     readings: list[Any] = field(default_factory=list)  #: The decoded messages.
@@ -95,7 +95,7 @@ class Survey:
             for topic, read in decoders.items()
             if topic
         }
-        self.heard = {topic: Heard() for topic in self._readers}  #: The messages by topic.
+        self.received = {topic: TopicMessages() for topic in self._readers}  #: The messages by topic.
         self.endpoints: list[Endpoint] = []  #: Publishers and subscriptions of all other programs.
 
     def others(self, topic: Topic, *, publish: bool) -> list[Endpoint]:
@@ -115,7 +115,7 @@ class Survey:
             self.listen()
         if not any(self.others(topic, publish=True) for topic in self._readers):
             return
-        self.heard |= {topic: Heard() for topic in self._readers if not topic.is_latched}
+        self.received |= {topic: TopicMessages() for topic in self._readers if not topic.is_latched}
         end = self._clock.now() + SECONDS
         while self._clock.now() < end:
             self._transport.wait(0.05)
@@ -126,13 +126,13 @@ class Survey:
         self.endpoints = self._transport.endpoints()
         to_stamp = self._clock.stamp() - self._clock.now()
         for topic, (subscription, read) in self._readers.items():
-            heard = self.heard[topic]
+            found = self.received[topic]
             for message in subscription.take():
                 try:
-                    heard.readings.append(read(message.data))
-                    heard.arrivals.append(message.arrival + to_stamp)
+                    found.readings.append(read(message.data))
+                    found.arrivals.append(message.arrival + to_stamp)
                 except DeploymentError as error:
-                    heard.errors.append(str(error))
+                    found.errors.append(str(error))
 
     @property
     def _is_complete(self) -> bool:
@@ -147,7 +147,7 @@ class Survey:
         return _Photo(image.stamp, image.pixels[::THINNING, ::THINNING].mean(axis=(0, 1)))
 
 
-def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
+def messages_of(survey: Survey, topic: Topic, most: float = 1) -> TopicMessages:
     """Return the messages of a topic that has one publisher, or up to a number, and the profile's type."""
     publishers = survey.others(topic, publish=True)
     if not publishers:
@@ -157,17 +157,17 @@ def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
     require_type(topic, publishers)
     if len(publishers) > most:
         raise Broken(f"{len(publishers)} publishers of {topic.name}: one may be; end the others")
-    heard = survey.heard[topic]
-    if not heard.readings:
-        why = heard.errors[0] if heard.errors else "none arrives: check firewall and cables"
+    found = survey.received[topic]
+    if not found.readings:
+        why = found.errors[0] if found.errors else "none arrives: check firewall and cables"
         raise Broken(f"no message on {topic.name}: {why}")
-    return heard
+    return found
 
 
-def heard_anyway(survey: Survey, topic: Topic, most: float = 1) -> Heard:
+def messages_if_good(survey: Survey, topic: Topic, most: float = 1) -> TopicMessages:
     """Return the messages of a topic; `Absent` if there are none, because another check reports that."""
     try:
-        return heard_of(survey, topic, most)
+        return messages_of(survey, topic, most)
     except Broken as error:
         raise Absent(f"not checked without good messages on {topic.name}") from error
 
@@ -192,17 +192,17 @@ def require_type(topic: Topic, endpoints: list[Endpoint]) -> None:
 
 def joint_states(survey: Survey, part: RobotPart, limits: ServoLimits) -> str:
     """Check that all joints of a part are published, at the driver's rate and without pauses."""
-    heard = heard_of(survey, part.state_topic, inf)
+    received = messages_of(survey, part.state_topic, inf)
     wanted = {theirs.name_in_state for theirs in part.joints.values()}
-    found = {name for reading in heard.readings for name in reading.names}
+    found = {name for reading in received.readings for name in reading.names}
     if missing := sorted(wanted - found):
         raise Broken(
             f"{part.state_topic.name} lacks {', '.join(missing)}; it has {', '.join(sorted(found))}: correct "
             "name_in_state in the profile, or the driver's prefix"
         )
-    own = [place for place, reading in enumerate(heard.readings) if wanted & set(reading.names)]
-    stamps = np.array([heard.readings[place].stamp for place in own])
-    arrivals = np.array([heard.arrivals[place] for place in own])
+    own = [place for place, reading in enumerate(received.readings) if wanted & set(reading.names)]
+    stamps = np.array([received.readings[place].stamp for place in own])
+    arrivals = np.array([received.arrivals[place] for place in own])
     age = float(limits.joints.position_age[part.ids].min())
     hint = "check the driver's update_rate, cables and processor load"
     return f"{len(wanted)} joints, {require_rate(stamps, arrivals, part.rate_hz, age, hint)}"
@@ -227,18 +227,18 @@ def require_rate(stamps: ndarray, arrivals: ndarray, rate: float, age: float, hi
 
 def images(survey: Survey, camera: CameraProfile, limits: ServoLimits) -> str:
     """Check size, encoding and rate of the images."""
-    heard = heard_of(survey, camera.image)
-    if heard.errors:
-        raise Broken(heard.errors[-1])
-    stamps = np.array([reading.stamp for reading in heard.readings])
+    found = messages_of(survey, camera.image)
+    if found.errors:
+        raise Broken(found.errors[-1])
+    stamps = np.array([reading.stamp for reading in found.readings])
     hint = "expose for less than 33 ms, use another USB 3 port, check the processor load"
-    rate = require_rate(stamps, np.array(heard.arrivals), 1.0 / CONTROL_DT, limits.image_age, hint)
+    rate = require_rate(stamps, np.array(found.arrivals), 1.0 / CONTROL_DT, limits.image_age, hint)
     return f"{camera.width} x {camera.height} {camera.encoding}, {rate}"
 
 
 def exposure(survey: Survey, camera: CameraProfile) -> str:
     """Check that images of a still scene keep their brightness in every colour."""
-    readings = heard_anyway(survey, camera.image).readings
+    readings = messages_if_good(survey, camera.image).readings
     if len(readings) < LEAST_IMAGES:
         raise Absent(f"{len(readings)} images are too few")
     brightness = np.array([reading.brightness for reading in readings])
@@ -258,7 +258,7 @@ def lens(survey: Survey, camera: CameraProfile, expected: CameraSpec) -> str:
     """Check that lens and image size are those of the calibrated camera."""
     if camera.info is None:
         raise Absent("the profile has no topic for it")
-    found = heard_of(survey, camera.info).readings[-1].camera
+    found = messages_of(survey, camera.info).readings[-1].camera
     if (found.width, found.height) != (camera.width, camera.height):
         raise Broken(
             f"{camera.info.name} is of {found.width} x {found.height}, the profile has {camera.width} x "
@@ -275,8 +275,8 @@ def clocks(survey: Survey, profile: Profile, limits: ServoLimits) -> str:
     bounds = {part.state_topic: (-CLOCK_ERROR, CLOCK_ERROR) for part in profile.robots}
     bounds[profile.camera.image] = (EARLIEST, limits.image_age)
     for topic, (earliest, latest) in bounds.items():
-        heard = heard_anyway(survey, topic, 1 if topic == profile.camera.image else inf)
-        ages = np.array(heard.arrivals) - [reading.stamp for reading in heard.readings]
+        found = messages_if_good(survey, topic, 1 if topic == profile.camera.image else inf)
+        ages = np.array(found.arrivals) - [reading.stamp for reading in found.readings]
         age = float(np.quantile(ages, 0.1))
         measured.append(f"{topic.name} {1e3 * age:.1f} ms")
         if not earliest <= age <= latest:
@@ -290,7 +290,7 @@ def clocks(survey: Survey, profile: Profile, limits: ServoLimits) -> str:
 
 def status(survey: Survey, topic: Topic, wanted: float, words: Callable[[Any], str], fix: str) -> str:
     """Check that the newest value of a topic is the wanted one, or more."""
-    found = heard_of(survey, topic).readings[-1]
+    found = messages_of(survey, topic).readings[-1]
     if found != wanted and not (topic.type == messages.NUMBER and found > wanted):
         raise Broken(f"{words(found)}, not {words(wanted)}: {fix}")
     return words(found)
@@ -314,7 +314,7 @@ def commands(survey: Survey, part: RobotPart) -> str:
 
 def controller(survey: Survey, wanted: Controller) -> str:
     """Check that the controller that receives the commands is active, as it must be after homing."""
-    if wanted.name not in heard_of(survey, wanted.activity).readings[-1]:
+    if wanted.name not in messages_of(survey, wanted.activity).readings[-1]:
         raise Absent(
             f"{wanted.name} is not active: switch to it when the arm is at its start pose, before arming"
         )
@@ -324,7 +324,7 @@ def controller(survey: Survey, wanted: Controller) -> str:
 def pose(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:
     """Check that the joints of a part are near the start pose; all in joint order [rad]."""
     joint_pos = np.full(len(home), np.nan)
-    for reading in heard_anyway(survey, part.state_topic, inf).readings:
+    for reading in messages_if_good(survey, part.state_topic, inf).readings:
         part.merge(reading, joint_pos)
     away = np.abs(joint_pos - home)[part.ids]
     if np.isnan(away).any():

@@ -60,7 +60,7 @@ def receive_buffers(root: Path = Path("/")) -> str:
     """Check the largest receive buffer of a socket."""
     path = root / "proc/sys/net/core/rmem_max"
     if not path.exists():
-        raise Absent("the system does not tell, as in containers")
+        raise Absent("the system does not show it, as in containers")
     size = int(path.read_text())
     if size < LEAST_BUFFER:
         raise Broken(

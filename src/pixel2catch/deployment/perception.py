@@ -250,7 +250,7 @@ class PerceptionRunner:
         self._due = -inf
         self._started: dict[str, float] = {}
         self._on_end: Callable[[], None] | None = None
-        #: When the image of the newest box was exposed, received, begun and looked at [s].
+        #: Of the image of the newest box: its exposure and arrival, begin and end of its perception [s].
         self.times: dict[str, float] = {}
 
     @property
@@ -267,7 +267,7 @@ class PerceptionRunner:
 
     def begin_throw(self, prompt: Prompt | None) -> None:
         """Start a new throw; the result of an image that is being processed will be dropped."""
-        self._pipeline.forget()
+        self._pipeline.begin_throw()
         point = partial(self._pipeline.point, prompt)
         if self._running:
             self._on_end = point
@@ -309,6 +309,6 @@ class PerceptionRunner:
             self._on_end()
             self._on_end = None
             return None
-        self._pipeline.remember(box)
-        self.times = {**self._started, "looked": self._clock.now()}
+        self._pipeline.add_box(box)
+        self.times = {**self._started, "perceived": self._clock.now()}
         return box

@@ -223,7 +223,7 @@ class PolicyPipeline:
         self._target: Joints | None = None
         self._lead, self._num_held = np.zeros(self.num_joints), 0
 
-    def forget(self) -> None:
+    def begin_throw(self) -> None:
         """Start a new throw of the policy."""
         self._image_stamp, self._target, self.sight = -inf, None, ObjectSight()
         self._begin_track()
@@ -253,7 +253,7 @@ class PolicyPipeline:
         """Learn from the last image what no decision waits for; else the next `perceive` does it."""
         self._tracker.settle()
 
-    def remember(self, box: Box) -> None:
+    def add_box(self, box: Box) -> None:
         """Keep the box of an image for the policy.
 
         Without a new box, the last one ages for a policy that knows ages; for another one it is also the box

@@ -14,7 +14,7 @@ from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, fl
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
-STAGES = ("received", "begun", "looked", "decided")
+STAGES = ("received", "begun", "perceived", "decided")
 """Stages of an image: it arrives, perception begins, perception ends, its targets are sent to the servo."""
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))  #: Modes in which control steps count.
