@@ -258,7 +258,7 @@ def test_an_operation_that_is_not_ours_is_refused(tmp_path: Path):
     model = onnx.load(file)
     model.graph.node.append(onnx.helper.make_node("Loop", ["", ""], ["x"]))
     onnx.save(model, file)
-    with pytest.raises(Pixel2CatchError, match=r"\['Loop'\] among them; a policy has Clip, Div"):
+    with pytest.raises(Pixel2CatchError, match=r"\['Loop'\] among them; a policy has"):
         load_policy(file)
 
 
@@ -319,12 +319,12 @@ NESTED = 70 * "<body>" + 70 * "</body>"
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (f"<mujoco><worldbody>{NESTED}</worldbody></mujoco>", "64 in each other"),
+        (f"<mujoco><worldbody>{NESTED}</worldbody></mujoco>", "64 levels deep"),
         ("<mujoco>" + 20_001 * "<a/>" + "</mujoco>", "more than 20000 elements"),
         ('<mujoco><worldbody><replicate count="9999999"/></worldbody></mujoco>', "element 'replicate'"),
         ('<mujoco><include file="/dev/zero"/></mujoco>', "element 'include'"),
-        ('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>', "declares a type of document"),
-        ("<mujoco><worldbody>", "is no XML"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>', "declares a document type"),
+        ("<mujoco><worldbody>", "is not XML"),
         ("<mujoco><worldbody/><nonsense/></mujoco>", "Write MJCF"),
     ],
 )

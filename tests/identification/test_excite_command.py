@@ -20,9 +20,9 @@ def run(*args: object) -> int:
 
 
 def test_a_lively_robot_gets_less_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """With half of the damping the hand's joints exceed their speed at full motion."""
+    """With less damping the hand's joints exceed their speed at full motion."""
     nominal = JointDynamics.nominal(ROBOTS["allegro"])
-    lively = nominal.with_values(damping=0.5 * nominal.damping, latency=0.02)
+    lively = nominal.with_values(damping=0.7 * nominal.damping, latency=0.02)
     DynamicsFile(dynamics=lively).save(tmp_path / "lively.json")
     options = ("--dynamics", tmp_path / "lively.json", "--out", tmp_path / "new" / "motion.npz")
     assert (

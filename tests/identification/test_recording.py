@@ -193,6 +193,7 @@ def test_a_trajectory_that_a_robot_should_not_follow_is_refused(fault: str, word
 def test_a_broken_trajectory_file_is_refused(header: str | None, words: str, tmp_path: Path):
     times, positions = arrays()
     content: dict[str, Any] = {"joints": MOVED, "times": times, "positions": positions}
-    np.savez(tmp_path / "motion.npz", **content, **({} if header is None else {"header": header}))
+    extra: dict[str, Any] = {} if header is None else {"header": header}
+    np.savez(tmp_path / "motion.npz", **content, **extra)
     with pytest.raises(InvalidValueError, match=rf"motion\.npz.*{words}"):
         Trajectory.load(tmp_path / "motion.npz")

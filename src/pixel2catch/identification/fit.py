@@ -9,7 +9,6 @@ many simulations, so it is used for several steps, and directions of different j
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -55,21 +54,14 @@ MAX_STEPS = 3  # most steps with one Jacobian (ours; each is about a fifth of th
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; their steps are tried at once, the best is taken (ours)
 
 
-class Linear(NamedTuple):
-    """A parameter that is fitted itself, not its logarithm."""
-
-    unit: float  #: change that counts as much as a factor e of other parameters
-    lower: float
-    upper: float
-
-
 LINEAR = {
-    "latency": Linear(LATENCY_UNIT, 0.0, 0.2),
-    "play": Linear(1e-3, 0.0, 0.05),
-    "drift": Linear(2e-4, -5e-3, 5e-3),
+    "latency": (LATENCY_UNIT, 0.0, 0.2),
+    "play": (1e-3, 0.0, 0.05),
+    "drift": (2e-4, -5e-3, 5e-3),
 }
-"""Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by 1e-4 at most,
-clocks that are just being set by 5e-4."""
+"""Parameters that are fitted without a logarithm: the unit that counts as a factor e of others, least and
+largest value. Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by
+at most 1e-4, clocks that are just being set by 5e-4."""
 
 CLOCKS = ("latency", "drift")  # the joints of a group share them: their messages come together
 
@@ -224,7 +216,7 @@ class _Problem:
         self._dynamics, self._cfg, self._report = start, cfg, report
         self.names = (*cfg.free, "play", *("drift" for _ in recordings))
         self.num_free, self._is_linear = len(cfg.free), np.array([name in LINEAR for name in self.names])
-        linear = [LINEAR.get(name, Linear(1.0, 0.0, 0.0)) for name in self.names]
+        linear = [LINEAR.get(name, (1.0, 0.0, 0.0)) for name in self.names]
         self.unit, self._lower, self._upper = np.array(linear).T
         values = np.stack([getattr(start, name) for name in cfg.free], axis=-1)
         values = np.pad(values, ((0, 0), (0, len(self.names) - self.num_free)))

@@ -44,21 +44,10 @@ NOTABLE_DRIFT = 5e-4  # least difference of the clocks at the end of a recording
 NOTABLE_PLAY = 2e-4  # least play that is reported [rad] (ours, a UR's noise)
 
 COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}
-ZOOM = 1.5  # length of the detailed view [s]: about the fastest motion
-
-MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.16, "top": 0.98, "wspace": 0.14, "hspace": 0.12}
+MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.16, "top": 0.98, "hspace": 0.12}
 """Room for the labels, as shares of the picture."""
 
-LINES: dict[Any, Any] = {
-    "font.size": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#5B5B5B",
-    "axes.grid": True,
-    "grid.color": "#E9E9E9",
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.0,
-}
+LINES: dict[Any, Any] = {"font.size": 8, "axes.grid": True, "grid.color": "#E9E9E9", "lines.linewidth": 1.0}
 
 STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
 """Colour of each verdict in a terminal."""
@@ -377,23 +366,18 @@ def _with_interval(value: float, interval: np.ndarray) -> Content:
 
 
 def joint_picture(motion: SimulatedRecording, column: int) -> bytes:
-    """Return a PNG of a joint's positions as commanded, measured and simulated, its errors, and a detail."""
+    """Return a PNG of a joint's positions as commanded, measured and simulated, and its errors."""
     with matplotlib.rc_context(LINES):
         figure = Figure(figsize=(10.0, 2.6), dpi=120)  # its own layout engine would draw it three times
-        grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(5, 3), **MARGINS)
-        whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
-        errors = figure.add_subplot(grid[1, 0], sharex=whole)
-        for axes in (whole, close):
-            _draw_positions(axes, motion, column)
+        whole, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        figure.subplots_adjust(**MARGINS)
+        _draw_positions(whole, motion, column)
         for name in ("before", "after"):
             error = getattr(motion, name)[:, column] - motion.measured[:, column]
             errors.plot(_time(motion), 1e3 * error, color=COLORS[name], linewidth=0.8)
-        _zoom_in(close, motion, column)
-        whole.tick_params(labelbottom=False)
         whole.set_ylabel("position [rad]")
         errors.set(ylabel="error [mrad]", xlabel="time [s]")
         figure.align_ylabels([whole, errors])
-        close.set_xlabel("time [s]")
         buffer = io.BytesIO()
         FigureCanvasAgg(figure).print_png(buffer)
         return buffer.getvalue()
@@ -411,18 +395,3 @@ def _draw_positions(axes: Axes, motion: SimulatedRecording, column: int) -> None
     axes.plot(time, motion.measured[:, column], color=COLORS["measured"], linewidth=1.6)
     axes.plot(time, motion.after[:, column], color=COLORS["after"], linestyle=(0, (4, 2)))
     axes.set_xlim(time[0], time[-1])
-
-
-def _zoom_in(axes: Axes, motion: SimulatedRecording, column: int) -> None:
-    """Show the time about the largest change within a fifth of `ZOOM`."""
-    time, position = _time(motion), motion.measured[:, column]
-    length = min(ZOOM, time[-1] - time[0])
-    later = np.interp(time + length / 5, time, position)
-    middle = time[np.argmax(np.abs(later - position))] + length / 10
-    left = np.clip(middle - length / 2, time[0], time[-1] - length)
-    is_shown = (time >= left) & (time <= left + length)
-    paths = (motion.measured, motion.before, motion.after, motion.command)
-    shown = np.stack([path[is_shown, column] for path in paths])
-    low, high = shown.min(), shown.max()
-    margin = 0.05 * max(high - low, 1e-3)
-    axes.set(xlim=(left, left + length), ylim=(low - margin, high + margin))

@@ -4,8 +4,7 @@ Torque limit, dry friction and command path are those of `envs`, in the limit of
 robot has no time step, so the result must not depend on it. Joints that were not recorded are welded, and
 there are no contacts.
 
-NumPy takes a few microseconds per operation where PyTorch takes tens, and a fit is many steps of few copies.
-Arrays of the servos have the shape (num_copies, num_joints).
+Arrays of the servos are NumPy's, which is faster than PyTorch for few copies, shape (num_copies, num_joints).
 """
 
 import os
@@ -48,8 +47,6 @@ THREADED_COPIES = (
     24  # least copies for which several threads are faster than one (ours, measured with the arm)
 )
 
-Times = Float[np.ndarray, " num_commands"]
-Commands = Float[np.ndarray, "num_commands num_joints"]
 Edges = Float[np.ndarray, " num_edges"]
 PerJoint = Float[np.ndarray, " num_joints"]
 Positions = Float[np.ndarray, "num_times num_joints"]
@@ -128,7 +125,7 @@ def hanging_on(parents: Int[np.ndarray, " num"]) -> Bool[np.ndarray, "num num"]:
 
 
 def step_commands(
-    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
+    t_cmd: np.ndarray, q_cmd: np.ndarray, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
     """Return what arrives in every time step: a command, and from some moment on the next one.
 
@@ -136,8 +133,8 @@ def step_commands(
     step are not such a pair, only the mean is returned.
 
     Args:
-        t_cmd: Send times of the commands [s].
-        q_cmd: Commands [rad]; each holds until the next.
+        t_cmd: Send times of the commands [s], shape (num_commands,).
+        q_cmd: Commands [rad], shape (num_commands, num_joints); each holds until the next.
         edges: Starts of the time steps, and the end of the last one [s].
         latency: Time from sending a command to its arrival [s].
 
@@ -223,28 +220,6 @@ class RecordedServos:
         gain = at_limit / self._inertia + rest / (self._inertia + self._half * rest)
         mean = self._limit * gain * (self._inertia / self._dt + self._half)
         return np.where(excess > 0.0, np.copysign(mean, torque), torque), at_limit
-
-
-class CommandFilters:
-    """Command filters of all copies; commands pass unchanged where no joint has a filter."""
-
-    def __init__(
-        self,
-        dt: float,
-        start: Float[np.ndarray, "2 num_copies num_joints"],
-        dynamics: Sequence[JointDynamics],
-    ) -> None:
-        """Begin with positions [rad] and speeds [rad/s] of the joints; the time step is in [s]."""
-        self._transition = np.stack([filter_transition(each, dt) for each in dynamics])
-        self._state = np.moveaxis(start, 0, -1).copy()
-        self._is_there = any(each.has_filter.any() for each in dynamics)
-
-    def step(self, command: np.ndarray) -> np.ndarray:
-        """Return the targets of the servos [rad] after a time step with a command [rad]."""
-        if not self._is_there:
-            return command
-        filter_step(self._transition, self._state, command)
-        return self._state[..., 0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,13 +355,18 @@ class RecordedMotion:
         start = np.stack([grid.start for _, grid in copies], axis=1)
         qpos[:], qvel[:] = start
         servos = RecordedServos(batch, candidates, self._efforts, self.link_inertia, self._dt)
-        filters = CommandFilters(self._dt, start, candidates)
+        transition = np.stack([filter_transition(each, self._dt) for each in candidates])
+        filtered = np.moveaxis(start, 0, -1).copy()  # state of the command filters
+        has_filter = any(each.has_filter.any() for each in candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))
         paths[0] = qpos
         for k, arriving in enumerate(commands):
             mean, first, last, share = arriving.take(index, axis=1)
-            target = filters.step(mean)
+            target = mean
+            if has_filter:
+                filter_step(transition, filtered, mean)
+                target = filtered[..., 0]
             servos.drive(target + first, target + last, share)
             batch.step(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
             paths[k + 1] = qpos
