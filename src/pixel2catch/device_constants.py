@@ -1,7 +1,7 @@
-"""Numbers as tensors on a device, kept by whoever goes on reading them.
+"""Constant tensors on a device, kept alive by the owner of a CUDA graph.
 
-A recorded CUDA graph reads its constants from where they were when it was recorded: they must not be freed
-before it, and it cannot copy them from the host.
+A recorded CUDA graph reads constants at the addresses of the recording. They must live as long as the graph,
+which cannot copy them from the host.
 """
 
 from collections.abc import Iterator
@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 Constants = dict[tuple[Any, ...], Tensor]
-"""Tensors by the numbers that are in them, dtype and device."""
+"""Tensors by their values, dtype and device."""
 
 _KEPT: ContextVar[Constants | None] = ContextVar("_KEPT", default=None)
 
 
 @contextmanager
 def keeping(constants: Constants) -> Iterator[None]:
-    """Within it, a constant is made once and kept in the dictionary, whose owner keeps it alive."""
+    """Make each constant once in this context and keep it in a dictionary."""
     token = _KEPT.set(constants)
     try:
         yield
@@ -29,13 +29,7 @@ def keeping(constants: Constants) -> Iterator[None]:
 
 
 def constant(values: tuple[Any, ...], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """A tensor of these numbers, which nobody may change.
-
-    Args:
-        values: Numbers, or tuples of them, or of those.
-        device: Where it shall be.
-        dtype: Its type.
-    """
+    """Return a tensor of numbers, or of nested tuples of numbers. Do not write to it."""
     kept = _KEPT.get()
     if kept is None:
         return torch.tensor(values, dtype=dtype, device=device)

@@ -1,4 +1,4 @@
-"""Times by the clock of the device that computes."""
+"""Time measurement on the device that computes."""
 
 import time
 from typing import final
@@ -8,10 +8,10 @@ import torch
 
 @final
 class DeviceTime:
-    """The moment when a device has done what it was given before; nothing waits until times are compared."""
+    """The time at which a device has finished its earlier work; only a comparison waits for it."""
 
     def __init__(self, device: torch.device | str) -> None:
-        """Mark this moment; on the CPU, what was given before has been done."""
+        """Record an event on a CUDA device, or the time on the CPU."""
         self._event = None
         if torch.device(device).type == "cuda":
             self._event = torch.cuda.Event(enable_timing=True)
@@ -19,7 +19,7 @@ class DeviceTime:
         self._time = time.perf_counter()
 
     def until(self, later: "DeviceTime") -> float:
-        """Time to a later moment of the same device [s]; waits for that one."""
+        """Return the time to a later event of the same device [s]; wait for that event."""
         if self._event is None or later._event is None:
             return later._time - self._time
         later._event.synchronize()

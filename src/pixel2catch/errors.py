@@ -1,27 +1,27 @@
-"""What the package raises for bad input: each message names the value, what is valid, and the fix."""
+"""Errors for bad input. Each message names the value, what is valid, and the fix."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-LONGEST_NAME = 200  #: Characters of a name that a message repeats: enough for a path.
+LONGEST_NAME = 200  #: Most characters of a name that a message repeats.
 
 
 class Pixel2CatchError(Exception):
-    """Base class of all errors that a user can cause and mend."""
+    """Base class of all errors that a user can cause and fix."""
 
 
 class UnknownNameError(Pixel2CatchError):
     """A name that is in no catalogue.
 
     Args:
-        kind: What was looked up, such as "object" or "method".
-        name: The name that was given.
-        valid: The names that exist.
-        other: What is valid besides.
+        kind: Kind of the name, such as "object" or "method".
+        name: The given name.
+        valid: The valid names.
+        other: Other valid input.
     """
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], other: str = "") -> None:
-        """Compose the message from the closest and from all valid names."""
+        """Compose the message with the closest name and all valid names."""
         names = list(valid)
         name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]} ..."
         close = get_close_matches(name, names, n=1)
@@ -35,11 +35,11 @@ class InvalidValueError(Pixel2CatchError, ValueError):
 
 
 class DeviceUnavailableError(Pixel2CatchError):
-    """A device was asked for that this machine does not have."""
+    """This machine lacks a requested device or package."""
 
 
 class PolicyMismatchError(Pixel2CatchError):
-    """A policy file that does not fit this code, method or robot."""
+    """A policy does not fit this code, method or robot."""
 
 
 class NonFiniteError(Pixel2CatchError):
@@ -47,24 +47,24 @@ class NonFiniteError(Pixel2CatchError):
 
 
 class CheckpointError(Pixel2CatchError):
-    """A run folder or checkpoint that cannot be written, read or resumed."""
+    """A run folder or checkpoint cannot be written, read or resumed."""
 
 
 class WorkerError(Pixel2CatchError):
-    """Another process of a training that runs in several failed; the message is that of its error."""
+    """Another process of a training failed; the message is that of its error."""
 
 
 class StudyError(Pixel2CatchError):
-    """A study that cannot go on, or a part of it that failed."""
+    """A study cannot continue, or a part of it failed."""
 
 
 class RecordingError(Pixel2CatchError):
-    """Recorded motion that cannot be read, or that no robot can have done; the message says where."""
+    """Recorded motion cannot be read or is physically impossible; the message says where."""
 
 
 class PerceptionError(Pixel2CatchError):
-    """Images, prompts or models of the perception that cannot be used."""
+    """Perception cannot use an image, a prompt or a model."""
 
 
 class DeploymentError(Pixel2CatchError):
-    """A robot, profile, message or network that the deployment cannot work with."""
+    """Deployment cannot use a robot, profile, message or network."""

@@ -1,4 +1,4 @@
-"""How this package was installed, and so the command that installs what is missing."""
+"""Install commands for missing packages, by the way in which this package was installed."""
 
 import importlib.metadata
 import importlib.util
@@ -19,9 +19,9 @@ PACKAGE = "pixel2catch"
 
 
 def install_command(extra: str = "") -> str:
-    """The command that installs this package once more, with an extra: from where it came.
+    """Return the command that installs this package with an extra from its origin.
 
-    That is a folder with its source, a wheel, a repository, or else the index of packages.
+    The origin is a folder, a wheel, a repository or the package index.
     """
     program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
     return f"{program} {requirement(_origin(), extra)}"
@@ -33,10 +33,10 @@ def needs_extra(
     what: str = "a package that this needs cannot be imported",
     error: type[Pixel2CatchError] = PerceptionError,
 ) -> Iterator[None]:
-    """Turn a failed import of an optional package in this context into an error that says how to install it.
+    """Turn a failed import in this context into an error with the install command.
 
     Raises:
-        error: If something cannot be imported.
+        error: An import failed.
     """
     try:
         yield
@@ -46,9 +46,9 @@ def needs_extra(
 
 @cache
 def requirements(extra: str = "") -> dict[str, SpecifierSet]:
-    """Ranges of versions by package: those that are always needed, or those of an extra.
+    """Return the version ranges of required packages, or of an extra, by name.
 
-    None are known where the package is used without being installed.
+    The result is empty if the package is not installed.
     """
     try:
         lines = importlib.metadata.requires(PACKAGE) or []
@@ -64,7 +64,7 @@ def requirements(extra: str = "") -> dict[str, SpecifierSet]:
 
 
 def requirement(origin: dict, extra: str) -> str:
-    """What to install, of an origin as PEP 610 has it (empty: the index), quoted for a shell."""
+    """Return the requirement for an origin in PEP 610 form (empty: the index), quoted for a shell."""
     extras = f"[{extra}]" if extra else ""
     url = origin.get("url", "")
     if "dir_info" in origin:
@@ -76,7 +76,7 @@ def requirement(origin: dict, extra: str) -> str:
 
 
 def _origin() -> dict:
-    """What the installer wrote down; the folder around this file where none was at work."""
+    """Return the origin recorded by the installer; without a record, the folder of this source."""
     try:
         installed = importlib.metadata.distribution(PACKAGE)
         text, installer = (installed.read_text(name) for name in ("direct_url.json", "INSTALLER"))

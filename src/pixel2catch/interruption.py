@@ -1,4 +1,4 @@
-"""When work ends early: by a signal (once: in order; twice: at once), or with its parent."""
+"""End work early: by a signal (the first one in order, the second at once), or with the parent process."""
 
 import os
 import signal
@@ -11,12 +11,12 @@ from typing import Any
 
 
 class Terminated(KeyboardInterrupt):
-    """A scheduler, a user or a closed terminal asked this process to end: as Ctrl-C, by another name."""
+    """A termination signal arrived; handled like Ctrl-C."""
 
 
 @contextmanager
 def raise_on_termination() -> Iterator[None]:
-    """End what runs in this context by `Terminated` where a termination signal comes, in the main thread."""
+    """Raise `Terminated` in this context, in the main thread, when a termination signal arrives."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -29,9 +29,9 @@ def raise_on_termination() -> Iterator[None]:
 
 
 def _terminations() -> list[signal.Signals]:
-    """Signals that ask to end, beside Ctrl-C's; nohup has a closed terminal's ignored."""
-    is_heard = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
-    return [signal.SIGTERM, signal.SIGHUP] if is_heard else [signal.SIGTERM]
+    """Return the termination signals besides SIGINT; `nohup` sets SIGHUP to be ignored."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [signal.SIGTERM] if is_ignored else [signal.SIGTERM, signal.SIGHUP]
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
@@ -39,23 +39,23 @@ def _terminate(number: int, frame: FrameType | None) -> None:
 
 
 class StopRequest:
-    """Whether user, machine or a closed terminal has asked to stop. Use as a context around the work."""
+    """A request to stop by a signal. Use it as a context around the work."""
 
     def __init__(self) -> None:
-        """Nobody has asked yet."""
+        """Start without a request."""
         self.is_set = False
-        self.by = ""  #: Name of the signal that asked, such as SIGTERM.
+        self.by = ""  #: Name of the signal, such as SIGTERM.
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "StopRequest":
-        """Listen, if in the main thread; signals reach no other."""
+        """Install the handlers, if this is the main thread, the only one that receives signals."""
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, *_terminations()):
                 self._previous[number] = signal.signal(number, self._request)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Put the former handlers back."""
+        """Restore the previous handlers."""
         while self._previous:
             number, handler = self._previous.popitem()
             signal.signal(number, handler)
@@ -66,7 +66,7 @@ class StopRequest:
 
 
 def end_with_parent() -> None:
-    """Let a child process end when its parent has gone, however that went."""
+    """End this child process when its parent process ends for any reason."""
     threading.Thread(target=_wait_for_end_of_parent, daemon=True).start()
 
 

@@ -1,8 +1,8 @@
-"""Python files of one's own: what they define at their top level joins the package's catalogues.
+"""Python files of users: their methods, objects, work cells and axes of disturbances join the catalogues.
 
-`pixel2catch --import FILE.py COMMAND ...` names a file; `FILE.py:NAME`, wherever a command takes a name, does
-so, too, and says what is meant in it. A value of a catalogue's type (a method, an object, a work cell, an
-axis of disturbances) is known by its `name` from then on, also to the processes that a command starts.
+`pixel2catch --import FILE.py COMMAND ...` imports a file. `FILE.py:NAME` in place of a name imports the file
+and selects a value in it. Values at the top level of the file are found by their `name`, also in child
+processes.
 """
 
 import importlib.util
@@ -20,21 +20,25 @@ from pixel2catch.errors import InvalidValueError, Pixel2CatchError
 
 OPTION = "--import"
 VARIABLE = "PIXEL2CATCH_IMPORT"
-"""Environment variable with the files, separated as in PATH: how child processes come to know them."""
+"""Environment variable with the files, separated as in PATH, for child processes."""
 
 _NAME_IN_FILE = re.compile(r"(?P<option>--[\w.-]+=)?(?P<file>.+\.py):(?P<name>[^:/\\]+)")
-_MODULES: dict[str, ModuleType] = {}  # what was imported, by path
+_MODULES: dict[str, ModuleType] = {}  # imported modules, by path
 _CATALOGUES: list["_Catalogue"] = []
 
 Value = TypeVar("Value")
 
 
 def take_option(args: Sequence[str]) -> list[str]:
+<<<<<<< HEAD
     """Return arguments without `--import FILE.py`, and names for `FILE.py:NAME`; `VARIABLE` gets the files.
 
     Raises:
         InvalidValueError: The option names no file.
     """
+=======
+    """Return the arguments without `--import FILE.py`, with NAME for `FILE.py:NAME`; announce the files."""
+>>>>>>> 917d130 (Plainer words on the ground floor)
     rest: list[str] = []
     remaining = iter(args)
     for argument in remaining:
@@ -49,7 +53,7 @@ def take_option(args: Sequence[str]) -> list[str]:
 
 
 def named(argument: str) -> str:
-    """The name in `FILE.py:NAME`, or in `--option=FILE.py:NAME`, whose file is announced; else as it is."""
+    """Return NAME for `FILE.py:NAME`, also after `--option=`, and announce the file; else the argument."""
     found = _NAME_IN_FILE.fullmatch(argument)
     if not found:
         return argument
@@ -58,7 +62,7 @@ def named(argument: str) -> str:
 
 
 def announce(file: str) -> None:
-    """Add a file to those that `import_files` imports, here and in child processes."""
+    """Add a file to those that `import_files` imports, in this process and in child processes."""
     files = _announced()
     path = str(Path(file).absolute())
     if path not in files:
@@ -66,20 +70,20 @@ def announce(file: str) -> None:
 
 
 def import_files() -> None:
-    """Import the files that `VARIABLE` names, each once.
+    """Import all announced files, each once.
 
     Raises:
-        InvalidValueError: If one cannot be imported by its name, or a name in it is taken.
+        InvalidValueError: A file cannot be imported, or the package uses a name in it.
     """
     for name in _announced():
         import_file(name)
 
 
 def import_file(name: str) -> ModuleType:
-    """Import a file, once; what it defines joins the catalogues.
+    """Import a file once and add its values to the catalogues.
 
     Raises:
-        InvalidValueError: If it cannot be imported by its name, or a name in it is taken.
+        InvalidValueError: The file cannot be imported, or the package uses a name in it.
     """
     path = Path(name).absolute()
     if str(path) in _MODULES:
@@ -108,7 +112,7 @@ def import_file(name: str) -> ModuleType:
 
 
 def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
-    """The package's values of a type by name, which those of files of one's own join; they have a `name`."""
+    """Return the package's values of a type, by name; values of user files are added to them."""
     found = _Catalogue(kind=kind, values=values, of_package=frozenset(values))
     _CATALOGUES.append(found)
     for module in _MODULES.values():
@@ -117,10 +121,10 @@ def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
 
 
 def add(value: Any) -> str:
-    """Put a value into its catalogue, in place of an own one that has its name, and return the name.
+    """Add a value to its catalogue, replace a user's value of the same name, and return the name.
 
     Raises:
-        InvalidValueError: If the package has another one of that name.
+        InvalidValueError: The package has another value of that name.
     """
     for each in _CATALOGUES:
         if isinstance(value, each.kind):
@@ -129,7 +133,7 @@ def add(value: Any) -> str:
 
 
 def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
-    """The values of a type at the top level of a module, alone or in a tuple, in their order."""
+    """Yield the values of a type at the top level of a module, alone or in a tuple, in their order."""
     for value in tuple(vars(module).values()):
         values = value if isinstance(value, tuple) else (value,)
         yield from (each for each in values if isinstance(each, kind))
@@ -138,8 +142,8 @@ def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
 @dataclass(frozen=True, kw_only=True)
 class _Catalogue:
     kind: type  #: Type of its values.
-    values: dict[str, Any]  #: They by name.
-    of_package: frozenset[str]  #: Names that are taken.
+    values: dict[str, Any]  #: Values by name.
+    of_package: frozenset[str]  #: Names of the package's values.
 
     def join(self, module: ModuleType) -> None:
         for value in defined(module, self.kind):

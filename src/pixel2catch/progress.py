@@ -1,4 +1,4 @@
-"""How far work is: a bar where a terminal shows it, else a line now and then."""
+"""Progress of work: a bar on a terminal, otherwise a line from time to time."""
 
 import time
 
@@ -7,22 +7,21 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-LONG_SECONDS = 600.0  #: Work that takes longer is announced [s].
-SETTLING_SECONDS = 3.0  #: Time from which on a speed is trusted [s].
+LONG_SECONDS = 600.0  #: Longer work is announced with its duration [s].
+SETTLING_SECONDS = 3.0  #: Time after which the speed is used for an estimate [s].
 
 
 class ProgressBar:
-    """Percentage, time left and a line of text; use as a context around the work.
+    """Percentage, time left and a line of text. Use it as a context around the work.
 
-    On a terminal a bar, which fits into 40 columns and goes away at the end, with the text below it. Else a
-    line of both at most every so many seconds. Work that takes longer than ten minutes is announced as soon
-    as its speed is known.
+    A terminal shows a bar of at least 40 columns with the text below it and removes it at the end. Other
+    outputs get a line at most every `line_seconds`. Work of more than ten minutes is announced.
     """
 
     def __init__(
         self, name: str, total: float, *, done: float = 0.0, console: Console, line_seconds: float = 20.0
     ) -> None:
-        """Begin to count, from what is done already."""
+        """Start from the amount of work that is done already."""
         self._name, self._total, self._console = name, total, console
         self._line_seconds, self._next_line = line_seconds, 0.0
         self._begin = self._now = done, time.monotonic()
@@ -47,13 +46,13 @@ class ProgressBar:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         self._live.stop()
 
     def show(self, done: float, text: str = "") -> None:
-        """Show how much is done, and what is to be said of it."""
+        """Show the amount of work done, and a text."""
         self._now = done, time.monotonic()
-        if not self._is_warm:  # What was compiled and read before the first report tells no speed.
+        if not self._is_warm:  # work before the first report includes compilation
             self._is_warm, self._begin = done > self._begin[0], self._now
         seconds = self._seconds_left()
         left = "" if seconds is None else f"{duration(seconds)} left"
@@ -70,7 +69,7 @@ class ProgressBar:
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)
 
     def _seconds_left(self) -> float | None:
-        """Time that the rest takes at the mean speed since the first report [s]; none before the second."""
+        """Return the time left at the mean speed since the first report [s]; None before the second."""
         done = self._now[0] - self._begin[0]
         return self._seconds() * max(self._total - self._now[0], 0.0) / done if done > 0.0 else None
 
@@ -79,7 +78,7 @@ class ProgressBar:
 
 
 def duration(seconds: float) -> str:
-    """A time in words."""
+    """Return a duration as text."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     if seconds < 6000:

@@ -1,4 +1,4 @@
-"""The policies that the package ships, and what may stand where a policy is named; loads no network."""
+"""Shipped policies, and the resolution of policy names and folders; loads no network."""
 
 from dataclasses import dataclass
 from importlib import resources
@@ -8,31 +8,31 @@ from typing import Annotated, Any, final
 from pixel2catch.checks import Requirement
 from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 
-DEFAULT_POLICY = "catch_alone+fit"  #: The shipped policy that commands take where none is named.
+DEFAULT_POLICY = "catch_alone+fit"  #: Default policy of all commands.
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Folders of the policies that the package ships, by name.
+    """Return the folders of the shipped policies, by name.
 
     Raises:
-        PolicyMismatchError: If this installation has none.
+        PolicyMismatchError: This installation has no policies.
     """
     folder = Path(str(resources.files("pixel2catch"))) / "policies"
     found = {file.parent.name: file.parent for file in sorted(folder.glob("*/policy.json"))}
     if DEFAULT_POLICY not in found:
         raise PolicyMismatchError(
-            "this installation ships no policy; train one with 'pixel2catch train' and name its folder: "
+            "this installation has no policies; train one with 'pixel2catch train' and give its folder, "
             "runs/NAME/policy."
         )
     return found
 
 
 def policy_folder(folder: Path | None) -> Path:
-    """The own folder of a policy: of one that is shipped, of a run, or the folder itself; or its ONNX file.
+    """Return the folder of a policy, for its folder, its run or a shipped name; ONNX files stay files.
 
     Raises:
-        PolicyMismatchError: If there is none.
-        UnknownNameError: If it is neither a folder nor a name.
+        PolicyMismatchError: The folder has no policy.
+        UnknownNameError: There is no such folder and no such name.
     """
     if folder is None or not folder.exists():
         shipped = shipped_policies()
@@ -44,13 +44,13 @@ def policy_folder(folder: Path | None) -> Path:
         return folder
     if not folder.is_dir():
         raise PolicyMismatchError(
-            f"'{folder}' is a file; name the folder of a policy, such as runs/NAME, or a shipped policy."
+            f"'{folder}' is a file; give the folder of a policy, such as runs/NAME, or a shipped policy."
         )
     found = folder / "policy" if (folder / "policy").is_dir() else folder
     if not (found / "policy.json").is_file():
         raise PolicyMismatchError(
-            f"'{folder}' holds no policy: there is no {found / 'policy.json'}; a training writes policy.json "
-            "and policy.safetensors with its first checkpoint."
+            f"'{folder}' has no policy: {found / 'policy.json'} is missing; a training writes it with its "
+            "first checkpoint."
         )
     return found
 
@@ -58,7 +58,7 @@ def policy_folder(folder: Path | None) -> Path:
 @final
 @dataclass(frozen=True)
 class ExistingPolicy(Requirement):
-    """A policy that is there."""
+    """An existing policy."""
 
     def require(self, name: str, value: Any) -> None:  # noqa: D102 (documented in the interface)
         policy_folder(Path(value))

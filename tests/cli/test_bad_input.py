@@ -31,8 +31,8 @@ BAD = [
     ("train catch+fit --teacher propsed", "Did you mean 'proposed'?"),
     ("evaluate --objects seen teapot", "teapot"),
     # policies that are none
-    ("evaluate {file}", "is a file; name the folder of a policy"),
-    ("evaluate {empty}", "holds no policy"),
+    ("evaluate {file}", "is a file; give the folder of a policy"),
+    ("evaluate {empty}", "has no policy"),
     ("evaluate {list_policy}", "it must be a JSON object"),
     # numbers
     ("bench --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
