@@ -30,15 +30,11 @@ Value = TypeVar("Value")
 
 
 def take_option(args: Sequence[str]) -> list[str]:
-<<<<<<< HEAD
     """Return arguments without `--import FILE.py`, and names for `FILE.py:NAME`; `VARIABLE` gets the files.
 
     Raises:
         InvalidValueError: The option names no file.
     """
-=======
-    """Return the arguments without `--import FILE.py`, with NAME for `FILE.py:NAME`; announce the files."""
->>>>>>> 917d130 (Plainer words on the ground floor)
     rest: list[str] = []
     remaining = iter(args)
     for argument in remaining:
