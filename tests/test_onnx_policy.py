@@ -92,7 +92,17 @@ def test_the_file_is_taken_in_place_of_a_folder(file: Path, capsys: pytest.Captu
     policy, method = load_policy(file)
     assert (policy.contract, method.name) == (load_policy(None)[0].contract, policy.contract.method)
     assert fingerprint(file) == sha256(file)
-    args = ["evaluate", str(file), "--num-envs", "1", "--trials", "1", "--physics-hz", "120", "--json"]
+    args = [
+        "evaluate",
+        str(file),
+        "--num-envs",
+        "1",
+        "--trials",
+        "1",
+        "--env.scene.physics-hz",
+        "120",
+        "--json",
+    ]
     assert main(args) == 0
     assert json.loads(capsys.readouterr().out)["policy_sha256"] == sha256(file)
 

@@ -17,7 +17,7 @@ from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.cfg import SceneCfg
 
-THROWS = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--physics-hz", "60")
+THROWS = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "60")
 TRAINING = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAIN = ("train", *TRAINING, "--hidden", "8", "--device", "cpu", "--env.scene.physics-hz", "30")
 

@@ -39,7 +39,7 @@ with_height = replace(PROPOSED, name="with_height", agents=seeing)
 """
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
-THROWS = ("--num-envs", "2", "--trials", "1", "--physics-hz", "30", "--objects", "cube_s")
+THROWS = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s")
 
 
 CELL = """

@@ -223,7 +223,17 @@ def test_a_policy_is_of_its_task_and_is_evaluated_in_the_papers(
 ):
     policy, _ = load_policy(run)
     assert (policy.contract.task, policy.contract.object_radius) == ("wide", OBJECT_RADIUS)
-    args = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--physics-hz", "60", "--json")
+    args = (
+        "--objects",
+        "cube_s",
+        "--num-envs",
+        "2",
+        "--trials",
+        "1",
+        "--env.scene.physics-hz",
+        "60",
+        "--json",
+    )
     assert main(["evaluate", str(run), *args]) == 0
     metrics = json.loads(capsys.readouterr().out)
     assert (metrics["method"], metrics["trials"]) == ("only_center", 2)

@@ -46,7 +46,7 @@ def test_the_command_writes_a_page_that_needs_nothing_else(
     torch.manual_seed(0)
     Policy(contract_of(PROPOSED), hidden=(16,)).save(tmp_path / "policy")
     path = tmp_path / "page.html"
-    given = ["--objects", "cube_s", "--num-envs", "3", "--trials", "1", "--physics-hz", "120"]
+    given = ["--objects", "cube_s", "--num-envs", "3", "--trials", "1", "--env.scene.physics-hz", "120"]
     assert main(["evaluate", str(tmp_path / "policy"), *given, "--html", str(path)]) == 0
     assert "wrote" in capsys.readouterr().err
     text = path.read_text()

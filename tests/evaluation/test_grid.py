@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from pixel2catch.evaluation.slots import (
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
 
 
-def write(file: Path, device: str) -> None:
+def write(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     """Note the order of the calls, print, and write the result."""
     with open(file.parent / "order", "a") as order:
         order.write(f"{file.name} ")
@@ -34,19 +35,19 @@ def write(file: Path, device: str) -> None:
     file.write_text(device)
 
 
-def fail(file: Path, device: str) -> None:
+def fail(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     raise InvalidValueError("too bad")
 
 
-def write_nothing(file: Path, device: str) -> None:
+def write_nothing(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     pass
 
 
-def die(file: Path, device: str) -> None:
+def die(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     os._exit(1)
 
 
-def save_when_stopped(file: Path, device: str) -> None:
+def save_when_stopped(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     signal.signal(signal.SIGTERM, lambda *_: (file.with_name("saved").touch(), sys.exit(0)))
     file.with_name("ready").touch()
     while True:

@@ -37,7 +37,7 @@ from pixel2catch.workcells import find_workcell, workcells
 EARLIER = Path(__file__).parents[2] / "experiments" / "results"
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()
-SIZE = ("--num-envs", "3", "--trials", "1", "--physics-hz", "30", "--objects", "cube_s", "sphere_l")
+SIZE = ("--num-envs", "3", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s", "sphere_l")
 SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}
 
 

@@ -159,7 +159,6 @@ def test_rounds_have_the_throws_of_the_whole(
         restitution=(0.0,),
         throws=4,
         objects=("cube_s",),
-        physics_hz=30.0,
         out=tmp_path,
     )
     made.run()
@@ -184,7 +183,7 @@ def test_rounds_have_the_throws_of_the_whole(
 
 @NEEDS_PHYSX
 def test_the_command_away(policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(arguments(policy, tmp_path, "--physics-hz", "120")) == 0
+    assert main(arguments(policy, tmp_path, "--env.scene.physics-hz", "120")) == 0
     assert f"| untrained | {AS_TRAINED} | physx |" in capsys.readouterr().out
 
 

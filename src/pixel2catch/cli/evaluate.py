@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, Device, OutputFile, PhysicsRate, Seed
+from pixel2catch.checks import Count, Device, OutputFile, Seed
 from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import SimulatedTask
@@ -32,7 +32,6 @@ class Evaluate:
     trials: Count = 10  #: Rounds.
     seed: Seed = 0  #: Seed of everything that is drawn.
     device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
-    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second; training's default is the paper's 120.
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
     json: bool = False  #: Print all metrics as one JSON object.
     #: File that gets the same JSON object, all of it or nothing.
@@ -58,7 +57,7 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=device,
-            task=self.task.make(policy, "evaluate", self.physics_hz),
+            task=self.task.make(policy, "evaluate"),
         )
         files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
         source = {

@@ -33,6 +33,21 @@ REMOVED = {
 }
 """Commands that are gone, and what to do instead."""
 
+REMOVED_OPTIONS = {
+    "evaluate --physics-hz": "give --env.scene.physics-hz",
+    "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
+    "reproduce --evaluation-physics-hz": "evaluations have 600 Hz",
+    "reproduce --launcher": "leave it out; --slurm alone selects the cluster",
+    "reproduce --physics-hz": "give --training physics_stages=120,120,240 or env.scene.physics_hz=120",
+    "reproduce --transitions": "give --training transitions=NUMBER",
+    "stress --json": "read table.json in the folder of the results",
+    "stress --launcher": "leave it out; --slurm alone selects the cluster",
+    "stress --physics-hz": "give --env.scene.physics-hz",
+    "transfer --json": "read table.json in the folder of the results",
+    "transfer --physics-hz": "give --env.scene.physics-hz",
+}
+"""Options that are gone, and what to do instead. See docs/changes.md."""
+
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
 'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
@@ -117,6 +132,9 @@ def parse(args: Sequence[str]):
     """
     if args and args[0] in REMOVED:
         raise InvalidValueError(f"there is no command '{args[0]}'; {REMOVED[args[0]]}.")
+    for option in (f"{args[0]} {arg.partition('=')[0]}" for arg in args):
+        if option in REMOVED_OPTIONS:
+            raise InvalidValueError(f"there is no '{option}'; {REMOVED_OPTIONS[option]}.")
     if args and not args[0].startswith("-") and args[0] not in COMMANDS:
         raise UnknownNameError("command", args[0], COMMANDS)
     options: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": option_rules()}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
+from pixel2catch.checks import Count, Device, ResultsFolder, Seed
 from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import TaskOptions
@@ -31,14 +31,12 @@ class Stress:
     #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
     #: timeout_min=60 cpus_per_task=1 slurm_partition=cpu.
     slurm: tuple[str, ...] = ()
-    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
     task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.studies import cpu_slots, run_grid
-        from pixel2catch.envs.cfg import CatchEnvCfg
         from pixel2catch.evaluation.grid import Grid
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -46,7 +44,6 @@ class Stress:
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.evaluation.stress_report import stress_rows, stress_sections
         from pixel2catch.scene.objects import select_objects
-        from pixel2catch.scene.scene import SceneCfg
 
         if self.jobs > 1 and self.device != "cpu":
             raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
@@ -59,7 +56,6 @@ class Stress:
             trials=self.trials,
             seed=self.seed,
             device=device,
-            task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
         grid = Grid(policy_cells(results, cfg, is_alone=len(slots) == 1))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, NotEmpty, PhysicsRate, ResultsFolder, Seed, Within
+from pixel2catch.checks import Count, NotEmpty, ResultsFolder, Seed, Within
 from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
@@ -38,7 +38,6 @@ class Transfer:
     objects: tuple[str, ...] = ("seen",)
     seed: Seed = 0  #: Seed of everything that is drawn.
     jobs: Count = 1  #: Rounds of 20 throws that are computed at once, each in a process with one thread.
-    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
     task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task.
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
 
@@ -87,10 +86,8 @@ class Transfer:
         Raises:
             InvalidValueError: If the throws do not fill the rounds, or something is named twice.
         """
-        from pixel2catch.envs.cfg import CatchEnvCfg
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.scene.objects import select_objects
-        from pixel2catch.scene.scene import SceneCfg
 
         at_once = min(self.throws, THROWS_AT_ONCE)
         if self.throws % at_once:
@@ -106,5 +103,4 @@ class Transfer:
             num_envs=at_once,
             trials=self.throws // at_once,
             seed=self.seed,
-            task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )

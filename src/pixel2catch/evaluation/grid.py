@@ -24,6 +24,9 @@ from pixel2catch.interruption import StopRequest
 Json = dict[str, Any]
 
 
+Work = Callable[[str, Callable[[float], None]], None]
+
+
 class Status(Enum):
     """State of a cell."""
 
@@ -39,8 +42,9 @@ class Cell:
     """One result of a study."""
 
     name: str  #: Name in messages, and of the log.
-    #: Computes the result on a device and writes it. It can be pickled: a partial of a module's function.
-    work: Callable[[str], None]
+    #: Computes the result on a device and writes it; calls its second argument with the share that is done.
+    #: It can be pickled: a partial of a module's function.
+    work: Work
     is_done: Callable[[], bool]  #: Returns whether the result is there.
     kind: str = ""  #: Which slots compute it.
     after: tuple[str, ...] = ()  #: Names of earlier cells whose results it needs.
@@ -143,12 +147,14 @@ class Grid:
         self._running.clear()
 
 
-def compute(work: Callable[[str], None], device: str, log: Path | None) -> str | None:
+def compute(
+    work: Work, device: str, log: Path | None, on_share: Callable[[float], None] = lambda _: None
+) -> str | None:
     """Compute a cell, and return the text of its error, if there was one."""
     try:
         with _printing_to(log):
             try:
-                work(device)
+                work(device, on_share)
             except Exception:
                 traceback.print_exc()
                 raise

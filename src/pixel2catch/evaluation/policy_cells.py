@@ -107,7 +107,7 @@ def policy_cells(
 
     Args:
         results: The results.
-        cfg: The evaluation; of its task only the physics rate counts, the rest comes with each policy.
+        cfg: The evaluation; its task is replaced by that of each policy.
         summarize: A module's function that makes the metrics of the throws.
         is_alone: Whether one cell at a time is computed and may use all processors.
 
@@ -134,14 +134,22 @@ def measure(
     summarize: Callable[[Trials], Metrics],
     is_alone: bool,
     device: str,
+    on_share: Callable[[float], None],
 ) -> None:
     """Compute a result on a device, and write it."""
     torch.set_num_threads(1)
-    trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone)
+    trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone, on_share=on_share)
     write_files(result.file.parent, {result.file.name: json_text(origin | {"metrics": summarize(trials)})})
 
 
-def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
+def throw_rounds(
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    *,
+    is_alone: bool = True,
+    on_share: Callable[[float], None] = lambda _: None,
+) -> Trials:
     """Evaluate a policy, each round with a seed of its own, so that all policies get the same throws.
 
     Disturbances are drawn after the throws, which are therefore those of the nominal setting. A policy that
@@ -149,7 +157,7 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    return evaluate(actor, method, cfg, env=env, is_seeded=True)
+    return evaluate(actor, method, cfg, on_share=on_share, env=env, is_seeded=True)
 
 
 def evaluation_of(
@@ -157,7 +165,7 @@ def evaluation_of(
 ) -> tuple[Actor, Method, EvaluationCfg]:
     """Return the policy of a result on a device, its method, and its evaluation."""
     policy, method = load_policy(result.policy.folder, device)
-    task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
+    task = result.setting.level.change(task_of(policy))
     return policy, method, replace(cfg, device=device, task=task, seed=cfg.seed + result.first_round)
 
 

@@ -66,11 +66,12 @@ class ThisProcess(Slot):
     """Computes cells one after the other in this process."""
 
     is_here, poll_seconds = True, 0.0
+    on_share: Callable[[float], None] | None = None  #: Called with the share of a cell that is done.
 
     def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
         """Call the function and wait for it."""
         future = Future[str | None]()
-        future.set_result(function(*args))
+        future.set_result(function(*args, *([self.on_share] if self.on_share else [])))
         return future
 
     def error_of(self, task: "Future[str | None]") -> str | None:
