@@ -30,6 +30,7 @@ BAD = [
     ("reproduce --launcher slurm", "--slurm"),
     ("stress --physics-hz=120", "--env.scene.physics-hz"),
     ("stress proposed propsed", "Did you mean 'proposed'?"),
+    ("train --preset slow", "unknown preset 'slow'"),
     ("train propse", "Did you mean 'proposed'?"),
     ("train catch+fit --teacher propsed", "Did you mean 'proposed'?"),
     ("evaluate --objects seen teapot", "teapot"),

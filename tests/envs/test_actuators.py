@@ -1,7 +1,5 @@
 """The joints' drives in simulation: what was identified is what a policy trains with, on both back ends."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -110,15 +108,6 @@ def test_one_law_at_the_torque_limits():
     assert np.sqrt(((environment - fit) ** 2).mean(axis=0)).max() < 1.5e-3
 
 
-def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
-    """The ramp's speed times the step, less what the servo smooths; nominal joints go as they always went."""
-    scene, ramp = SceneCfg(), HOME + INWARDS * 0.01 * np.arange(1, 31)[:, None]
-    nominal = world_path(scene, NOMINAL, ramp)
-    path = world_path(scene, NOMINAL.with_values(latency=1e-9), ramp)
-    lag = INWARDS * (nominal - path)[-1]
-    np.testing.assert_allclose(lag, 0.01 / CONTROL_DT * scene.physics_dt, rtol=0.05)
-
-
 def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
     """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
     speeds = [joint.velocity_limit for joint in JOINTS]
@@ -179,12 +168,3 @@ def test_a_new_episode_does_not_feel_the_last_one():
     moved = (world.joint_pos - torch.tensor(HOME)).abs()
     assert moved[0, :6].max() < 1e-5
     assert moved[1, :6].min() > 0.02
-
-
-def test_tasks_are_compared_by_their_dynamics():
-    task = CatchEnvCfg()
-    assert task == CatchEnvCfg()
-    nominal = dataclasses.replace(task, dynamics=NOMINAL)
-    assert dataclasses.replace(task, dynamics=NOMINAL.with_values()) == nominal
-    assert dataclasses.replace(task, dynamics=IDENTIFIED) != task
-    assert hash(task) == hash(CatchEnvCfg())

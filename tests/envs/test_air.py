@@ -12,7 +12,7 @@ from pixel2catch.envs.episode import draw_episode
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -65,18 +65,6 @@ def test_drag_of_an_episode_is_that_of_its_object_air_and_mass():
         assert episode.drag[row].item() == pytest.approx(0.5 * 1.2 * spec.drag_area / mass, rel=1e-5)
 
 
-def test_air_may_be_each_episodes_own():
-    cfg = CatchEnvCfg(randomization=RandomizationCfg(air_density=(0.4, 1.5)))
-    episode = draw_episode(
-        cfg.for_workcell(UR5E_ALLEGRO), BIAS, torch.tensor([0]), 2000, torch.Generator().manual_seed(0)
-    )
-    assert episode.drag is not None
-    first = next(iter(OBJECTS.values()))
-    density = episode.drag * episode.parameters.mass_scale * first.mass / (0.5 * first.drag_area)
-    assert 0.4 - 1e-5 < density.min() < 0.41
-    assert 1.49 < density.max() < 1.5 + 1e-5
-
-
 def test_the_force_does_not_depend_on_the_mass_and_is_against_the_velocity():
     """-½ ρ A |v| v in every step of the flight."""
     env = make(6, RandomizationCfg(air_density=1.2))
@@ -90,29 +78,6 @@ def test_the_force_does_not_depend_on_the_mass_and_is_against_the_velocity():
         torch.testing.assert_close(force.double(), expected.double(), rtol=1e-4, atol=1e-9)
         assert (before.norm(dim=-1) > 2.0).all()
     assert len(env._episode.parameters.mass_scale.unique()) == 6
-
-
-def test_without_air_nothing_pushes_the_object():
-    env = make(2, RandomizationCfg(), SceneCfg())
-    force = env.world.simulation.bind("qfrc_applied")[:, len(JOINTS) :]
-    for _ in rollout(env, 6):
-        assert not force.any()
-    assert env._episode.drag is None
-
-
-def test_a_step_of_flight_through_air():
-    """Gravity, and drag of the mean velocity."""
-    env = make(6, RandomizationCfg(air_density=1.2))
-    velocity = env.world.simulation.bind("qvel")[:, VELOCITY]
-    list(rollout(env, 4))
-    before = velocity.clone()
-    list(rollout(env, 1))
-    assert env._episode.drag is not None
-    mean = (before + velocity) / 2
-    slowed = -env._episode.drag.to(mean)[:, None] * mean.norm(dim=-1, keepdim=True) * mean
-    slowed[:, 2] -= GRAVITY
-    torch.testing.assert_close((velocity - before) / CONTROL_DT, slowed, atol=0.01, rtol=0)
-    assert (slowed[:, 0] > 0.1).all()
 
 
 def test_air_slows_throws_which_arrive_all_the_same():

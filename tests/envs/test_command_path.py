@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from pixel2catch.envs.actuators import CommandPath
 from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_step, filter_transition
@@ -77,15 +76,6 @@ def test_step_response_of_the_filter_is_the_analytic_one():
     np.testing.assert_allclose(np.stack(path)[..., 1], speed, atol=1e-12)
 
 
-def test_a_filtered_path_lags_a_ramp_by_lookahead_and_latency():
-    """In steady motion at the beginning of a step, where MuJoCo takes the servo's error."""
-    speed, latency = 0.7, 0.0123
-    commands = speed * DT * np.repeat(np.arange(600.0)[:, None], 2, axis=1)
-    arrived = passed(FILTERED.with_values(latency=latency), commands)[-1]
-    expected = commands[-2] - speed * (latency + FILTERED.filter_lookahead)
-    np.testing.assert_allclose(arrived, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("dynamics", [DIRECT, FILTERED], ids=["direct", "filtered"])
 def test_reset_forgets_only_where_it_is_asked_to(dynamics):
     path, untouched = make(dynamics, 2), make(dynamics, 2)
@@ -100,12 +90,3 @@ def test_reset_forgets_only_where_it_is_asked_to(dynamics):
     torch.testing.assert_close(arrived[0], place[0])
     assert torch.equal(arrived[1], expected[1])
     assert (arrived[0] - arrived[1]).abs().min() > 0.01
-
-
-def test_memory_stays_where_it_is():
-    """What a recorded control step needs: the same tensor tells what arrives, in every step."""
-    path = make(FILTERED.with_values(latency=0.01), 3)
-    first: Tensor = path.advance(torch.ones(3, 2, dtype=torch.float64))
-    path.reset(torch.ones(3, dtype=torch.bool), torch.zeros(3, 2, dtype=torch.float64))
-    again = path.advance(torch.ones(3, 2, dtype=torch.float64))
-    assert first.data_ptr() == again.data_ptr()

@@ -19,7 +19,6 @@ from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg
 
@@ -61,14 +60,11 @@ def object_path(env: CatchEnv, num_steps: int) -> torch.Tensor:
     "changes",
     [
         {"sensing": SensingCfg(camera_offset=1e-9)},
-        {"sensing": SensingCfg(camera=MEASURED)},
         {"sensing": SensingCfg(box_bias=1e-6, edge_noise=1e-6)},
         {"shake": ShakeCfg(amplitude=1e-9, frequency=2.0)},
-        {"throws": ThrowCfg(spin=1e-6)},
         {"throws": ThrowCfg(speed_deviation=1e-8, angle_deviation=1e-8)},
         {"sensing": SensingCfg(drop_rate=1e-9, clock_error=1e-9, stamp_jitter=1e-9)},
         {"randomization": RandomizationCfg(air_density=1e-9)},
-        {"randomization": RandomizationCfg(command_delay=(0, 0))},
     ],
     ids=lambda changes: next(iter(changes)),
 )
@@ -87,15 +83,6 @@ def test_a_seed_throws_the_same_whatever_is_wrong_with_the_camera():
     torch.testing.assert_close(*paths)
 
 
-def test_seed_and_reset_begin_anew():
-    env = make()
-    env.seed(3)
-    first = env.reset().state
-    list(rollout(env, 7, action=0.5))
-    env.seed(3)
-    assert torch.equal(env.reset().state, first)
-
-
 def test_boxes_are_those_of_the_calibrated_camera():
     """And a tracker that knows the camera is right about the position."""
     env = make(sensing=replace(EXACT, camera=ELSEWHERE), throws=AT_ONCE)
@@ -106,16 +93,6 @@ def test_boxes_are_those_of_the_calibrated_camera():
         torch.testing.assert_close(step.measurement.box, box)
         truth = env.world.privileged(step.log).object_pos
         assert torch.equal(step.measurement.object_pos, truth)
-
-
-def test_what_hides_the_object_depends_on_where_the_camera_is():
-    """From within the table nothing is seen of it."""
-    x, y, top = TABLE.center
-    inside = replace(RGB_CAMERA, pos=(x, y, top - 0.5 * TABLE.thickness))
-    env = make(sensing=replace(EXACT, camera=CameraFile(camera=inside)))
-    assert not env.world.surface_points(inside)[1].any()
-    assert env.world.surface_points()[1].all()
-    assert not any(step.measurement.box.any() for step in rollout(env, 2))
 
 
 def test_a_measured_camera_is_another_one_in_every_episode():
@@ -146,34 +123,7 @@ def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():
         assert (step.measurement.object_pos - true.measurement.object_pos).norm(dim=-1).min() > 0.01
 
 
-def test_each_episode_has_its_own_share_of_the_training_noise():
-    noisy, exact = (replace(EXACT, corner_noise=noise, noise_scale=(0.0, 1.0)) for noise in (5.0, 0.0))
-    env, other = make(num_envs=40, sensing=noisy), make(num_envs=40, sensing=exact)
-    steps = zip(rollout(env, 12), rollout(other, 12), strict=True)
-    errors = torch.stack([(step.measurement.box - true.measurement.box).abs() for step, true in steps])
-    assert env.episode.camera_errors is not None
-    share = env.episode.camera_errors.noise_scale
-    largest = errors.amax(dim=(0, 2))
-    assert (largest <= 5.0 * share + 1e-3).all()
-    assert (largest >= 4.0 * share).float().mean() > 0.9
-    assert share.min() < 0.2
-    assert share.max() > 0.8
-
-
-def test_the_training_noise_does_not_reach_the_tracker_but_extra_noise_does():
-    """10 px on both edges of a side shift the centre by 10 px at the most: 5 cm at 3 m."""
-    for sensing, is_exact in (
-        (replace(EXACT, corner_noise=5.0), True),
-        (replace(EXACT, edge_noise=10.0), False),
-    ):
-        env = make(sensing=sensing)
-        for step in rollout(env, 5):
-            error = step.measurement.object_pos - env.world.privileged(step.log).object_pos
-            assert (error.norm(dim=-1).max() == 0.0) == is_exact
-            assert error.norm(dim=-1).max() < 0.08
-
-
-@pytest.mark.parametrize("rate", [0.3, 1.0])
+@pytest.mark.parametrize("rate", [0.3])
 def test_a_dropped_detection_repeats_the_last(rate: float):
     env = make(num_envs=200, sensing=replace(EXACT, drop_rate=rate), throws=AT_ONCE)
     list(rollout(env, 3))
@@ -191,7 +141,7 @@ def test_a_blackout_repeats_the_last_detection_for_its_length():
     assert repeated.float().mean() > 5.0
 
 
-@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("delay", [3])
 def test_a_target_arrives_exactly_after_the_delay(delay: int):
     """Both robots stay, then get another hand target at step 5: the fingers move `delay` steps later."""
     env = make(randomization=replace(STILL, command_delay=(delay, delay)), sensing=EXACT)
@@ -223,25 +173,6 @@ def test_free_flight_in_the_shaken_frame_is_the_ballistic_path_minus_the_base():
     assert (path - still).abs().max() > 0.01
     drop = still[-1, :, 2] - still[2, :, 2]
     assert (drop.abs() < 0.5 * GRAVITY).all()
-
-
-def test_a_camera_beside_the_table_sees_nothing_of_the_shaking():
-    """Object and camera stand in the laboratory: the box stays, although the robot's frame moves."""
-    env = make(shake=SHAKE, throws=ThrowCfg(hover_steps=(40, 40)), sensing=EXACT, scene=FINE)
-    boxes = torch.stack([step.measurement.box.clone() for step in rollout(env, 20)])
-    assert (boxes - boxes[0]).abs().max() < 0.15
-
-
-def test_a_held_object_feels_the_shaking():
-    """An object at rest in the shaken frame is pushed with minus the base's acceleration."""
-    env = make(shake=SHAKE, throws=ThrowCfg(hover_steps=(40, 40)))
-    shake = env._episode.shake
-    assert shake is not None
-    before = env.world.simulation.bind("qvel")[:, len(JOINTS) : len(JOINTS) + 3].clone()
-    list(rollout(env, 1))
-    after = env.world.simulation.bind("qvel")[:, len(JOINTS) : len(JOINTS) + 3]
-    expected = -shake.acceleration(torch.full((4,), CONTROL_DT / 2)).double() * CONTROL_DT
-    torch.testing.assert_close(after - before, expected, atol=2e-3, rtol=0)
 
 
 EVERYTHING = {

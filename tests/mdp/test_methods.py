@@ -6,28 +6,8 @@ import pytest
 
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.observations import NUM_BOXES, box_age, box_fit, box_track
-from pixel2catch.methods import MEMORIES, METHODS, find_method
+from pixel2catch.methods import find_method
 from pixel2catch.policy import contract_of, method_of
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_a_method_is_found_by_its_name(name: str):
-    assert find_method(name) is METHODS[name]
-    assert METHODS[name].name == name
-    assert not METHODS[name].knows_age
-
-
-@pytest.mark.parametrize("name", METHODS)
-@pytest.mark.parametrize("memory", MEMORIES)
-def test_a_memory_changes_nothing_but_what_is_remembered(name: str, memory: str):
-    plain, method = METHODS[name], find_method(f"{name}+{memory}")
-    assert method.name == f"{name}+{memory}"
-    assert method.pixel_features == plain.pixel_features
-    assert method.knows_age
-    for agent, forgetful in zip(method.agents, plain.agents, strict=True):
-        assert agent.observation == forgetful.observation
-        assert agent.reward_names == forgetful.reward_names
-        assert agent.joints == forgetful.joints
 
 
 @pytest.mark.parametrize(

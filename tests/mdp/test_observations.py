@@ -7,9 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from snapshots import NUM_JOINTS, measurement, privileged, tensors
+from snapshots import measurement, privileged
 
 from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
@@ -95,17 +93,6 @@ def test_journal_adds_palm_displacement_and_targets():
         assert row[:, 25:28].abs().min() > 0  # the release's palm displacement is always zero
 
 
-@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
-def test_a_robot_at_rest_has_no_differences(method: Method):
-    """With three equal measurements both frames are equal, and every difference is zero."""
-    for agent in method.agents:
-        older, newer = observation(agent, method, History(NOW, NOW, NOW)).chunk(2, dim=-1)
-        assert torch.equal(older, newer)
-        names = method.pixel_features
-        differences = [column for column, name in enumerate(names) if name.startswith("d")]
-        assert not newer[:, differences].any()
-
-
 def test_the_oracle_sees_position_and_change_in_place_of_pixels():
     oracle = METHODS["object_position"]
     for agent, pixel_agent in zip(oracle.agents, PROPOSED.agents, strict=True):
@@ -149,25 +136,6 @@ def test_the_second_frame_becomes_the_first(method: Method):
         assert torch.equal(observation(agent, method)[:, size:], observation(agent, method, later)[:, :size])
 
 
-@given(st.integers(0, 1), st.floats(-10.0, 10.0, width=32))
-def test_environments_do_not_see_each_other(env, change):
-    """Whatever changes in one environment, the other's observation stays."""
-    changed = measurement(2, 0.75)
-    for tensor in tensors(changed):
-        tensor[env] += change
-    for agent in PROPOSED.agents:
-        rows = observation(agent, PROPOSED, History(OLDEST, BEFORE, changed))
-        assert torch.equal(rows[1 - env], observation(agent, PROPOSED)[1 - env])
-
-
-def test_agents_share_pixels_and_palm_but_no_joints():
-    arm, hand = (observation(agent, PROPOSED)[:, size:] for agent, size in ((ARM, 25), (HAND, 39)))
-    assert torch.equal(arm[:, :13], hand[:, :13])
-    both = torch.cat((arm[:, 13:19], hand[:, 13:26]), dim=-1)
-    assert torch.equal(both, NOW.joint_pos)
-    assert both.shape[1] == NUM_JOINTS
-
-
 def test_age_is_that_of_the_newest_box():
     frame = seeing([[0.0] * 4, [1.0] * 4], [2.5, 4.0])
     assert observations.box_age(frame).tolist() == [[2.5]]
@@ -206,15 +174,6 @@ def test_a_memory_comes_after_the_frames(name: str, memory: str):
         assert torch.equal(observation(agent, method, other)[:, -size:], expected[:, -size:])
 
 
-def test_sizes_of_memories():
-    """One age; of eight boxes 4 numbers of the newest, 7 x 4 speeds, 8 ages."""
-    for memory, size in (("age", 1), ("boxes", 4 + 28 + 8)):
-        method = find_method(f"catch+{memory}")
-        history = History(*(measurement(1, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
-        sizes = {agent.name: observation(agent, method, history).shape[1] for agent in method.agents}
-        assert sizes == {"arm": 50 + size, "hand": 78 + size}
-
-
 @pytest.mark.parametrize("name", ["only_wh", "only_center"])
 def test_a_fit_tells_no_more_than_a_method_sees(name: str):
     """Of boxes that differ in what it does not see, in their centres or in their sizes, it sees the same."""
@@ -227,11 +186,6 @@ def test_a_fit_tells_no_more_than_a_method_sees(name: str):
         frame = dataclasses.replace(seen, pixel_columns=pixel_columns(method.pixel_features))
         fits.append(torch.cat([term(frame) for term in method.agents[0].memory], dim=-1))
     torch.testing.assert_close(*fits, atol=1e-4, rtol=1e-4)
-
-
-def test_columns_follow_the_names():
-    assert pixel_columns(PIXEL_FEATURES) == tuple(range(len(PIXEL_FEATURES)))
-    assert pixel_columns(("dh", "cx")) == (7, 0)
 
 
 def test_privileged_state_by_hand():

@@ -7,7 +7,7 @@ import torch
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.sensing import ASSUMED_AGE, Detection, SensingCfg, detect
+from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
@@ -20,17 +20,6 @@ def detection(mark: float, num_envs: int = 1, **changes: torch.Tensor) -> Detect
         "age_error": torch.full((num_envs,), 0.1 * mark),
     }
     return Detection(**fields | changes)
-
-
-def test_what_is_not_seen_keeps_its_last_detection():
-    """With the error of its stamp, and a control step older."""
-    is_seen = torch.tensor([True, False])
-    held = detection(2.0, 2).held(is_seen, detection(1.0, 2))
-    assert held.box[:, 0].tolist() == [2.0, 1.0]
-    assert held.object_pos[:, 0].tolist() == [-2.0, -1.0]
-    assert held.is_seen.tolist() == [True, False]
-    assert held.stale.tolist() == [0.0, 1.0]
-    torch.testing.assert_close(held.age_error, torch.tensor([0.2, 0.1]))
 
 
 def test_a_detection_grows_older_until_the_object_is_seen_again():
@@ -49,14 +38,6 @@ def test_an_image_between_two_control_steps_by_hand():
     assert between.object_pos[:, 0].tolist() == [-20.0, -17.5, -10.0]
     assert between.is_seen.all()
     assert between.stale.tolist() == [0.0] * 3
-
-
-def test_an_image_between_two_control_steps_shows_what_both_show():
-    """At the moment itself the step before does not matter."""
-    is_seen, was_seen = torch.tensor([True, True, True, False]), torch.tensor([True, False, False, True])
-    now, before = detection(2.0, 4, is_seen=is_seen), detection(1.0, 4, is_seen=was_seen)
-    between = now.exposed_before(before, torch.tensor([0.5, 0.5, 0.0, 0.5]))
-    assert between.is_seen.tolist() == [True, False, True, False]
 
 
 def in_front(depth: float = 2.0) -> torch.Tensor:
@@ -101,11 +82,3 @@ def test_numbers_of_the_task():
         0.005,
         0.001,
     )
-
-
-def test_a_sight_without_errors_is_the_default():
-    cfg = SensingCfg()
-    assert (cfg.camera_offset, cfg.camera_turn, cfg.focal_error) == (0.0, 0.0, 0.0)
-    assert (cfg.box_bias, cfg.box_scale, cfg.edge_noise, cfg.drop_rate, cfg.blackout_steps) == (0, 1, 0, 0, 0)
-    assert (cfg.clock_error, cfg.stamp_jitter, cfg.unstamped, cfg.latency_grid) == (0, 0, 0, 1)
-    assert sum(SensingCfg.latency_steps) / 2 == ASSUMED_AGE

@@ -32,12 +32,6 @@ def test_the_base_swings_along_a_line_with_its_amplitude_and_frequency():
     assert (flatness[:, 1] < 1e-4 * flatness[:, 0]).all()
 
 
-def test_direction_and_phase_differ_from_episode_to_episode():
-    start = draw().displacement(torch.zeros(1000))
-    assert start.mean(dim=0).abs().max() < 0.0005
-    assert start.norm(dim=-1).std() > 0.001
-
-
 def test_velocity_and_acceleration_are_derivatives():
     shake, step = draw(num_envs=7), 1e-3
     double = Shake(sine=shake.sine.double(), cosine=shake.cosine.double(), rate=shake.rate.double())

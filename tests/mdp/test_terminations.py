@@ -17,7 +17,6 @@ from pixel2catch.mdp.terminations import (
     is_near,
     is_success,
     near_palms,
-    palm_distance,
     reach_of,
 )
 from pixel2catch.scene.constants import CONTROL_DT
@@ -27,11 +26,6 @@ from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN
 def test_numbers_of_the_task():
     assert HOLD_STEPS == 20
     assert EpisodeCfg().max_steps * CONTROL_DT == pytest.approx(3.0)
-
-
-def test_distance_by_hand():
-    now = privileged(object_pos=torch.tensor([[1.0, 2.0, 3.0]]), palm_pos=torch.tensor([[1.0, -1.0, -1.0]]))
-    assert palm_distance(now).tolist() == [[5.0]]
 
 
 @given(st.floats(0.0, 0.2), st.floats(-3.14, 3.14), st.floats(-1.57, 1.57))
@@ -98,8 +92,3 @@ def test_a_hold_goes_on_after_a_success_for_as_long_as_is_asked_for():
     assert is_ended(steps(), EpisodeCfg(rest_steps=30)).tolist() == [False, True, True, False]
     held = transition(now=privileged(object_pos=torch.ones(2, 3)), held_steps=(49, 50))
     assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True]
-
-
-def test_the_length_of_an_episode_can_be_chosen():
-    assert is_ended(steps(), EpisodeCfg(max_steps=50)).tolist() == [True, True, True, True]
-    assert is_ended(steps(), EpisodeCfg(max_steps=91)).tolist() == [False, False, True, True]

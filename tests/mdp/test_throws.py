@@ -1,8 +1,7 @@
-"""Throws: the path really peaks and comes down where it is said to, and the draws fill their ranges."""
+"""Throws: the path peaks and comes down where it should, with and without air; draws fill their ranges."""
 
 import dataclasses
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -12,10 +11,10 @@ from pixel2catch.mdp.throws import (
     Throw,
     ThrowCfg,
     drawn,
+    flight_time,
     launch_velocity,
-    sample_paths,
     sample_throws,
-    uniform,
+    velocity_through_air,
 )
 from pixel2catch.scene.constants import GRAVITY
 
@@ -27,37 +26,12 @@ def throws(cfg: ThrowCfg = CFG, num_envs: int = 2000, seed: int = 0) -> Throw:
     return sample_throws(cfg, num_envs, torch.Generator().manual_seed(seed))
 
 
-def fly(pos: np.ndarray, vel: np.ndarray, dt: float = 5e-4, duration: float = 2.0) -> np.ndarray:
-    """Integrate gravity in small steps (trapezoidal rule): positions (time, 3)."""
-    path = [pos]
-    for _ in range(int(duration / dt)):
-        after = vel - np.array((0.0, 0.0, GRAVITY)) * dt
-        path.append(path[-1] + (vel + after) / 2 * dt)
-        vel = after
-    return np.array(path)
-
-
-def descent(path: np.ndarray, height: float) -> np.ndarray:
-    """Where a path first comes down through a height."""
-    peak = int(path[:, 2].argmax())
-    return path[peak:][path[peak:, 2] <= height][0]
-
-
 def test_velocity_by_hand():
     """Rise of g/2 m takes 1 s, fall of g/8 m 0.5 s: 3 m in 1.5 s, -0.75 m in 1.5 s, and g m/s upwards."""
     pos = torch.tensor([[0.0, 0.0, 0.0]])
     aim = torch.tensor([[3.0, -0.75, GRAVITY / 2 - GRAVITY / 8]])
     velocity = launch_velocity(pos, aim, torch.tensor([GRAVITY / 2]))
     torch.testing.assert_close(velocity, torch.tensor([[2.0, -0.5, GRAVITY]]))
-
-
-def test_the_path_peaks_and_comes_down_through_the_aim():
-    thrown = throws(num_envs=8)
-    for pos, vel, aim in zip(thrown.pos.double(), thrown.lin_vel.double(), thrown.aim.double(), strict=True):
-        path = fly(pos.numpy(), vel.numpy())
-        np.testing.assert_allclose(descent(path, aim[2].item()), aim.numpy(), atol=5e-3)
-        least = CFG.clearance + max(pos[2].item(), aim[2].item())
-        assert max(CFG.peak_z[0], least) - 1e-3 < path[:, 2].max() < max(CFG.peak_z[1], least) + 1e-3
 
 
 @given(RELEASE_HEIGHT, AIM_HEIGHT, st.floats(1.6, 1.9), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
@@ -117,22 +91,6 @@ def test_orientations_are_rotations_without_a_preferred_direction():
     torch.testing.assert_close(quat.T @ quat / len(quat), torch.eye(4) / 4, atol=0.02, rtol=0)
 
 
-def test_a_seed_gives_its_throws_again():
-    assert torch.equal(throws(seed=1).lin_vel, throws(seed=1).lin_vel)
-    assert not torch.equal(throws(seed=1).lin_vel, throws(seed=2).lin_vel)
-
-
-@given(st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(0.0, 1e3)), min_size=1, max_size=5))
-def test_uniform_stays_in_any_range(bounds):
-    ranges = tuple((low, low + width) for low, width in bounds)
-    drawn = uniform(ranges, 50, torch.Generator().manual_seed(0))
-    assert drawn.shape == (50, len(ranges))
-    for column, (low, high) in zip(drawn.T, ranges, strict=True):
-        slack = 1e-6 * (abs(low) + abs(high))  # float32
-        assert column.min() >= low - slack
-        assert column.max() <= high + slack
-
-
 def test_errors_of_the_thrower_have_their_deviations_and_leave_the_rest():
     """2 % of the speed, 0.03 rad in elevation and in azimuth, each on its own."""
     meant, thrown = throws(), throws(dataclasses.replace(CFG, speed_deviation=0.02, angle_deviation=0.03))
@@ -178,24 +136,44 @@ def test_spin_is_uniform_in_size_and_has_no_preferred_axis():
     assert not throws().ang_vel.any()
 
 
+def fly(pos: torch.Tensor, vel: torch.Tensor, drag: float, duration: torch.Tensor) -> torch.Tensor:
+    """Where an object is after its flight, in 2,000 steps [m]."""
+    pos, vel, step = pos.double(), vel.double(), duration.double()[:, None] / 2000
+    down = torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)
+    for _ in range(2000):
+        after = vel + step * (down - drag * vel.norm(dim=-1, keepdim=True) * vel)
+        pos, vel = pos + step * (vel + after) / 2, after
+    return pos
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.03, 0.1])
+def test_a_compensated_throw_arrives(drag: float):
+    """0.1 /m is a cube of 6 cm that weighs 15 g; without compensation it falls short by 20 to 35 cm."""
+    meant = sample_throws(ThrowCfg(), 20, torch.Generator().manual_seed(0))
+    vel = velocity_through_air(meant.pos, meant.aim, meant.lin_vel, torch.full((20,), drag))
+    arrival = fly(meant.pos, vel, drag, meant.flight_time())
+    assert (arrival - meant.aim).norm(dim=-1).max() < 0.01
+    if drag == 0.1:
+        uncorrected = fly(meant.pos, meant.lin_vel, drag, meant.flight_time()) - meant.aim
+        assert 0.2 < uncorrected.norm(dim=-1).min() < uncorrected.norm(dim=-1).max() < 0.35
+
+
+def test_without_drag_nothing_changes():
+    meant = sample_throws(ThrowCfg(), 20, torch.Generator().manual_seed(0))
+    vel = velocity_through_air(meant.pos, meant.aim, meant.lin_vel, torch.zeros(20))
+    torch.testing.assert_close(vel, meant.lin_vel, atol=1e-4, rtol=0)
+
+
 def test_flight_time_by_hand():
-    """Up with g/2 m/s for half a second, down again to the same height: 1 s; to g/8 m above: earlier."""
-    still = torch.zeros(1, 3)
-    up = torch.tensor([[1.0, 0.0, GRAVITY / 2]])
-    cfg = {"pos": still, "quat": torch.zeros(1, 4), "hover_vel": still, "lin_vel": up, "ang_vel": still}
-    hover = torch.zeros(1, dtype=torch.long)
-    assert Throw(**cfg, aim=still, hover_steps=hover).flight_time().item() == pytest.approx(1.0)
-    peak = torch.tensor([[0.0, 0.0, GRAVITY / 8]])
-    assert Throw(**cfg, aim=peak, hover_steps=hover).flight_time().item() == pytest.approx(0.5, abs=1e-3)
+    """Up with g m/s: back at the start after 2 s, at g/2 m, the peak, after 1 s."""
+    up = torch.tensor([[0.0, 0.0, GRAVITY]]).expand(2, 3)
+    times = flight_time(up, torch.tensor([0.0, GRAVITY / 2]))
+    torch.testing.assert_close(times, torch.tensor([2.0, 1.0]), atol=1e-3, rtol=0)
 
 
-def test_sampled_paths_lead_from_release_to_aim_in_free_fall():
-    cfg = ThrowCfg()
-    paths = sample_paths(cfg, 30, seed=1)
-    throw = sample_throws(cfg, 30, torch.Generator().manual_seed(1))
-    torch.testing.assert_close(paths[:, 0], throw.pos.double())
-    torch.testing.assert_close(paths[:, -1], throw.aim.double(), atol=1e-3, rtol=0.0)
-    bend = paths.diff(n=2, dim=1)
-    torch.testing.assert_close(bend[..., :2], torch.zeros_like(bend[..., :2]), atol=1e-5, rtol=0.0)
-    flight = (-bend[:, 0, 2] / GRAVITY).sqrt() * (paths.shape[1] - 1)
-    assert ((flight > 0.7) & (flight < 1.2)).all()
+def test_the_same_throws_are_drawn_with_and_without_air():
+    plain = sample_throws(ThrowCfg(), 5, torch.Generator().manual_seed(3))
+    aired = sample_throws(ThrowCfg(), 5, torch.Generator().manual_seed(3), torch.full((5,), 0.05))
+    for name in ("pos", "quat", "aim", "hover_steps"):
+        assert torch.equal(getattr(plain, name), getattr(aired, name))
+    assert (aired.lin_vel.norm(dim=-1) > plain.lin_vel.norm(dim=-1)).all()
