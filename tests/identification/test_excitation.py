@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded import JOINT_SPECS, ROBOTS
+from recorded import JOINT_SPECS, ROBOTS, short
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.identification import excitation
 from pixel2catch.identification.excitation import (
     NUM_TURNS,
     RATE,
@@ -23,8 +24,9 @@ from pixel2catch.identification.excitation import (
     steps,
     turns,
 )
-from pixel2catch.identification.recording import joints_of, largest_step, parts
-from pixel2catch.identification.rehearsal import clearances
+from pixel2catch.identification.recording import Trajectory, joints_of, largest_step, parts
+from pixel2catch.identification.rehearsal import Assessment, Violation, clearances
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells import workcells
 
@@ -78,6 +80,29 @@ def test_every_part_of_every_work_cell_can_be_excited(workcell: WorkcellSpec):
     for part in parts(workcell):
         drawn = draw_excitation(ExcitationCfg(workcell=workcell, robot=part, seconds=30.0), {})
         assert (drawn.workcell, drawn.joints) == (workcell, joints_of(workcell, part))
+
+
+def test_joints_that_violate_a_limit_move_less(monkeypatch: pytest.MonkeyPatch):
+    def judged(trajectory: Trajectory, _: JointDynamics) -> Assessment:
+        violation = Violation(text="the index finger is too fast", joints=("index_joint_1",), remedy=0.5)
+        return Assessment(
+            recording=short(),
+            speed=np.zeros(6),
+            torque_share=np.zeros(6),
+            clearances=(),
+            checks=(),
+            violations=() if trajectory.header["shrunk"] else (violation,),
+        )
+
+    monkeypatch.setattr(excitation, "assess", judged)
+    said: list[str] = []
+    trajectory, _ = excitation.find_excitation(WHOLE, JointDynamics.nominal(JOINTS), said.append)
+    assert said == ["trying less motion: the index finger is too fast"]
+    index = JOINTS.index("index_joint_1")
+    full = np.ptp(draw_excitation(WHOLE, {}).positions, axis=0)
+    less = np.ptp(trajectory.positions, axis=0)
+    assert less[index] < 0.6 * full[index]
+    np.testing.assert_allclose(np.delete(less, index), np.delete(full, index))
 
 
 def draw(signal: Signal, seed: int, speed: float, num_times: int = 500) -> tuple[Envelope, np.ndarray]:
