@@ -6,6 +6,7 @@ agent inputs in pixels, which little can be learnt from unless they are standard
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -92,7 +93,7 @@ class Statistics:
         return popped
 
 
-class ReachingEnv:
+class _ReachingEnv:
     observation_sizes = {"arm": 4, "hand": 2}  # noqa: RUF012
     state_size = 3
     action_sizes = {"arm": 2, "hand": 1}  # noqa: RUF012
@@ -172,6 +173,10 @@ class ReachingEnv:
         return torch.zeros(self.num_envs, *size, device=self.device)
 
 
+ReachingEnv: Any = _ReachingEnv
+"""Stands in for `CatchEnv`."""
+
+
 class TaughtEnv(ReachingEnv):
     """Its teacher sees what the agents see."""
 
@@ -180,9 +185,9 @@ class TaughtEnv(ReachingEnv):
         return replace(observation, teacher=observation.policy)
 
 
-def roll_out(mappo: Mappo, env: ReachingEnv) -> None:
+def roll_out(mappo: Mappo, env: Any) -> None:
     observation = env.reset()
-    mappo.begin()
+    mappo.reset_hidden()
     for _ in range(mappo.cfg.rollout_steps):
         step = env.step(mappo.act(observation))
         mappo.record(step)

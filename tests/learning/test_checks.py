@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import pytest
 from reaching import CONTRACT, SMALL, ReachingEnv
@@ -12,7 +13,7 @@ from pixel2catch.learning.train import train
 
 
 def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
-    def make(cfg: TrainCfg, _: float | None) -> ReachingEnv:
+    def make(cfg: TrainCfg, _: float | None) -> Any:
         env = ReachingEnv(cfg)
         env.statistics.time_penalty = float("nan")
         return env
@@ -24,7 +25,7 @@ def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
 def test_the_simulation_is_checked_once_a_rollout(tmp_path: Path) -> None:
     made = []
 
-    def make(cfg: TrainCfg, _: float | None) -> ReachingEnv:
+    def make(cfg: TrainCfg, _: float | None) -> Any:
         made.append(ReachingEnv(cfg))
         return made[-1]
 

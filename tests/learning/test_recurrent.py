@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -65,7 +66,7 @@ def test_learning_sees_what_acting_saw() -> None:
     torch.manual_seed(0)
     mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT), ReachingEnv(RECURRENT)
     observation = env.reset()
-    mappo.begin()
+    mappo.reset_hidden()
     for number in range(3):
         for _ in range(RECURRENT.rollout_steps):
             step = env.step(mappo.act(observation))
@@ -100,7 +101,7 @@ class CueEnv(ReachingEnv):
         self.goal = self._zeros()
         return self.see()
 
-    def step(self, actions: dict[str, Tensor]) -> ReachingStep:
+    def step(self, actions: dict[str, Tensor]) -> Any:
         is_done = self.time == self.LAST
         reward = torch.where(is_done, self.goal * actions["arm"][:, 0].clamp(-1.0, 1.0), 0.0)
         self.statistics.episodes += float((is_done & (self.goal != 0.0)).sum())
@@ -147,7 +148,7 @@ def test_only_a_memory_learns_what_was_shown_before(tmp_path: Path) -> None:
 class RestartingEnv(ReachingEnv):
     """Begins anew after every second rollout, as a resumed training does."""
 
-    def step(self, actions: dict[str, Tensor]) -> ReachingStep:
+    def step(self, actions: dict[str, Tensor]) -> Any:
         step = super().step(actions)
         if self.num_steps % (2 * SMALL.rollout_steps) == 0:
             self.generator.manual_seed(SMALL.seed)

@@ -9,9 +9,10 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
-from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, ReachingStep, roll_out
+from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, roll_out
 
 from pixel2catch.learning import mappo as algorithm
 from pixel2catch.learning.config import TrainCfg
@@ -107,7 +108,7 @@ class CountingEnv(ReachingEnv):
         self.file, self.num_ended = folder / f"seed{cfg.seed}.json", 0
         self.counted: dict[str, float] = {"num_envs": cfg.num_envs}
 
-    def step(self, actions: dict[str, torch.Tensor]) -> ReachingStep:
+    def step(self, actions: dict[str, torch.Tensor]) -> Any:
         step = super().step(actions)
         self.num_ended += int((step.terminated | step.truncated).sum())
         if self.num_steps == SMALL.rollout_steps:

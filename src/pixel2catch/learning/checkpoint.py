@@ -1,4 +1,4 @@
-"""The folder of a training run, and the checkpoint in it, from which a training goes on as if uninterrupted.
+"""The folder of a training run, and the checkpoint from which a training resumes.
 
 The environments are not part of a checkpoint: a resumed training begins with new episodes.
 """
@@ -24,14 +24,14 @@ from pixel2catch.policy import PolicyContract
 from pixel2catch.reports import circumstances
 
 FORMAT_VERSION = 2
-FIX = "Start without --resume, or with the configuration that it was begun with."
+FIX = "Start without --resume, or with the configuration that it was started with."
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Progress:
     """How far a training is."""
 
-    transitions: int = 0  #: Transitions learnt from.
+    transitions: int = 0  #: Transitions that were used.
     seconds: float = 0.0  #: Wall-clock time spent, over all sessions [s].
 
 
@@ -39,7 +39,7 @@ def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress
     """Write the state of learning, all or nothing.
 
     Raises:
-        OSError: It could not be written; the checkpoint that was there before is still there.
+        OSError: It could not be written; the previous checkpoint is kept.
     """
     random = {"cpu": torch.get_rng_state()}
     if mappo.cfg.device.startswith("cuda"):

@@ -1,9 +1,9 @@
-"""The processes that train together, one for each GPU, and what they tell each other.
+"""Processes that train together, one for each GPU, and their communication.
 
     torchrun --nproc-per-node 2 -m pixel2catch train proposed
 
 Every process simulates its share of the environments. Gradients, statistics and decisions are combined, so
-that all hold the same networks and leave at the same point; the first process alone prints and writes files.
+that all hold the same networks and end at the same point; only the first process prints and writes files.
 """
 
 import contextlib
@@ -24,14 +24,14 @@ from pixel2catch.learning.config import TrainCfg
 
 @final
 class Workers:
-    """What a process knows of all; every process calls the same methods in the same order."""
+    """The process group; every process calls the same methods in the same order."""
 
     def __init__(self, rank: int = 0, size: int = 1, device: str = "cpu") -> None:
-        """Take a place, the only one if no other is named."""
+        """Set rank, size and device; by default the process trains alone."""
         self.rank = rank  #: Number of this process, from 0.
-        self.size = size  #: Number of processes; one that trains alone has nothing to combine.
+        self.size = size  #: Number of processes.
         self.device = device  #: Device of this process, "cpu" or "cuda:N".
-        self.is_agreed = False  #: Whether all processes know that the training has failed.
+        self.is_agreed = False  #: Whether all processes have exchanged that the training failed.
 
     @property
     def is_first(self) -> bool:
@@ -55,9 +55,9 @@ class Workers:
         return bool(self.max(torch.tensor(float(flag))))
 
     def average(self, tensors: Sequence[Tensor]) -> None:
-        """Put the means over all processes into tensors of one type; nothing waits for the device.
+        """Replace tensors of one type by their means over all processes; nothing waits for the device.
 
-        It is one collective, since its cost is in the call, and it can be part of a CUDA graph.
+        One collective for all of them, which can be part of a CUDA graph.
         """
         if self.size == 1:
             return
@@ -69,8 +69,7 @@ class Workers:
     def moments(self, found: Sequence[tuple[Tensor, Tensor]], count: int) -> Sequence[tuple[Tensor, Tensor]]:
         """Return means and unbiased variances of the samples of all processes, by one exchange.
 
-        They follow from those of this process's samples, of which every process has the same number. Source:
-        law of total variance: the mean of the variances, and the variance of the means.
+        Every process passes those of its own samples, `count` in each. Source: law of total variance.
         """
         if self.size == 1:
             return found
@@ -85,11 +84,11 @@ class Workers:
 
     @contextlib.contextmanager
     def sync_errors(self) -> Iterator[None]:
-        """Around work in which nothing is combined: if it fails in one process, all leave.
+        """Run work without communication; if it fails in one process, all processes end.
 
         Raises:
             WorkerError: In the first process, if only others failed; the message is theirs.
-            SystemExit: In the other processes, which have nothing more to say.
+            SystemExit: In the other processes.
         """
         failure: Exception | None = None
         try:
@@ -126,10 +125,7 @@ class Workers:
         )
 
     def diverge(self, seed: int, transitions: int) -> None:
-        """Let exploration differ: the first process goes on as if it were alone, others seed torch anew.
-
-        The progress of the training is part of their seed, so that a resumed training repeats nothing.
-        """
+        """Seed torch differently in all processes but the first; the progress is part of the seed."""
         if not self.is_first:
             torch.manual_seed(self._seed(seed, transitions))
 
@@ -139,7 +135,7 @@ class Workers:
 
 @contextlib.contextmanager
 def start_workers(device: str) -> Iterator[Workers]:
-    """Join the processes that torchrun started; a process started by hand is alone.
+    """Join the processes that torchrun started; any other process trains alone.
 
     The device is "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
 
@@ -154,7 +150,7 @@ def start_workers(device: str) -> Iterator[Workers]:
     if is_alone:
         yield Workers(device=local)
         return
-    # What is told on the host goes over gloo, which finds a lost process at once and waits for no device.
+    # Host tensors use gloo, which detects a lost process at once and does not wait for a device.
     if local.startswith("cuda"):
         dist.init_process_group("cpu:gloo,cuda:nccl", device_id=torch.device(local))
     else:
@@ -163,7 +159,7 @@ def start_workers(device: str) -> Iterator[Workers]:
     try:
         yield workers
     except BaseException:
-        # To end the group in order is to wait for the others, who do not come if they know of no failure.
+        # Destroying the group waits for the others, which do not come before a failure is exchanged.
         if workers.is_agreed:
             dist.destroy_process_group()
         raise
@@ -171,7 +167,7 @@ def start_workers(device: str) -> Iterator[Workers]:
 
 
 def _own_device(device: str, local_rank: int | None) -> str:
-    """Name the device of this process, of which there are others on the machine if it has a local rank."""
+    """Return the device of this process; with a local rank there are others on the machine."""
     kind, _, index = device.partition(":")
     if kind != "cuda":
         return device

@@ -1,4 +1,4 @@
-"""One gradient step of PPO on a mini-batch, what a mini-batch is, and how long a step is."""
+"""Mini-batches, gradient steps of PPO, and the learning rate."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +14,7 @@ HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Sour
 
 
 class Batch(NamedTuple):
-    """Transitions of one agent, (num, ...), or its rollouts in whole, (rollout_steps, num, ...)."""
+    """Transitions of one agent, (num, ...), or whole rollouts, (rollout_steps, num, ...)."""
 
     observations: Tensor
     states: Tensor
@@ -25,51 +25,49 @@ class Batch(NamedTuple):
     advantages: Tensor
     teacher_actions: Tensor  #: Actions of a teacher, (..., 0) without one.
     is_first: Tensor  #: Whether an episode begins with the observation.
-    #: That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one.
-    policy_hidden_state: Tensor
-    value_hidden_state: Tensor  #: That of the value network's, likewise.
+    policy_hidden_state: Tensor  #: Of the GRU at the start of the rollout, (1, num, size).
+    value_hidden_state: Tensor  #: The same of the value network.
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
-        """Return the batch of what a function makes of every tensor."""
+        """Return a batch with a function applied to every tensor."""
         return Batch(*map(function, self))
 
 
 class GradientStep:
-    """Takes gradient steps for one agent."""
+    """Gradient steps of one agent."""
 
     def __init__(self, cfg: TrainCfg, networks: ActorCritic, rollout: Batch) -> None:
-        """Prepare for one agent's networks and for its rollouts, which are always in the same memory."""
+        """Prepare for one agent's networks; its rollouts always stay in the same memory."""
         self._cfg, self._networks = cfg, networks
-        # Of recurrent networks, the steps of an environment stay together and in order.
+        # With recurrent networks the steps of an environment stay together and in order.
         self._dim = 1 if cfg.recurrent else 0
         self._rollout = rollout if cfg.recurrent else rollout.each(partial(torch.flatten, end_dim=1))
         self._shuffled = self._rollout
         self._losses = torch.compile(self._losses_of, dynamic=False) if cfg.fuse else self._losses_of
         self._is_cuda = cfg.device.startswith("cuda")
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
-        #: Adam, with its learning rate in a tensor, so that a captured step sees it change.
+        #: Adam; a tensor holds the learning rate, so that a captured step follows its changes.
         self.optimizer = torch.optim.Adam(
             networks.parameters(), lr=rate, fused=True, capturable=self._is_cuda
         )
-        #: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero; of
-        #: all processes together, like the gradients.
+        #: Sums of policy loss, value loss and KL divergence over the steps, as means over all processes.
         self.totals = torch.zeros(3, device=cfg.device)
         self._losses_now = self.totals.clone()
-        #: How far the policy follows a teacher instead of its rewards, to be changed in place.
+        #: Weight of imitation, 0 to 1; changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
         self._policy_weight = torch.ones((), device=cfg.device)
 
     @property
     def learning_rate(self) -> Tensor:
-        """Learning rate, to be changed in place."""
+        """Learning rate; changed in place."""
         return self.optimizer.param_groups[0]["lr"]
 
     def shuffle(self, order: Tensor) -> None:
-        """Put the rollout into the order of a pass over it, as `shuffled` draws it."""
+        """Put the rollout into the order of a pass, as `shuffled` draws it."""
         self._shuffled = self._rollout.each(partial(torch.index_select, dim=self._dim, index=order))
 
     def batch(self, number: int) -> Batch:
-        """Mini-batch of the pass: some transitions, or some environments of recurrent networks."""
+        """Return a mini-batch of the pass: transitions, or environments with recurrent networks."""
 
         def part(tensor: Tensor) -> Tensor:
             size = tensor.shape[self._dim] // self._cfg.mini_batches
@@ -78,30 +76,30 @@ class GradientStep:
         return self._shuffled.each(part)
 
     def differentiate(self, number: int) -> None:
-        """Find gradients and losses on a mini-batch, whose values and returns are standardised."""
+        """Compute gradients and losses on a mini-batch, whose values and returns are standardised."""
         objective, self._losses_now = self._losses(self.batch(number))
         objective.backward()
 
     @property
     def exchanged(self) -> list[Tensor]:
-        """What all processes average before it is applied: gradients and losses."""
+        """Gradients and losses, which all processes average before `apply`."""
         return [*(p.grad for p in self._networks.parameters() if p.grad is not None), self._losses_now]
 
     def apply(self) -> None:
-        """Take the step that the gradients say; nothing waits."""
+        """Clip the gradients and take the step; nothing waits for the device."""
         nn.utils.clip_grad_norm_(self._networks.parameters(), self._cfg.gradient_clip)
         self.optimizer.step()
         self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
         self.totals += self._losses_now
 
     def freeze_policy(self) -> None:
-        """Let the value network alone learn, until `unfreeze_policy`."""
+        """Update only the value network, until `unfreeze_policy`."""
         self._policy_weight.fill_(0.0)
 
     def unfreeze_policy(self) -> None:
-        """Let the policy learn, too, with an optimiser that has seen none of its gradients.
+        """Update the policy again, with an optimiser state of zeros.
 
-        Adam's averages of gradients that were 0 would make its first step three times as long as any other.
+        Averages of gradients that were 0 would make Adam's first step three times too long.
         """
         self._policy_weight.fill_(1.0)
         for parameter in self._networks.parts["policy"]:
@@ -109,13 +107,13 @@ class GradientStep:
                 value.zero_()
 
     def load_state_dict(self, state: dict[str, object]) -> None:
-        """Go on from another state of the optimiser, which may be of another device."""
+        """Restore a state of the optimiser, also of another device."""
         self.optimizer.load_state_dict(state)
         for group in self.optimizer.param_groups:
             group["capturable"] = self._is_cuda
 
     def _losses_of(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """What the step makes smaller; and policy loss, value loss and KL divergence.
+        """Return the objective to minimise; and policy loss, value loss and KL divergence.
 
         Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's actions
         are imitated by its weight, and the surrogate objective by the rest.

@@ -1,4 +1,4 @@
-"""What a training tells: a row of metrics an update, on the console, as CSV, for TensorBoard and others."""
+"""Metrics of a training, a row for each update: console, CSV, TensorBoard, Weights & Biases."""
 
 import csv
 import importlib
@@ -19,8 +19,8 @@ from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
-WANDB_FILE = "wandb.id"  #: Which run of Weights & Biases a run folder has, to go on with it.
-LOST_UPDATES = 100  #: Updates for which values are worse than a constant until that is said. Source: ours.
+WANDB_FILE = "wandb.id"  #: Identifier of the run of Weights & Biases, for --resume.
+LOST_UPDATES = 100  #: Updates with values worse than a constant before a warning. Source: ours.
 Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
@@ -28,7 +28,7 @@ class TrainingLog:
     """A bar or lines, CSV and TensorBoard; a full disk is reported and does not end the training."""
 
     def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
-        """Begin to show and write, after some transitions; if silent, neither, since another process does."""
+        """Start after some transitions; a silent log shows and writes nothing."""
         self._console = Console(highlight=False, quiet=is_silent)
         self._loss_of_constant = cfg.value_loss_scale  # of standardised returns, whose variance is 1
         self._lost = Counter[str]()
@@ -42,7 +42,7 @@ class TrainingLog:
         self._csv = self._tensorboard = self._wandb = None
         if not is_silent:
             self._csv = CsvLog(folder / METRICS_FILE, transitions)
-            # What older event files say after these transitions is hidden.
+            # TensorBoard hides later points of older event files.
             self._tensorboard = SummaryWriter(str(folder), purge_step=transitions or None)
             self._wandb = WandbRun(cfg.wandb, folder) if cfg.wandb else None
 
@@ -60,7 +60,7 @@ class TrainingLog:
         self._bar.__exit__()
 
     def write(self, row: Row) -> None:
-        """Show and write a row of metrics; say which value networks are lost."""
+        """Show and write a row of metrics; warn of value networks that do not learn."""
         self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         if self._csv is not None:
             self.attempt("metrics", partial(self._csv.write, row))
@@ -68,10 +68,10 @@ class TrainingLog:
             self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
         if self._wandb is not None:
             self.attempt("metrics to Weights & Biases", partial(self._wandb.write, row))
-        self._say_lost(row)
+        self._warn(row)
 
-    def _say_lost(self, row: Row) -> None:
-        """Say once of which agent the values have long been worse than a constant."""
+    def _warn(self, row: Row) -> None:
+        """Warn once per agent whose values have been worse than a constant for `LOST_UPDATES`."""
         for name, loss in row.items():
             if not name.startswith("value_loss/"):
                 continue
@@ -80,12 +80,12 @@ class TrainingLog:
                 agent = name.removeprefix("value_loss/")
                 self.say(
                     f"warning: for {LOST_UPDATES} updates the values of '{agent}' have been worse than a "
-                    f"constant (value loss {loss:.1f}): it learns little and may end in NaN; begin anew "
+                    f"constant (value loss {loss:.1f}): it learns little and may end in NaN; start again "
                     "with another --seed or a lower --learning-rate"
                 )
 
     def attempt(self, what: str, write: Callable[[], None]) -> None:
-        """Write something; if that fails, say so and go on."""
+        """Write something; if that fails, print a warning and go on."""
         try:
             write()
         except OSError as error:
@@ -97,7 +97,7 @@ class TrainingLog:
 
 
 def describe(row: Row) -> str:
-    """Put the metrics that tell most into one short line: speed, rates and mean rewards."""
+    """Return the main metrics in one line: speed, rates and mean rewards."""
     parts = [f"{row['transitions_per_second'] / 1e3:.1f} k/s"]
     for name, value in row.items():
         if name.endswith("_rate"):
@@ -109,7 +109,7 @@ def describe(row: Row) -> str:
 
 
 def wandb_package() -> Any:
-    """The package of Weights & Biases, which is optional.
+    """Return the package of Weights & Biases, which is optional.
 
     Raises:
         InvalidValueError: If it is not installed.
@@ -119,13 +119,13 @@ def wandb_package() -> Any:
 
 
 class WandbRun:
-    """A run of Weights & Biases: the configuration of a run folder and its metrics over the transitions."""
+    """A run of Weights & Biases with configuration and metrics of a run folder."""
 
     def __init__(self, project: str, folder: Path) -> None:
-        """Begin it, or go on with the one of this folder; it is called as the folder.
+        """Start it, or go on with the one of this folder; it has the name of the folder.
 
         Raises:
-            InvalidValueError: If it cannot begin.
+            InvalidValueError: It cannot start.
         """
         config = read_json_object(folder / CONFIG_FILE)
         file = folder / WANDB_FILE
@@ -148,25 +148,22 @@ class WandbRun:
         self._run.log(dict(row))
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the rest and close the run."""
         self._run.finish()
 
 
 class CsvLog:
-    """A CSV file that grows by a row an update.
-
-    Rows that could not be written (full disk) are kept and written with a later one.
-    """
+    """A CSV file with a row for each update; rows that a full disk refuses are written with a later one."""
 
     def __init__(self, path: Path, transitions: int = 0) -> None:
-        """Open the file. Rows that it holds are kept up to `transitions`: what came later is repeated."""
+        """Open the file, and keep its rows up to `transitions`; later ones are repeated."""
         self._path = path
         self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
         self._columns: list[str] = []
         self._num_written = -1
 
     def write(self, row: Row) -> None:
-        """Append a row; a column that is new makes the file be written anew.
+        """Append a row; with a new column the whole file is written again.
 
         Raises:
             OSError: The row could not be written; it is not lost, and the file is intact.
@@ -189,7 +186,7 @@ def _add_scalars(writer: SummaryWriter, row: Row) -> None:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The whole rows of a file of metrics; none if there is no file."""
+    """Return the complete rows of a file of metrics; none if there is no file."""
     if not path.exists():
         return []
     with open(path, newline="") as file:

@@ -1,7 +1,7 @@
 """MAPPO: every agent learns by PPO on its own observations, with a value network that sees the whole state.
 
 Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and values, generalised advantages,
-standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
+standardised inputs and values. Ours: imitation of a teacher, frozen policies, several processes.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,11 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import Observation
+from pixel2catch.envs.catch_env import CatchEnv, Observation, Step
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
-from pixel2catch.learning.environment import Environment, Outcome
 from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, shuffled
 from pixel2catch.learning.networks import EPSILON, ActorCritic, Standardizer, learn_together
 from pixel2catch.policy import Policy, PolicyContract
@@ -27,27 +26,27 @@ ADOPTED_SAMPLES = 1e7
 """Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
 
 NUM_EAGER_CALLS = 1
-"""Calls of a function before it is recorded: libraries set themselves up in the first. Source: ours."""
+"""Calls of a function before it is recorded: libraries initialise in the first. Source: ours."""
 
 METRICS = ("policy_loss", "value_loss", "kl", "action_std", "learning_rate")
-"""What `update` tells of every agent."""
+"""Metrics of an update, for every agent."""
 
 
 class Mappo:
-    """Acts, remembers and updates. Between two updates nothing waits for the device.
+    """Acts, records and updates. Between two updates nothing waits for the device.
 
     Attributes:
         agents: Names of the agents.
         networks: Networks of every agent.
-        steps: What takes its gradient steps.
-        rollout: What it saw and did since the last update, (rollout_steps, num_envs, ...).
-        rewards: What it was given for it, (rollout_steps, num_envs).
-        is_done: Whether an episode ended there, for whatever reason, (rollout_steps, num_envs).
+        steps: Gradient steps of every agent.
+        rollout: Observations, actions and so on since the last update, (rollout_steps, num_envs, ...).
+        rewards: Rewards of every agent since then, (rollout_steps, num_envs).
+        is_done: Whether an episode ended at that step, (rollout_steps, num_envs).
         next_states: Input of the value networks after the last step.
     """
 
     def __init__(
-        self, cfg: TrainCfg, env: Environment, contract: PolicyContract, workers: Workers | None = None
+        self, cfg: TrainCfg, env: CatchEnv, contract: PolicyContract, workers: Workers | None = None
     ) -> None:
         """Build untrained networks; the global torch generator decides on their weights.
 
@@ -63,7 +62,7 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
-        self._is_resting = False
+        self._is_frozen = False
 
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
             return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
@@ -105,31 +104,24 @@ class Mappo:
         self._record_update()
 
     def _record_update(self) -> None:
-        """Let the parts of the next update be recorded anew, its first epoch and all others apart."""
+        """Record the parts of the next update again: advantages, first epoch, other epochs."""
         self._estimate = self._recorded(self._estimate_advantages)
         self._epochs = [self._recorded(partial(self._epoch, is_first=is_first)) for is_first in (False, True)]
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function as one launch of few kernels, if steps are fused; else as it is."""
+        """Return the function as one launch of few kernels, if steps are fused; else the function."""
         return self._recorded(torch.compile(function, dynamic=False)) if self.cfg.fuse else function
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function by a single launch, on a CUDA device; else as it is.
-
-        Else its small kernels, two hundred in a gradient step, keep the GPU waiting for the host.
-        """
+        """Return the function as a single launch on a CUDA device, where small kernels wait for the host."""
         if not self.cfg.device.startswith("cuda"):
             return function
         device = torch.device(self.cfg.device)
         return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_CALLS)
 
-    def begin(self) -> None:
-        """Forget what recurrent networks have seen: new episodes begin everywhere."""
-        self._forget(torch.ones_like(self.is_done[0]))
-
     @torch.no_grad()
     def act(self, observation: Observation) -> dict[str, Tensor]:
-        """Sample unclipped actions, (num_envs, size) by agent, and remember them with what led to them."""
+        """Sample unclipped actions, (num_envs, size) by agent; record them with their inputs."""
         actions = {}
         with _tensor_cores():
             for agent in self.agents:
@@ -144,11 +136,11 @@ class Mappo:
                 for name, tensor in seen.items():
                     getattr(rollout, name)[self._num_steps] = tensor
             if self._teacher is not None:
-                self._ask(self._teacher, observation)
+                self._query_teacher(self._teacher, observation)
         return actions
 
-    def _ask(self, teacher: Policy, observation: Observation) -> None:
-        """Remember a teacher's actions, whose joints may be split over other agents."""
+    def _query_teacher(self, teacher: Policy, observation: Observation) -> None:
+        """Record a teacher's actions; its agents may split the joints otherwise."""
         teacher_actions = {
             joint: action
             for agent, actions in teacher.act(observation.teacher).items()
@@ -160,16 +152,18 @@ class Mappo:
                 [teacher_actions[joint] for joint in joints], dim=-1
             )
 
-    def record(self, step: Outcome) -> None:
-        """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""
+    def record(self, step: Step) -> None:
+        """Record the outcome of the last actions. A time-out ends an episode like any other end (paper)."""
         for agent in self.agents:
             self.rewards[agent][self._num_steps] = step.rewards[agent]
         self.is_done[self._num_steps] = step.terminated | step.truncated
-        self._forget(self.is_done[self._num_steps])
+        self.reset_hidden(self.is_done[self._num_steps])
         self.next_states = step.observation.state
         self._num_steps += 1
 
-    def _forget(self, is_ended: Tensor) -> None:
+    def reset_hidden(self, is_ended: Tensor | None = None) -> None:
+        """Reset the hidden states where an episode ended, or everywhere."""
+        is_ended = torch.ones_like(self.is_done[0]) if is_ended is None else is_ended
         if self._teacher is not None:
             self._teacher.reset(is_ended)
         if self.cfg.recurrent:
@@ -178,15 +172,15 @@ class Mappo:
                 self._hidden_states[agent] = (policy_state, value_state)
 
     def discard_rollout(self) -> None:
-        """Forget the transitions since the last update."""
+        """Discard the transitions since the last update."""
         self._num_steps = 0
 
     def update(self, progress: float) -> dict[str, float]:
-        """Learn from a full rollout after a share of the training, 0 to 1, and return the metrics."""
+        """Update after a full rollout and return the metrics; `progress` is from 0 to 1."""
         return self.named(self.launch_update(progress).tolist())
 
     def named(self, metrics: list[list[float]]) -> dict[str, float]:
-        """Metrics by their names, of the `METRICS` of every agent."""
+        """Return metrics by name, from the `METRICS` of every agent."""
         return {
             f"{name}/{agent}": value
             for agent, row in zip(self.agents, metrics, strict=True)
@@ -194,11 +188,11 @@ class Mappo:
         }
 
     def launch_update(self, progress: float) -> Tensor:
-        """Begin to learn and return the `METRICS`, a row for every agent. Only the kl schedule waits."""
+        """Launch an update; return the `METRICS`, a row per agent. Only the kl schedule waits."""
         cfg = self.cfg
         taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
-        self._rest_policies(begun < 1.0)
+        self._freeze_policies(begun < 1.0)
         for step in self.steps.values():
             step.teacher_weight.fill_(1.0 - taught * (1.0 - cfg.final_teacher_weight))
             if cfg.schedule == "linear":
@@ -210,7 +204,7 @@ class Mappo:
         return metrics
 
     def _update_agents(self) -> Tensor:
-        """Update all agents; return their `METRICS`, a row each."""
+        """Update all agents; return their `METRICS`, a row per agent."""
         cfg, steps = self.cfg, self.steps.values()
         self._estimate(self.next_states, *(self._hidden_states[agent][1] for agent in self.agents))
         epochs = []
@@ -224,10 +218,7 @@ class Mappo:
         return torch.cat((torch.stack(epochs).mean(dim=0), rest), dim=-1)
 
     def _epoch(self, *, is_first: bool) -> Tensor:
-        """Pass over the rollout, in the first epoch of an update for the scales, too; return mean losses.
-
-        Mini-batch after mini-batch, all agents' gradients are found side by side and exchanged at once.
-        """
+        """Pass over the rollout and return mean losses; the first epoch also updates the input scales."""
         for step in self.steps.values():
             step.totals.zero_()
         orders = {agent: shuffled(self.cfg) for agent in self.agents}
@@ -244,7 +235,7 @@ class Mappo:
         return torch.stack([step.totals for step in self.steps.values()]) / self.cfg.mini_batches
 
     def _side_by_side(self) -> Iterator[tuple[str, GradientStep]]:
-        """Every agent and its steps, on a CUDA device each within a stream of its own."""
+        """Yield every agent and its gradient steps, on a CUDA device each in its own stream."""
         for agent, stream in self._streams.items():
             if stream:
                 stream.wait_stream(torch.cuda.current_stream(stream.device))
@@ -254,7 +245,7 @@ class Mappo:
             torch.cuda.current_stream(stream.device).wait_stream(stream)
 
     def _learn_scales(self, number: int) -> None:
-        """Count what the networks are about to see into the scales of their inputs."""
+        """Update the scales of the inputs by a mini-batch."""
         seen: list[tuple[Standardizer, Tensor]] = []
         for agent, networks in self.networks.items():
             batch = self.steps[agent].batch(number)
@@ -263,7 +254,7 @@ class Mappo:
 
     @torch.no_grad()
     def _estimate_advantages(self, next_states: Tensor, *hidden_states: Tensor) -> None:
-        """Fill in returns and advantages, and standardise the values and the returns one after the other."""
+        """Compute returns and advantages; standardise first the values, then the returns."""
         found: list[tuple[Tensor, Tensor, Tensor]] = []
         for (agent, rollout), hidden in zip(self.rollout.items(), hidden_states, strict=True):
             rollout.is_first[1:] = self.is_done[:-1]
@@ -280,14 +271,14 @@ class Mappo:
                 scale.learn(*next(moments), seen.numel() * self.workers.size)
                 target.copy_(scale(seen))
 
-    def _rest_policies(self, is_resting: bool) -> None:
-        """Let the value networks alone learn, so that a policy is not led by values that mean nothing yet."""
+    def _freeze_policies(self, is_frozen: bool) -> None:
+        """Update only the value networks, while their values are still untrained."""
         for step in self.steps.values():
-            if is_resting:
+            if is_frozen:
                 step.freeze_policy()
-            elif self._is_resting:
+            elif self._is_frozen:
                 step.unfreeze_policy()
-        self._is_resting = is_resting
+        self._is_frozen = is_frozen
 
     @torch.no_grad()
     def export(self) -> Policy:
@@ -304,7 +295,7 @@ class Mappo:
 
     @torch.no_grad()
     def adopt(self, policy: Policy) -> None:
-        """Go on from the networks and the input statistics of a policy: the inverse of `export`.
+        """Take over the networks and the input statistics of a policy: the inverse of `export`.
 
         Raises:
             InvalidValueError: Its hidden layers or its GRU have other sizes.
@@ -329,7 +320,7 @@ class Mappo:
             scale.count.fill_(ADOPTED_SAMPLES)
 
     def state_dict(self) -> dict[str, dict[str, Any]]:
-        """Return everything that learning goes on from: networks, statistics and optimisers, by agent."""
+        """Return networks, statistics and optimisers, by agent."""
         return {
             agent: {
                 "networks": self.networks[agent].state_dict(),
@@ -339,19 +330,18 @@ class Mappo:
         }
 
     def load_state_dict(self, state: dict[str, dict[str, Any]]) -> None:
-        """Go on from what `state_dict` returned."""
+        """Restore what `state_dict` returned."""
         for agent in self.agents:
             self.networks[agent].load_state_dict(state[agent]["networks"])
             self.steps[agent].load_state_dict(state[agent]["optimizer"])
         self._record_update()
 
     def close(self) -> None:
-        """Release what would keep the process group from ending: recordings that hold a collective of it."""
+        """Drop recordings, whose collectives would keep the process group from ending."""
         self._record_update()
 
 
 def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:
-    """The policy to imitate, on the device of the training."""
     assert cfg.teacher is not None
     teacher = Policy.load(policy_folder(cfg.teacher), cfg.device)
     taught, own = (

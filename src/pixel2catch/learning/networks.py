@@ -1,4 +1,4 @@
-"""What learning needs of networks: policy and value function of an agent, and the scale of what they see."""
+"""Policy and value function of an agent, and the standardisation of their inputs."""
 
 import math
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: 
 
 
 class Standardizer(nn.Module):
-    """Brings values to mean 0 and standard deviation 1 by what it has learned of them, and clips them."""
+    """Standardises values by running statistics and clips them."""
 
     mean: Tensor
     variance: Tensor
     count: Tensor
 
     def __init__(self, *size: int) -> None:
-        """Begin as if one sample of mean 0 and variance 1 had been seen."""
+        """Start with the statistics of one sample of mean 0 and variance 1."""
         super().__init__()
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
@@ -30,12 +30,12 @@ class Standardizer(nn.Module):
 
     @property
     def std(self) -> Tensor:
-        """What differences from the mean are divided by."""
+        """Standard deviation, by which differences from the mean are divided."""
         return self.variance.float().sqrt() + EPSILON
 
     @torch.no_grad()
     def learn(self, mean: Tensor, variance: Tensor, num: int) -> None:
-        """Count in that many values by their mean and unbiased variance.
+        """Update the statistics by `num` values with this mean and unbiased variance.
 
         Source: parallel variance (Chan et al. 1979).
         """
@@ -50,13 +50,13 @@ class Standardizer(nn.Module):
         return ((values - self.mean.float()) / self.std).clamp(-INPUT_CLIP, INPUT_CLIP)
 
     def inverse(self, values: Tensor) -> Tensor:
-        """Return the values that standardised ones stand for."""
+        """Return values from standardised ones."""
         return self.variance.float().sqrt() * values.clamp(-INPUT_CLIP, INPUT_CLIP) + self.mean.float()
 
 
 @torch.no_grad()
 def learn_together(workers: Workers, seen: Sequence[tuple[Standardizer, Tensor]]) -> None:
-    """Count values of all processes, (..., *size), into standardisers, by one exchange."""
+    """Update standardisers by values of all processes, (..., *size), in one exchange."""
     values = [given.reshape(-1, *scale.mean.shape) for scale, given in seen]
     found = workers.moments([(each.mean(dim=0), each.var(dim=0)) for each in values], len(values[0]))
     for (scale, _), (mean, variance) in zip(seen, found, strict=True):
@@ -64,7 +64,7 @@ def learn_together(workers: Workers, seen: Sequence[tuple[Standardizer, Tensor]]
 
 
 class ActorCritic(nn.Module):
-    """Networks of one agent: a Gaussian policy of its observation, and a value function of the state."""
+    """Networks of one agent: Gaussian policy of the observation, value function of the state."""
 
     def __init__(self, cfg: TrainCfg, num_observations: int, num_states: int, num_actions: int) -> None:
         """Build untrained networks; the global torch generator of the CPU decides on their weights."""
@@ -120,13 +120,13 @@ class ActorCritic(nn.Module):
 
 
 def gru_rollout(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
-    """Return what the hidden layers see of whole rollouts: `gru_step`, step by step.
+    """Return the inputs of the hidden layers over whole rollouts, by `gru_step` after `gru_step`.
 
     Args:
         gru: The unit before the hidden layers, if there is one.
         inputs: Standardised inputs, (num_steps, num_envs, num_inputs).
-        hidden_state: That before the first step, (1, num_envs, size).
-        is_first: Where an episode begins, of which nothing is known before, (num_steps, num_envs).
+        hidden_state: State before the first step, (1, num_envs, size).
+        is_first: Where an episode begins, and the state is reset, (num_steps, num_envs).
     """
     if gru is None:
         return inputs

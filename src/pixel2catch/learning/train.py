@@ -1,4 +1,4 @@
-"""Train a method: act, step, record, update, until the transitions are used up or somebody stops it."""
+"""Train a method: act, step, record, update, until all transitions are done or the user stops it."""
 
 import contextlib
 import dataclasses
@@ -12,17 +12,19 @@ import torch
 from torch import Tensor
 
 from pixel2catch.device_time import DeviceTime
-from pixel2catch.envs.catch_env import Observation
-from pixel2catch.errors import CheckpointError, NonFiniteError
+from pixel2catch.envs.catch_env import CatchEnv, Observation
+from pixel2catch.errors import CheckpointError, NonFiniteError, PolicyMismatchError
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
-from pixel2catch.learning.environment import Environment, EnvSchedule
 from pixel2catch.learning.log import Row, TrainingLog, wandb_package
 from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.shipped import policy_folder
+
+MakeEnv = Callable[..., CatchEnv]
+"""Makes environments from a share of the `TrainCfg` and a physics rate [1/s], or None for their own rate."""
 
 REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
 
@@ -31,9 +33,9 @@ REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an envir
 class TrainResult:
     """How a training ended."""
 
-    #: Interrupted is by Ctrl-C or a termination signal; failed is only in the file.
+    #: Interrupted: by Ctrl-C or a termination signal; failed: only in the run folder.
     status: Literal["failed", "interrupted", "finished"]
-    transitions: int  #: Transitions learnt from.
+    transitions: int  #: Transitions that were used.
     seconds: float  #: Wall-clock time over all sessions [s].
     policy: Path  #: Folder of the policy.
     metrics: Row  #: The last row of metrics.
@@ -41,7 +43,7 @@ class TrainResult:
 
 def train(
     cfg: TrainCfg,
-    make_env: Callable[[TrainCfg, float | None], Environment],
+    make_env: MakeEnv,
     contract: PolicyContract,
     out_dir: Path,
     *,
@@ -53,8 +55,7 @@ def train(
 
     Args:
         cfg: How the policy learns, for the whole training.
-        make_env: Makes this process's environments, from num_envs, device and seed of its share of the
-            configuration, at a physics rate [1/s] (None: their own); closed here.
+        make_env: Makes this process's environments, which are closed here.
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
@@ -97,6 +98,49 @@ def train(
         return training.run()
 
 
+class EnvSchedule:
+    """Environments that are made again where the physics rate changes in the course of a training."""
+
+    def __init__(self, cfg: TrainCfg, make_env: MakeEnv, contract: PolicyContract, transitions: int) -> None:
+        """Make the environments that follow some transitions, for this process's share of the configuration.
+
+        Raises:
+            PolicyMismatchError: They do not fit the contract; the message names the field.
+        """
+        self._cfg, self._make_env, self._contract = cfg, make_env, contract
+        self._rate = cfg.rate_at(transitions)
+        self.env = self._make()  #: The environments at the present rate.
+
+    def enter(self, transitions: int) -> bool:
+        """Change to the rate that follows this many transitions; return whether the environments are new."""
+        rate = self._cfg.rate_at(transitions)
+        if rate == self._rate:
+            return False
+        self.env.close()
+        self._rate = rate
+        self.env = self._make()
+        return True
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.env.close()
+
+    def _make(self) -> CatchEnv:
+        env, agents = self._make_env(self._cfg, self._rate), self._contract.agents.items()
+        sizes = {
+            "num_envs": (self._cfg.num_envs, env.num_envs),
+            "observation_sizes": ({name: each.num_inputs for name, each in agents}, env.observation_sizes),
+            "action_sizes": ({name: len(each.joints) for name, each in agents}, env.action_sizes),
+        }
+        for name, (expected, found) in sizes.items():
+            if expected != found:
+                env.close()
+                raise PolicyMismatchError(
+                    f"{name}: configuration and contract have {expected}, the environments {found}."
+                )
+        return env
+
+
 class _Training:
     """The loop and what it holds."""
 
@@ -115,14 +159,14 @@ class _Training:
         self.mappo = Mappo(workers.share(cfg), schedule.env, contract, workers)
         self.progress = Progress()
         self.row: Row = {}
-        self._is_untold = False
+        self._is_unlogged = False
 
     def close(self) -> None:
         """Release what would keep the process group from ending."""
         self.mappo.close()
 
     def run(self) -> TrainResult:
-        """Train to the end, and write down how it ended whatever happens."""
+        """Train to the end; in any case write how it ended."""
         status: Literal["failed", "interrupted", "finished"] = "failed"
         try:
             with contextlib.ExitStack() as stack:
@@ -142,7 +186,7 @@ class _Training:
         )
 
     def _open_log(self) -> TrainingLog:
-        """Write down under which circumstances this session begins, and open its log."""
+        """Write configuration and circumstances of this session, and open its log."""
         is_first = self.workers.is_first
         if is_first:
             config = {
@@ -162,26 +206,26 @@ class _Training:
                 with self.workers.sync_errors():
                     if self.schedule.enter(self.progress.transitions) or observation is None:
                         observation = self.schedule.env.reset(is_staggered=self.cfg.staggered)
-                        self.mappo.begin()
+                        self.mappo.reset_hidden()
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)
-                self._tell(log)  # of the update before, while a device collects
+                self._log_row(log)  # of the previous update, while the device collects
                 if self.workers.any(stop.is_set):
                     self.mappo.discard_rollout()
                     return "interrupted"
                 self._update(started, begun)
                 if time.monotonic() >= next_checkpoint:
-                    self._tell(log)
+                    self._log_row(log)
                     log.attempt("checkpoint", self._save)
                     next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         finally:
-            self._tell(log)
+            self._log_row(log)
         return "finished"
 
-    def _tell(self, log: TrainingLog) -> None:
-        """Log the last update, once."""
-        if self._is_untold:
-            self._is_untold = False
+    def _log_row(self, log: TrainingLog) -> None:
+        """Log the last update, if that is not done yet."""
+        if self._is_unlogged:
+            self._is_unlogged = False
             log.write(self.row)
 
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
@@ -200,15 +244,15 @@ class _Training:
         metrics = self.mappo.launch_update(self.progress.transitions / self.cfg.transitions)
         updated = DeviceTime(self.workers.device)
         given = Sums(rollout_quantities(self.mappo, self.contract))
-        learnt = Sums(update_quantities(self.mappo, metrics))
+        found = Sums(update_quantities(self.mappo, metrics))
         rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
         rewards = self.workers.sum(rewards) / self.workers.size
-        with self.workers.sync_errors():  # by itself: what one process is given spoils the networks of all
+        with self.workers.sync_errors():  # first: NaN of one process reaches the networks of all
             self.schedule.env.check()
             require_finite(given.read())
         statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
-            require_finite(reward_terms(statistics) | learnt.read())
+            require_finite(reward_terms(statistics) | found.read())
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -224,7 +268,7 @@ class _Training:
             **{f"reward/{agent}": reward for agent, reward in named_rewards},
             **self.mappo.named(metrics.tolist()),
         }
-        self._is_untold = True
+        self._is_unlogged = True
 
     def _save(self) -> None:
         if self.workers.is_first:
@@ -235,11 +279,11 @@ class _Training:
         try:
             self._save()
         except OSError as error:
-            earlier = "There is no earlier checkpoint: free some space and begin anew."
+            fix = "There is no earlier checkpoint: free some space and start again."
             if self.folder.checkpoint.exists():
-                earlier = "An earlier checkpoint there is still good: free some space, then --resume."
+                fix = "An earlier checkpoint there is still good: free some space, then add --resume."
             raise CheckpointError(
-                f"the end of the training could not be written to '{self.folder.path}': {error}. {earlier}"
+                f"the end of the training could not be written to '{self.folder.path}': {error}. {fix}"
             ) from error
         transitions, minutes = self.progress.transitions, self.progress.seconds / 60
         log.say(
@@ -249,13 +293,10 @@ class _Training:
 
 
 class Sums:
-    """Sums of tensors by names, which are waited for when they are read.
-
-    A sum is finite if and only if all of its terms are, as long as they are of sane size.
-    """
+    """Sums of named tensors, read later; a sum is finite only if all of its terms are."""
 
     def __init__(self, tensors: Mapping[str, Tensor]) -> None:
-        """Add them up."""
+        """Launch the sums."""
         self._names, self._sums = tuple(tensors), torch.stack([tensor.sum() for tensor in tensors.values()])
 
     def read(self) -> dict[str, float]:
@@ -264,7 +305,7 @@ class Sums:
 
 
 def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tensor]:
-    """What the environment gave since the last update, by its name."""
+    """Return what the environments returned since the last update, by name."""
     found: dict[str, Tensor] = {}
     for agent, rollout in mappo.rollout.items():
         found[f"reward of agent '{agent}'"] = mappo.rewards[agent]
@@ -278,7 +319,7 @@ def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tens
 
 
 def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
-    """What an update made of the networks, and its `METRICS` of every agent, by their names."""
+    """Return parameters and `METRICS` of every agent after an update, by name."""
     named = zip(mappo.agents, metrics, strict=True)
     found = {
         f"loss or metric '{name}/{agent}'": value
@@ -293,7 +334,7 @@ def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
 
 
 def reward_terms(statistics: Mapping[str, float]) -> dict[str, float]:
-    """The means of the reward terms among an environment's statistics, by their names."""
+    """Return the means of the reward terms among an environment's statistics, by name."""
     return {
         f"reward term '{name.removeprefix(REWARD_TERM)}'": value
         for name, value in statistics.items()
@@ -302,14 +343,14 @@ def reward_terms(statistics: Mapping[str, float]) -> dict[str, float]:
 
 
 def require_finite(named: Mapping[str, float]) -> None:
-    """See that quantities are numbers.
+    """Check that quantities are finite.
 
     Raises:
-        NonFiniteError: The message names those that are not.
+        NonFiniteError: Some are not; the message names them.
     """
     bad = [name for name, value in named.items() if not math.isfinite(value)]
     if bad:
         raise NonFiniteError(
             f"NaN or infinity in {', '.join(bad)}; training stopped. "
-            "The last checkpoint is from before: look at that quantity, then go on with --resume."
+            "The last checkpoint is good: correct that quantity, then go on with --resume."
         )
