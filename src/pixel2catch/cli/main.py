@@ -34,8 +34,17 @@ REMOVED = {
 """Commands that are gone, and what to do instead."""
 
 REMOVED_OPTIONS = {
+    "deploy --mask-robot": "leave it out; the robot's own motion is always ignored",
+    "deploy --no-mask-robot": "leave it out; the robot's own motion is always ignored",
+    "deploy --seconds": "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'",
+    "doctor --camera": "run 'pixel2catch track 0 --seconds 3'",
+    "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",
     "evaluate --physics-hz": "give --env.scene.physics-hz",
     "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
+    "record --dry-run": "leave it out; a recording needs motion",
+    "replay --mask-robot": "leave it out; the robot's own motion is always ignored",
+    "replay --no-mask-robot": "leave it out; the robot's own motion is always ignored",
+    "replay --perception-ms": "leave it out; a replay takes 10 ms for an image",
     "reproduce --evaluation-physics-hz": "evaluations have 600 Hz",
     "reproduce --launcher": "leave it out; --slurm alone selects the cluster",
     "reproduce --physics-hz": "give --training physics_stages=120,120,240 or env.scene.physics_hz=120",
