@@ -185,12 +185,3 @@ def test_hazards_are_numbered_and_files_and_tests_of_the_guards_exist():
             path, _, function = name.partition("::")
             tree = ast.parse((ROOT / "tests" / path).read_text("utf-8"))
             assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, name
-
-
-def test_numbers_of_the_guide_are_those_of_scene_and_limits():
-    """Words that are said of the drawing; the drawing itself is drawn from the scene."""
-    joints = find_workcell("ur5e_allegro").joints
-    limit = round(np.degrees(joints[0].velocity_limit))
-    assert f"policies know {limit}°/s as the limit" in GUIDE
-    x, _, z = RGB_CAMERA.pos
-    assert f"{-x:.2f} m behind the base, {z:.2f} m over the floor" in GUIDE

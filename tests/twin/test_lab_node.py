@@ -45,11 +45,6 @@ def test_arm_and_hand_share_a_topic_with_their_own_rates_and_names(bench: Bench)
     assert bench.read_joints().shape == (19,)
 
 
-def test_joint_states_are_those_of_the_joints_by_name(bench: Bench):
-    bench.cycle()
-    assert bench.read_joints() == pytest.approx(bench.lab.joints.position, abs=2e-4)
-
-
 def test_images_come_30_times_a_second_after_the_latency(bench: Bench):
     arrivals, stamps = [], []
     for _ in range(500):
@@ -155,12 +150,8 @@ def test_a_command_of_a_wrong_length_is_no_command(bench: Bench):
     "request_",
     [
         {"do": "dance"},
-        {"do": "prepare"},
-        {"do": "prepare", "seed": "x"},
-        {"do": "prepare", "seed": -1},
         {"do": "prepare", "seed": 2**63},
         {"do": "throw"},
-        {},
     ],
 )
 def test_a_request_that_cannot_be_met_is_refused_with_the_reason(

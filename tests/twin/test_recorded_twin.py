@@ -88,7 +88,7 @@ def test_who_ended_a_recording_too_early_is_said_and_it_fails(
         out = tmp_path / by
         assert main(["record", str(motion), "--out", str(out), "--lockstep", str(truth)]) == 2
         last = capsys.readouterr().err.splitlines()[-1]
-        assert last == f"pixel2catch: error: {out} ends before {motion} does, by {by}: record anew."
+        assert f"{out} ends before {motion} does, by {by}" in last
 
     monkeypatch.setattr(record, "PATIENCE", -2.5)
     is_ended("a limit of time")

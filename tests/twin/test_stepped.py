@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import GRACE, SHIFT, StepClock
+from pixel2catch.deployment.control_loop import GRACE, SHIFT
 from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
 from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -72,13 +72,6 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def report(out: Path) -> dict[str, Any]:
     return json.loads((out / "report" / "report.json").read_text())
-
-
-def test_time_goes_on_only_for_those_who_wait():
-    moments: list[float] = []
-    clock = StepClock(moments.append)
-    clock.sleep_until(0.25)
-    assert (clock.now(), clock.stamp(), moments) == (0.0, 0.0, [0.25])
 
 
 def test_the_shipped_policy_catches(report: dict[str, Any]):
@@ -172,7 +165,7 @@ def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_the
     assert report["success_rate"] >= 0.7
 
 
-@pytest.mark.parametrize("name", ["ur5e_allegro_right", "ur5e_leap", "fr3_allegro", "two_ur5e_allegro"])
+@pytest.mark.parametrize("name", ["fr3_allegro", "two_ur5e_allegro"])
 def test_another_work_cell_is_rehearsed(name: str):
     """With a policy that has learnt nothing: it is armed, runs, and the throw is judged."""
     torch.manual_seed(0)

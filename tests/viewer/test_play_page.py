@@ -82,6 +82,7 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
     browser_page.goto(page.server.address)
     browser_page.get_by_text(re.compile("S.R. 100 %")).wait_for()
     browser_page.get_by_text("1 of 1").wait_for()
+    browser_page.get_by_text("height of the object").wait_for(state="hidden")  # folded, as it is narrow
     assert len(np.unique(np.frombuffer(browser_page.locator("canvas").first.screenshot(), np.uint8))) > 100
 
     browser_page.get_by_text("pause", exact=True).click()

@@ -188,9 +188,15 @@ class Stage:
 
 
 def _fold(panel: viser.PanelHandle, visitor: viser.ClientHandle) -> None:
-    """Minimize a panel if a browser is too narrow for the scene beside it."""
-    if visitor.camera.image_width < LEAST_WIDTH:
-        panel.minimize()
+    """Minimize a panel once when a browser turns out to be too narrow for the scene beside it."""
+    folded: list[bool] = []
+
+    def check(camera: viser.CameraHandle) -> None:
+        if not folded and camera.image_width < LEAST_WIDTH:
+            folded.append(True)
+            panel.minimize()
+
+    visitor.camera.on_update(check)
 
 
 def add_time_controls(gui: viser.GuiApi, playback: Playback) -> viser.GuiDropdownHandle[str]:
