@@ -1,4 +1,4 @@
-"""The agents of a work cell: one for each joint group, as values of one type. Their sum is the single agent.
+"""The agents of a work cell, one for each joint group; their sum is the single agent.
 
 Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
 Differs: the hand is also rewarded for a grasp (ours); the paper's success is a distance only.
@@ -32,7 +32,7 @@ ARM_REWARD = (
     RewardTerm(function=rewards.table_contact, weight=-5.0),
     RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
 )
-"""Of a group that carries a palm. Source: paper, Eq. 3."""
+"""Reward of a group that carries a palm. Source: paper, Eq. 3."""
 
 HAND_REWARD = (
     RewardTerm(function=rewards.palm_approach, weight=0.2),
@@ -43,10 +43,10 @@ HAND_REWARD = (
     RewardTerm(function=rewards.table_contact, weight=-5.0),
     RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
 )
-"""Of a group that moves fingers. Source: paper, Eq. 4."""
+"""Reward of a group that moves fingers. Source: paper, Eq. 4."""
 
 BESIDE_OTHERS = RewardTerm(function=rewards.robot_contact, weight=-1.0)
-"""Of every group where there are several robots. Source: ours; ten steps of it take back a success."""
+"""Further reward of every group with several robots. Source: ours; ten steps outweigh a success."""
 
 REWARDS = {"arm": ARM_REWARD, "hand": HAND_REWARD}
 
@@ -58,47 +58,45 @@ RESTING_REWARDS = {
     ),
     "hand": (*HAND_REWARD, RewardTerm(function=rewards.self_contact, weight=-0.02)),
 }
-"""Rewards by role that also cost moving a held object about, aiming into the table, and touching oneself.
+"""Rewards by role with costs of moving a held object, aiming into the table, and self-contact.
 
-Source: ours. Larger weights, and paying for the motion of fingers, keep them from grasping at all
-(experiments/LOG.md).
+Source: ours; with larger weights policies do not grasp (experiments/LOG.md).
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class AgentSpec:
-    """One learner: the joints it moves, what it sees, and what it is rewarded for."""
+    """One learner: its joints, observation and reward."""
 
     name: str  #: Name in logs, files and the agents' dictionaries.
-    #: The body parts that it moves, in joint order; its reward is the sum of theirs.
-    parts: tuple[BodyPart, ...]
-    teammates: tuple[BodyPart, ...] = ()  #: Body parts that others move, whose reward it gets as well.
+    parts: tuple[BodyPart, ...]  #: Its body parts, in joint order; their rewards are added.
+    teammates: tuple[BodyPart, ...] = ()  #: Body parts of others whose reward is added.
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS  #: Terms of one observation frame.
-    memory: tuple[ObservationTerm, ...] = ()  #: Terms of what it remembers of the images.
+    memory: tuple[ObservationTerm, ...] = ()  #: Terms that summarise earlier boxes.
 
     @property
     def joints(self) -> Columns:
-        """The agent's columns in joint order."""
+        """Return the agent's columns in joint order."""
         return merged([part.joints for part in self.parts])
 
     @property
     def palms(self) -> Columns:
-        """The palms that it serves, each once."""
+        """Return the palms that it serves, each once."""
         served = sorted({palm for part in self.parts for palm in range(part.palms.start, part.palms.stop)})
         return merged([slice(palm, palm + 1) for palm in served])
 
     @property
     def num_joints(self) -> int:
-        """Number of actions."""
+        """Return the number of actions."""
         return count(self.joints)
 
     @property
     def reward_names(self) -> tuple[str, ...]:
-        """Names of the reward terms, in the order of `reward_terms`."""
+        """Return the names of the reward terms, in the order of `reward_terms`."""
         return tuple(f"{part.name}.{term.name}" for part in self._rewarded for term in part.reward)
 
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs num_terms"]:
-        """Weighted reward terms of its parts and its teammates'; the agent's reward is their sum."""
+        """Return the weighted reward terms of parts and teammates; the reward is their sum."""
         return torch.cat([part.reward_terms(transition) for part in self._rewarded], dim=-1)
 
     @property
@@ -106,14 +104,14 @@ class AgentSpec:
         return (*self.parts, *self.teammates)
 
     def with_weights(self, weights: Mapping[str, float]) -> "AgentSpec":
-        """The agent with other weights of reward terms, by the names of `reward_names`."""
+        """Return the agent with other weights of reward terms, by the names of `reward_names`."""
         parts, teammates = (
             tuple(part.with_weights(weights) for part in several) for several in (self.parts, self.teammates)
         )
         return replace(self, parts=parts, teammates=teammates)
 
     def to_dict(self) -> dict[str, Any]:
-        """Names of its observation terms, and its reward terms with their weights, ready for JSON."""
+        """Return names of its observation terms, and weights of its reward terms, ready for JSON."""
         weights = [term.weight for part in self._rewarded for term in part.reward]
         return {
             "observation": [term.__name__ for term in self.observation],
@@ -122,14 +120,14 @@ class AgentSpec:
         }
 
     def __add__(self, other: "AgentSpec") -> "AgentSpec":
-        """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""
+        """Return one agent over the joints of both, with both rewards. Source: paper, S-A RL."""
         return replace(self, name="robot", parts=(*self.parts, *other.parts))
 
 
 def agents_of(
     workcell: WorkcellSpec, rewards_by_role: dict[str, tuple[RewardTerm, ...]] = REWARDS
 ) -> tuple[AgentSpec, ...]:
-    """One agent for each joint group of a work cell, in joint order."""
+    """Return one agent for each joint group of a work cell, in joint order."""
     also = (BESIDE_OTHERS,) if len(workcell.robots) > 1 else ()
     return tuple(
         AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role] + also),))
@@ -154,13 +152,13 @@ def _part_of(workcell: WorkcellSpec, group: JointGroup, reward: tuple[RewardTerm
 
 
 def together(agents: tuple[AgentSpec, ...]) -> AgentSpec:
-    """One agent in place of several."""
+    """Return one agent in place of several."""
     first, *others = agents
     return sum(others, start=first)
 
 
 def agents_by_robot(workcell: WorkcellSpec, agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
-    """One agent for each robot of a work cell, in place of those of its joint groups."""
+    """Return one agent for each robot of a work cell, in place of those of its joint groups."""
     robots = []
     for placed in workcell.robots:
         own = {placed.prefix + group.name for part in placed.robot.parts for group in part.groups}
@@ -170,7 +168,7 @@ def agents_by_robot(workcell: WorkcellSpec, agents: tuple[AgentSpec, ...]) -> tu
 
 
 def sharing(agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
-    """The agents, each of which is paid the sum of all rewards."""
+    """Return the agents, each with the sum of all rewards."""
     return tuple(
         replace(agent, teammates=tuple(part for mate in agents if mate is not agent for part in mate.parts))
         for agent in agents
@@ -178,6 +176,6 @@ def sharing(agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
 
 
 def commands_of(workcell: WorkcellSpec) -> tuple[JointCommand, ...]:
-    """How the action of each joint becomes its target. Source: paper, Sec. IV-D."""
+    """Return how the action of each joint becomes its target. Source: paper, Sec. IV-D."""
     laws = {"relative": relative_command, "absolute": absolute_command}
     return tuple(laws[group.command](joint) for group in workcell.groups for joint in group.joints)

@@ -1,4 +1,4 @@
-"""The methods that are compared, as values of one type. No code asks for a method by name."""
+"""The compared methods, as values of one type."""
 
 import re
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """Which agents learn, and which pixel features they see."""
+    """Which agents learn, and which pixel features they observe."""
 
     name: str  #: Name on the command line and in policy files.
     agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
     pixel_features: tuple[str, ...]  #: Names out of `camera.boxes.PIXEL_FEATURES`.
-    num_boxes: int = 1  #: Measured boxes that it remembers.
+    num_boxes: int = 1  #: Number of measured boxes that it keeps.
 
     def __post_init__(self) -> None:
         """Refuse a method without agents, two agents of one name, and unknown pixel features."""
@@ -35,14 +35,14 @@ class Method:
 
     @property
     def knows_age(self) -> bool:
-        """Whether its agents know how old the boxes are that they see."""
+        """Return whether its agents observe the age of boxes."""
         return any(agent.memory for agent in self.agents)
 
     def with_weights(self, weights: Mapping[str, float]) -> "Method":
-        """The method with other weights of reward terms, by names such as `arm.success`; 0 for none.
+        """Return the method with other weights of reward terms, by names such as `arm.success`.
 
         Raises:
-            UnknownNameError: If no agent has such a term.
+            UnknownNameError: No agent has such a term.
         """
         names = {
             f"{part.name}.{term.name}"
@@ -56,7 +56,7 @@ class Method:
 
     @cached_property
     def layouts(self) -> dict[str, observations.ObservationLayout]:
-        """What each agent observes, by name: the input of `observations.observe`."""
+        """Return what each agent observes, by name: the input of `observations.observe`."""
         columns = observations.pixel_columns(self.pixel_features)
         return {
             agent.name: observations.ObservationLayout(
@@ -72,10 +72,10 @@ class Method:
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """What agents remember of the images besides the paper's two frames."""
+    """Boxes and terms that agents observe besides the paper's two frames."""
 
-    num_boxes: int  #: Measured boxes.
-    terms: tuple[observations.ObservationTerm, ...]  #: What is observed of them.
+    num_boxes: int  #: Number of measured boxes.
+    terms: tuple[observations.ObservationTerm, ...]  #: Terms of them.
 
 
 MEMORIES: dict[str, Memory] = {
@@ -83,12 +83,11 @@ MEMORIES: dict[str, Memory] = {
     "boxes": Memory(num_boxes=8, terms=(observations.box_track,)),
     "fit": Memory(num_boxes=observations.NUM_BOXES, terms=(observations.box_fit,)),
 }
-"""Memories by name. Source: ours: a policy that knows how old its boxes are can be told of any latency, and
-what the images have shown of a flight is in more than two of them."""
+"""Memories by name. Source: ours, for latencies that differ, and for more of a flight than two frames."""
 
 
 def find_memory(name: str) -> Memory:
-    """The memory of that name; a number behind it is how many boxes it holds, such as `boxes5`.
+    """Return the memory of a name, which may end in its number of boxes, such as `boxes5`.
 
     Raises:
         UnknownNameError: With the valid names.
@@ -101,7 +100,7 @@ def find_memory(name: str) -> Memory:
 
 
 def remembering(method: Method, memory: str) -> Method:
-    """The method with a memory; one that sees no pixel features gets no more than the age of the images."""
+    """Return the method with a memory; without pixel features it is the age of the images."""
     kept = find_memory(memory)
     kept = kept if method.pixel_features else MEMORIES["age"]
     agents = tuple(replace(agent, memory=kept.terms) for agent in method.agents)
@@ -114,19 +113,17 @@ ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
 def _seeing(
     agents: tuple[AgentSpec, ...], *observation: observations.ObservationTerm
 ) -> tuple[AgentSpec, ...]:
-    """Agents with other observations."""
     return tuple(replace(agent, observation=observation) for agent in agents)
 
 
 def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
-    """All methods for the joint groups of a work cell, by name.
+    """Return all methods for a work cell, by name.
 
-    Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D,
-    `object_extent`, one that also sees how large it is, `shared_reward`, in which all agents are paid the
-    sum of their rewards, and `agent_per_robot`, with an agent for each robot; release: `journal`, which adds
-    palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a
-    catch and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees
-    the object in 3D and can be imitated.
+    Source: paper, Sec. V-A. Release: `journal`, which adds palm displacement and joint targets. Ours:
+    `object_position` observes the object in 3D, `object_extent` also its size; `shared_reward` gives all
+    agents the sum of their rewards; `agent_per_robot` has an agent for each robot; `catch` has a shared
+    reward with costs of unrest and self-contact, `catch_alone` the same as one agent; `catch_teacher`
+    observes the object in 3D and can be imitated.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
@@ -159,17 +156,17 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
 
 
 METHODS = catalogue(Method, methods_of(UR5E_ALLEGRO))
-"""The methods for the paper's robot, and those of files of one's own."""
+"""Methods for the paper's robot, and those of users' files."""
 
 PROPOSED = METHODS["proposed"]
 
 
 def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
-    """The method of that name for a work cell; `NAME+MEMORY` is one with a memory, such as `catch+fit`.
+    """Return the method of a name for a work cell; `NAME+MEMORY` has a memory, such as `catch+fit`.
 
     Raises:
-        UnknownNameError: With the valid names.
-        InvalidValueError: If it is one's own and for other robots.
+        UnknownNameError: There is no such method.
+        InvalidValueError: A user's method is for other robots.
     """
     base, *memories = name.split("+")
     if base not in METHODS:

@@ -21,7 +21,7 @@ from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
 EFFORT_MARGIN = 0.999
-"""Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
+"""Share of a joint's effort limit that a servo applies; at the limit itself MuJoCo clamps."""
 
 FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
@@ -30,12 +30,10 @@ FRICTION_SPEED = 0.1
 class JointActuators:
     """Command path, limits, friction and gains of every joint in every environment.
 
-    Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
-    the training of the shipped policies. That is a step earlier than behind a path without latency. Their
-    damping is MuJoCo's, which acts on the speed at the end of a step, and their dry friction is smooth in the
-    speed. Of identified joints half of the damping does so, none of it takes from a torque at its limit, and
-    dry friction holds them where they are: so they move as in the simulation that they were identified with,
-    at any time step nearly alike.
+    Nominal joints have no command path: their servos follow the command of the end of each physics step, as
+    in the training of the shipped policies, with MuJoCo's implicit damping and a smooth dry friction.
+    Identified joints move as in `identification.simulation`: half of the damping is implicit, damping does
+    not reduce a torque at its limit, and dry friction holds joints at rest.
     """
 
     def __init__(
@@ -58,7 +56,7 @@ class JointActuators:
         )
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
-        # Those of the present episodes, whose values in MuJoCo's parameters are ten times as far apart.
+        # Copies of the present gains; in MuJoCo's parameters they are ten numbers apart, which is slower.
         self._stiffnesses, self._dampings = (
             each.expand_as(self._ctrl).clone() for each in (self._stiffness, self._damping)
         )
@@ -80,7 +78,7 @@ class JointActuators:
         joint_pos: Float[Tensor, "num_envs num_joints"],
         parameters: EpisodeParameters,
     ) -> None:
-        """Begin in the masked environments, with new gains, at joint positions [rad] that are the command."""
+        """Begin in the masked environments, with new gains, at joint positions [rad] as the command."""
         write(mask, joint_pos, self._command)
         self._last_vel.masked_fill_(mask[:, None], 0.0)
         if self._path is not None and self._dry_friction is not None:
@@ -101,11 +99,11 @@ class JointActuators:
     def increment(
         self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """How far the command moves in each of `num_steps` physics steps to the target [rad]."""
+        """Return the change of the command in each of `num_steps` physics steps to the target [rad]."""
         return (joint_pos_target.to(self._command) - self._command) / num_steps
 
     def advance(self, increment: Float[Tensor, "num_envs num_joints"]) -> None:
-        """Move the command, and set what drives the joints in the next physics step."""
+        """Move the command, and set controls and friction of the next physics step."""
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
         state = ActuatorState(
@@ -126,11 +124,10 @@ class JointActuators:
     def _damped_at_limit(
         self, beyond: Float[Tensor, "num_envs num_joints"], state: "ActuatorState"
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """What MuJoCo's damping takes from a torque at its limit in a physics step [N·m], to be given back.
+        """Torque that MuJoCo's damping takes from a servo at its limit in a physics step [N·m], to be added.
 
-        That is of the change of speed, which is taken to be that of the step before. A servo that wants less
-        beyond its limit [N·m] than its damping takes meanwhile leaves the limit within the step. Without this
-        a wrist has 0.6 of its torque at 600 Hz, and a fit of its motion finds all its torques too large.
+        The change of speed is assumed to be that of the step before. A servo whose excess over its limit
+        [N·m] is smaller than that torque leaves the limit within the step.
         """
         damped = state.damping * (state.joint_vel - self._last_vel)
         self._last_vel.copy_(state.joint_vel)
@@ -172,10 +169,10 @@ class ActuatorLimits:
     def led(
         self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """The position command nearest to `command` that keeps the joint's speed limit.
+        """Return the position command nearest to `command` that keeps the joint's speed limit.
 
-        A servo whose damping d dominates moves at k / d times the distance of its command, so that distance
-        bounds the speed (the release relies on its simulator's speed limit, which MuJoCo does not have).
+        A servo whose damping d dominates moves at k / d times the distance of its command. The release uses
+        its simulator's speed limit, which MuJoCo does not have.
         """
         lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
         return torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
@@ -183,10 +180,9 @@ class ActuatorLimits:
     def limited(
         self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """The position command nearest to `command` that keeps the joint's speed and effort limits.
+        """Return the position command nearest to `command` that keeps the speed and effort limits.
 
-        The torque is bounded here and not by MuJoCo's `forcerange`: while a force is clamped, MuJoCo treats
-        its damping explicitly, which is unstable at these gains and steps.
+        MuJoCo's `forcerange` is not used: while it clamps a force, the damping is explicit and unstable.
         """
         command = self.led(command, state)
         balance = state.joint_pos + state.damping * state.joint_vel / state.stiffness
@@ -196,21 +192,18 @@ class ActuatorLimits:
     def friction(
         self, joint_vel: Float[Tensor, "num_envs num_joints"]
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """Torque of dry friction of nominal joints [N·m], as a smooth function of the speed.
+        """Return the dry friction of nominal joints [N·m], a smooth function of the speed.
 
-        Below `FRICTION_SPEED` it is less than a robot's, which hardly depends on the speed: a fit of slow
-        motion with it finds up to 7 times too much. Differs: MuJoCo's own `frictionloss` is a constraint,
-        which doubles the time of a physics step here, for torques that move a servo's rest position by less
-        than 0.004 rad.
+        Differs: MuJoCo's `frictionloss` is a constraint, which doubles the time of a physics step.
         """
         return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
 
 
 class CommandPath:
-    """The paths of all joints in all environments, on memory that stays where it is.
+    """The command paths of all joints in all environments, in memory that keeps its address.
 
-    Commands are known at the ends of physics steps and are linear in between, as a ramp is. What arrives in a
-    step is their mean over a step of the past, as in the simulation of recordings: exact at any latency.
+    Commands are linear between the ends of physics steps. A step gets their mean over a past step, which is
+    exact at any latency.
     """
 
     def __init__(
@@ -224,15 +217,15 @@ class CommandPath:
         self._state = torch.stack((command, torch.zeros_like(command)), dim=-1)
 
     def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
-        """Let the masked environments have had their joints' positions for a command up to now [rad]."""
+        """Set all past commands of the masked environments to their joints' positions [rad]."""
         self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
         at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
         write(mask, at_rest, self._state)
 
     def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
-        """What the servos aim at in a physics step [rad], from the commands at its end [rad].
+        """Return the targets of the servos in a physics step [rad] from the commands at its end [rad].
 
-        The next step overwrites it.
+        The next step overwrites them.
         """
         self._history.copy_(torch.cat((command[None], self._history[:-1])))
         delayed = (self._share * self._history).sum(dim=0)
@@ -241,10 +234,9 @@ class CommandPath:
 
 
 def _shares(age: Float[np.ndarray, " num_joints"]) -> Float[np.ndarray, "num_ages num_joints"]:
-    """Share of each known command, newest first, in the mean over the step whose middle has an age.
+    """Weights of the commands, newest first, in their mean over the step whose middle has this age [steps].
 
-    That is the integral of their linear interpolation: a quadratic B-spline. The age counts from the newest
-    command, in physics steps, and is at least 0.5.
+    The integral of their linear interpolation is a quadratic B-spline. The age is at least 0.5.
     """
     distance = np.abs(np.arange(int(np.ceil(age.max() + 0.5)) + 1)[:, None] - age)
     return np.where(distance < 0.5, 0.75 - distance**2, np.maximum(1.5 - distance, 0.0) ** 2 / 2)

@@ -1,4 +1,4 @@
-"""The catching environment: act, simulate, judge, reset, observe."""
+"""The catching environment: act, simulate, reward, reset, observe."""
 
 from dataclasses import dataclass, replace
 
@@ -27,33 +27,32 @@ from pixel2catch.sim.fusion import fused
 from pixel2catch.workcells import find_workcell
 
 STAGGER_STEPS = 45
-"""Control steps that an object hovers longer at the most in a staggered episode, about as many as a throw
-takes that nobody catches. Source: ours."""
+"""Largest additional hovering in a staggered episode [control steps], about a missed throw. Source: ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """What the networks see."""
+    """Inputs of the networks."""
 
     policy: dict[str, Float[Tensor, "num_envs _"]]  #: Observation of each agent, by name.
     #: Input of every value network: all observations and what only the simulator knows.
     state: Float[Tensor, "num_envs _"]
-    #: Observation of each agent of another method that is imitated; empty without one.
+    #: Observation of each agent of the imitated method; empty without one.
     teacher: dict[str, Float[Tensor, "num_envs _"]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What one control step returned; environments that ended have begun anew."""
+    """Result of one control step; environments whose episode ended have begun a new one."""
 
-    observation: Observation  #: What the networks see next.
+    observation: Observation  #: Inputs of the networks for the next step.
     rewards: dict[str, Float[Tensor, " num_envs"]]  #: Reward of each agent, by name.
     terminated: Bool[Tensor, " num_envs"]  #: Whether the episode ended, time-outs included (paper).
     truncated: Bool[Tensor, " num_envs"]  #: Never: a time-out is a termination.
     record: EpisodeRecord  #: The episodes up to this step, before any reset.
-    log: StepExtremes  #: What happened within this step, likewise.
-    measurement: Measurement  #: What the robot measured, of which `observation` was made.
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The joint targets that were commanded [rad].
+    log: StepExtremes  #: Extremes within this step.
+    measurement: Measurement  #: Measurement that `observation` was computed from.
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Commanded joint targets [rad].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +75,7 @@ class SensorState:
 
 
 class CatchEnv:
-    """`num_envs` robots that learn to catch; nothing in `step` waits for the device.
+    """`num_envs` robots that learn to catch; `step` does not wait for the device.
 
     Attributes:
         num_envs: Number of environments.
@@ -85,7 +84,7 @@ class CatchEnv:
         action_sizes: Number of each agent's actions, by name.
         state_size: Length of the value networks' input.
         statistics: Sums over ended episodes.
-        detector: What looks at the object; on the CPU it may be replaced before a `reset`.
+        detector: From true state to detections; on the CPU it may be replaced before a `reset`.
     """
 
     def __init__(
@@ -101,8 +100,8 @@ class CatchEnv:
     ) -> None:
         """Build the environments; the first `reset` begins their episodes.
 
-        The observations of a `teacher` are made as well. The seed is that of everything that is drawn here.
-        Where it `is_fused`, the first step compiles the control step: see `sim.fusion`.
+        Observations of a `teacher` are computed, too. With `is_fused`, the first step compiles the control
+        step: see `sim.fusion`.
 
         Raises:
             InvalidValueError: If a value is of another type or out of range.
@@ -148,19 +147,18 @@ class CatchEnv:
 
     @property
     def episode(self) -> Episode:
-        """The present episode of each environment; the next step overwrites its tensors."""
+        """Return the present episode of each environment; the next step overwrites its tensors."""
         return self._episode
 
     def seed(self, seed: int) -> None:
-        """Begin the draws anew: the next `reset` begins the episodes that belong to this seed."""
+        """Seed all draws; the next `reset` begins the episodes of this seed."""
         self._generator.manual_seed(seed)
 
     def reset(self, *, is_staggered: bool = False) -> Observation:
         """Begin a new episode in every environment.
 
-        Where it `is_staggered`, the objects of these episodes hover up to `STAGGER_STEPS` longer: throws that
-        begin at once end at once for a dozen episodes, and rollouts shorter than an episode then show one
-        part of it after the other. Source: Bharthulwar et al. 2025; by hovering (ours).
+        With `is_staggered`, the objects of these episodes hover up to `STAGGER_STEPS` longer, so that short
+        rollouts hold all parts of episodes. Source: Bharthulwar et al. 2025; by hovering (ours).
         """
         longer = STAGGER_STEPS if is_staggered else 0
         assign(self._episode, self._draw_episode(self.cfg.with_longer_hovering(longer)))
@@ -173,10 +171,10 @@ class CatchEnv:
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
         """Act for one control step; what lies outside [-1, 1] is clipped.
 
-        The next step overwrites the tensors of what is returned, but for `observation` and `rewards`.
+        The next step overwrites the returned tensors, except `observation` and `rewards`.
 
         Raises:
-            InvalidValueError: If an action is NaN. On a device it is `check` that raises.
+            InvalidValueError: An action is NaN; on a device `check` raises.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
@@ -186,17 +184,17 @@ class CatchEnv:
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
     def check(self) -> None:
-        """Raise if contacts were lost or an action was NaN since the last call; waits for the device.
+        """Check contacts and actions since the last call; wait for the device.
 
         Raises:
-            InvalidValueError: If an action was NaN.
+            InvalidValueError: An action was NaN.
         """
         self.world.simulation.check()
         self._require_numbers()
 
     @property
     def measurement(self) -> Measurement:
-        """What the robot measured last; the next step overwrites it."""
+        """Return the last measurement; the next step overwrites it."""
         return self._sensors.history.now
 
     def close(self) -> None:
@@ -212,7 +210,7 @@ class CatchEnv:
             )
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
-        """One control step on memory that stays where it is, so that a device can record and replay it."""
+        """One control step in memory that keeps its address, so that a device can record and replay it."""
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
         disturbed = action + self._episode.parameters.action_bias + self._action_noise * noise
         target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
@@ -240,7 +238,7 @@ class CatchEnv:
         )
 
     def _first_sensor_state(self) -> SensorState:
-        """What is seen and measured at the beginning of an episode."""
+        """Sensors at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
         image = self.detector.look(now, self._episode)
@@ -257,11 +255,11 @@ class CatchEnv:
         return clone(sensors)
 
     def _waiting_commands(self) -> DelayLine[Tensor]:
-        """The line of targets at the beginning of an episode: to stay where the joints are."""
+        """Delayed targets at the beginning of an episode: the joint positions."""
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
     def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
-        """Acceleration of a base that shakes, in the middle of each physics step to come [m/s²]."""
+        """Acceleration of a shaking base in the middle of each physics step [m/s²]."""
         shake, steps, scene = self._episode.shake, self._episode.record.steps, self.cfg.scene
         if shake is None:
             return None
@@ -269,7 +267,6 @@ class CatchEnv:
         return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
 
     def _transition(self, command: LastAction, log: StepExtremes) -> Transition:
-        """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
             before=self._sensors.now,
@@ -283,13 +280,13 @@ class CatchEnv:
         )
 
     def _draw_episode(self, cfg: CatchEnvCfg | None = None) -> Episode:
-        """A new episode for every environment; those that need none ignore theirs."""
+        """A new episode for every environment."""
         return draw_episode(
             cfg or self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator
         )
 
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
-        """Begin new episodes where one ended, and release the objects that have hovered long enough."""
+        """Begin new episodes where one ended, and release objects whose hovering is over."""
         fresh = self._draw_episode()
         assign(self._episode.record, record)
         write(ended, fresh, self._episode)
@@ -299,9 +296,9 @@ class CatchEnv:
         self.world.simulation.forward(ended | is_released)
 
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastAction, log: StepExtremes) -> None:
-        """Look and measure after a control step; nothing of an ended episode survives.
+        """Detect and measure after a control step; ended episodes leave nothing behind.
 
-        Images are taken a fraction of a control step before it, and arrive after whole ones.
+        Images are exposed a fraction of a control step earlier, and arrive after whole ones.
         """
         sensors, latency = self._sensors, self._episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
@@ -334,11 +331,11 @@ class CatchEnv:
         assign(sensors, updated)
 
     def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
-        """How old a detection is when it is delivered, by its stamp [control steps]."""
+        """Age of a delivered detection, by its stamp [control steps]."""
         return self._episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
-        """The boxes before an episode begins, of an object that hovers."""
+        """Boxes before an episode, of an object at rest."""
         return BoxHistory.begun(detection.box, self._age(detection), self.method.num_boxes)
 
     def _measure(
@@ -348,7 +345,7 @@ class CatchEnv:
         boxes: BoxHistory,
         initial_object_pos: Float[Tensor, "num_envs 3"],
     ) -> Measurement:
-        """What the robot measures now, with the noise of its encoders."""
+        """The measurement, with the noise of the encoders."""
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
         joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
@@ -365,7 +362,6 @@ class CatchEnv:
         )
 
     def _observe(self) -> Observation:
-        """The inputs of all networks."""
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}

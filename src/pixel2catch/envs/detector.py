@@ -1,4 +1,4 @@
-"""The camera and what finds the object in its images: from the true state to a `Detection`."""
+"""From the true state to a `Detection`: the camera and the detector of the object in its images."""
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -16,32 +16,26 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
 class Detector(ABC):
-    """Looks at the object of every environment, once in every control step."""
+    """Detects the object of every environment, once in every control step."""
 
     @abstractmethod
     def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """What an image of this moment shows of the object, and whether it is found at all.
-
-        An episode that has just begun has made no step.
-        """
+        """Return the detection in an image of this moment, without errors of the sensors."""
 
     @abstractmethod
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """What the sensors make of it."""
+        """Return the detection with the errors of the sensors."""
 
 
 class ProjectedDetector(Detector):
     """Projects surface points instead of taking images, and adds the errors of the sensors."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
-        """Look into a world; the errors of every image come from the generator."""
+        """Detect in a world; the generator draws the errors of every image."""
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """See `Detector.look`.
-
-        Rays to hidden points start where the camera was calibrated: the rest changes little of what it hides.
-        """
+        """See `Detector.look`; rays start at the nominal camera."""
         cfg, camera = self._cfg, self._camera(episode)
         points, is_visible = self._world.surface_points(cfg.camera.camera)
         box, is_seen = detect(points, is_visible, cfg.least_visible, camera)
@@ -53,7 +47,7 @@ class ProjectedDetector(Detector):
         )
 
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """Noise, and the camera errors of the episode."""
+        """See `Detector.disturbed`: noise, and the camera errors of the episode."""
         cfg, wrong, box = self._cfg, episode.camera_errors, detection.box
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=box.device) - 1.0
         scale = 1.0 if wrong is None else wrong.noise_scale[:, None]
@@ -82,7 +76,7 @@ class ProjectedDetector(Detector):
         )
 
     def _camera(self, episode: Episode) -> Projection:
-        """The true camera, in the frame of the robot's base."""
+        """Return the true camera, in the frame of the robot's base."""
         nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
         camera = nominal if episode.camera_errors is None else episode.camera_errors.camera
         if episode.shake is None:

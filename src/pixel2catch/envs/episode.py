@@ -1,4 +1,4 @@
-"""What is drawn for an episode, and what becomes of it, environment by environment, on the device."""
+"""Draws and records of the episodes, per environment, on the device."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,7 +26,7 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
 REST_STEPS = HOLD_STEPS // 2
-"""Last control steps before a success in which robot and hold should have come to rest. Source: ours."""
+"""Last control steps before a success, in which robot and hold should be at rest. Source: ours."""
 
 
 class StepExtremes(NamedTuple):
@@ -45,11 +45,11 @@ class StepExtremes(NamedTuple):
     hand_torque_share: Float[Tensor, " num_envs"]
 
     def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
-        """The log without what happened in the masked environments."""
+        """Return the log, cleared in the masked environments."""
         return select(mask, StepExtremes(*(torch.zeros_like(value) for value in self)), self)
 
     def merged(self, other: "StepExtremes") -> "StepExtremes":
-        """Extremes of both: whether ever, and how much at most."""
+        """Return the extremes of both."""
         return StepExtremes(*(torch.maximum(a, b) for a, b in zip(self, other, strict=True)))
 
 
@@ -65,12 +65,12 @@ class EpisodeRecord:
     is_tracked: Bool[Tensor, " num_envs"]  #: Whether the palm reached the object (T.R.).
     is_success: Bool[Tensor, " num_envs"]  #: Whether it was held long enough (S.R.).
     is_palm_contact: Bool[Tensor, " num_envs"]  #: Whether a palm itself touched it.
-    is_hand_contact: Bool[Tensor, " num_envs"]  #: Whether any part of the hand did.
+    is_hand_contact: Bool[Tensor, " num_envs"]  #: Whether any part of the hand touched it.
     is_dropped: Bool[Tensor, " num_envs"]  #: Whether it fell or passed the robot.
     is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
     is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another one.
-    self_contact_steps: Int[Tensor, " num_envs"]  #: Control steps in which it did.
+    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another robot.
+    self_contact_steps: Int[Tensor, " num_envs"]  #: Control steps in which it touched itself.
     #: Height of the object at its first contact with the hand [m]; 0 before.
     contact_height: Float[Tensor, " num_envs"]
     contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
@@ -92,7 +92,7 @@ class EpisodeRecord:
 
     @classmethod
     def start(cls, object_id: Int[Tensor, " num_envs"], aim: Float[Tensor, "num_envs 3"]) -> "EpisodeRecord":
-        """Records of episodes that have just begun."""
+        """Return records of episodes that have just begun."""
         kept = {"object_id": object_id, "aim": aim}
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
         zero = aim.new_zeros(len(aim))
@@ -103,9 +103,9 @@ class EpisodeRecord:
     def advanced(
         self, transition: Transition, log: StepExtremes, arms: Columns, palms: Columns
     ) -> "EpisodeRecord":
-        """The records one control step later; `held_steps` and `steps` are those of the transition.
+        """Return the records one control step later.
 
-        `arms` are columns of their joints, `palms` those of the palms among what may touch the object.
+        `arms` are the columns of arm joints, `palms` those of palms in `StepExtremes.is_touching`.
         """
         touched, now = log.is_touching.any(dim=-1), transition.now
         first = touched & ~self.is_hand_contact
@@ -147,22 +147,19 @@ class EpisodeRecord:
     def _at_rest(
         self, mean: Float[Tensor, " num_envs"], value: Float[Tensor, " num_envs"], transition: Transition
     ) -> Float[Tensor, " num_envs"]:
-        """A mean over the last steps of a hold, one step later; a hold that fails has none.
-
-        It is the sum so far over the number of these steps; that of a success stays.
-        """
+        """Update a mean over the last steps of a hold; after a success it stays."""
         is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
         longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
         return torch.where(self.is_success, mean, longer)
 
 
 FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
-"""Why an episode without success failed: the palm never came near; it came near and was never touched again
-within three control steps; it was touched longer and fell; time ran out with the object still up."""
+"""Failures: no palm reached the object; contact of at most three control steps; longer contact, then a fall;
+time-out with the object still up."""
 
 
 def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
-    """Index into `FAILURES` of each episode; meaningless for a success."""
+    """Return the index into `FAILURES` of each episode; meaningless for a success."""
     lost = torch.where(record.contact_steps <= 3, 1, 2)
     reached = torch.where(record.is_dropped, lost, 3)
     return torch.where(record.is_tracked, reached, 0)
@@ -174,7 +171,7 @@ class Episode:
 
     parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
     throw: Throw  #: The throw, in the frame of the robot's base.
-    camera_errors: CameraErrors | None  #: None if nothing is ever wrong with the camera.
+    camera_errors: CameraErrors | None  #: None without camera errors in the task.
     shake: Shake | None  #: How the table shakes; none if it stands still.
     #: Control steps between a command and its effect; not always whole.
     command_delay: Float[Tensor, " num_envs"]
@@ -193,8 +190,8 @@ def draw_episode(
     """Draw an episode for every environment, on the generator's device.
 
     Each is of one of the task's variants, or of none, by their shares. `action_bias` is the standard
-    deviation of the error of each action that lasts an episode, `object_ids` is what may be thrown. What not
-    every task disturbs is drawn last, so that a seed throws the same with and without it.
+    deviation of the bias of each action, `object_ids` are the thrown objects. Optional disturbances are drawn
+    last, so that a seed throws the same without them.
     """
     has_air = any(each.randomization.air_density for each in cfg.all_variants)
     is_exact = all(is_camera_exact(each.sensing) for each in cfg.all_variants)
@@ -234,7 +231,7 @@ def draw_episode(
 def _command_delay(
     cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
 ) -> Float[Tensor, " num_envs"]:
-    """Nothing is drawn where all episodes have the same, so that a seed goes on as without a delay."""
+    """Draw the delays; equal ones are not drawn, so that a seed throws the same without a delay."""
     first, last = cfg.command_delay
     if first == last:
         return torch.full((num_envs,), float(first), device=generator.device)
@@ -243,17 +240,13 @@ def _command_delay(
 
 @cache
 def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[float, ...]:
-    """Of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
+    """Drag of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
     thrown = [each.scaled(scale) for each in objects]
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
 
 
 def drawn_parameters(episode: Episode) -> Float[Tensor, "num_envs k"]:
-    """The draws that a value depends on, scaled to the order of 1, and the progress of the episode.
-
-    With them a value network does not have to guess what makes one episode harder than another, which is
-    noise in the advantages otherwise. Source: ours: 1.5 to 7 points of S.R. in training on wide ranges.
-    """
+    """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
     parameters, throw, record = episode.parameters, episode.throw, episode.record
     columns = [
         parameters.mass_scale,

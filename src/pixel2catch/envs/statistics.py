@@ -1,4 +1,4 @@
-"""Sums over ended episodes, by object and by landing point, kept on the device until they are asked for."""
+"""Sums over ended episodes, by object and by landing point, on the device."""
 
 from collections.abc import Callable, Mapping
 
@@ -10,12 +10,12 @@ from pixel2catch.checks import Range
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
-"""Shares that are told as rates of the same names, besides the one of `is_tracked`."""
+"""Names of rates, besides `tracking_rate`."""
 
 SHARES = ("is_tracked", "is_hand_contact", "is_dropped", *(f"is_{name}" for name in RATES))
 SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
 SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "hold_palms", "peak_deceleration")
-"""What only a success has."""
+"""Sums over successes."""
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
 LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
@@ -28,7 +28,7 @@ def _of_one_process(values: Tensor) -> Tensor:
 
 
 class EpisodeStatistics:
-    """Sums over the episodes that have ended since the last look, and over the reward terms of every step."""
+    """Sums over ended episodes, and over the reward terms of every step, since the last `pop`."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class EpisodeStatistics:
         record: EpisodeRecord,
         reward_terms: Mapping[str, Float[Tensor, "num_envs _"]],
     ) -> None:
-        """Add a control step: its reward terms, and the records of the episodes that it ended."""
+        """Add the reward terms of a control step, and the records of episodes that it ended."""
         columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
         columns += [torch.where(record.is_success, getattr(record, name), 0.0) for name in SUCCESS_SUMS]
         modes = (failure(record)[:, None] == self._modes) & ~record.is_success[:, None]
@@ -79,9 +79,9 @@ class EpisodeStatistics:
         total: Callable[[Tensor], Tensor] = _of_one_process,
         largest: Callable[[Tensor], Tensor] = _of_one_process,
     ) -> dict[str, float]:
-        """Rates and means since the last call; NaN where nothing was counted. Waits for the device once.
+        """Return rates and means since the last call, NaN without episodes; wait for the device.
 
-        `total` adds up the sums of all processes that count, `largest` finds the largest of their maxima.
+        `total` adds the sums of all processes, `largest` takes the largest of their maxima.
         """
         buffers = (self._by_object, self._by_landing, self._rewards, self._maxima)
         *sums, maxima = (buffer.flatten() for buffer in buffers)

@@ -1,4 +1,4 @@
-"""The robot, the object and the camera in simulation: what `CatchEnv` acts on and reads from."""
+"""Robot, object and camera in simulation."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -32,13 +32,13 @@ from pixel2catch.workcells import find_workcell
 OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
 
 NUM_SURFACE_POINTS = 64
-"""Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
+"""Points on the object that the camera detects. Source: ours, see `benchmarks/box_error.py`."""
 
 MASS_POWER = {
     **dict.fromkeys(("body_mass", "body_subtreemass", "body_inertia", "dof_M0"), 1),
     **dict.fromkeys(("body_invweight0", "dof_invweight0"), -1),
 }
-"""How the object's model fields grow with its mass. All must follow, or flights and contacts go wrong."""
+"""Powers of the mass in the object's model fields."""
 
 
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.
@@ -73,10 +73,10 @@ class ContactColumns(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
-        """Find the columns; the sensors follow each other, two numbers each.
+        """Return the columns of sensors that follow each other, two numbers each.
 
         Raises:
-            ValueError: If the model's sensors are laid out otherwise.
+            ValueError: The model's sensors have another order.
         """
         names = [*contact_sensors(workcell)]
         addresses = [int(model.sensor(name).adr[0]) for name in names]
@@ -97,7 +97,7 @@ class ContactColumns(NamedTuple):
 
 
 class Occluders:
-    """Balls about the geoms of the robot and about the objects, and all that is under the table's top."""
+    """Bounding balls of the robot's geoms and of the objects, and the table's top."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class Occluders:
         groups: tuple[int, ...],
         surface: Float[Tensor, "num_objects num_points 3"],
     ) -> None:
-        """Take over geoms of some groups from a model, and points on every object about its centre [m]."""
+        """Read geoms of some groups from a model; points on every object are about its centre [m]."""
         surroundings = [model.geom(name).id for name in ("floor", "table")]
         is_ball = np.isin(model.geom_group, groups)
         is_ball[surroundings] = False
@@ -122,10 +122,10 @@ class Occluders:
         object_id: Int[Tensor, " num_envs"],
         geom_pos: Float[Tensor, "num_envs num_geoms 3"],
     ) -> Bool[Tensor, " num_envs"]:
-        """Whether anything may hide a part of an object from a camera; where not, nothing does.
+        """Return whether anything may hide a part of an object from a camera; False is certain.
 
-        No way from the camera to a point of its ball is anywhere further from that to its centre than by the
-        ball's radius. Camera, centre and geoms are in the world frame [m].
+        Rays to points of the object's ball stay within its radius of the ray to its centre. Camera, centre
+        and geoms are in the world frame [m].
         """
         radius = self._object_radius[object_id]
         way, offset = (center - origin).T[..., None], (geom_pos - origin).movedim(-1, 0).contiguous()
@@ -139,14 +139,13 @@ class Occluders:
 class CatchWorld:
     """`num_envs` robots, each with an object that hovers, flies and lands.
 
-    Everything read from it is float32; the simulation keeps its own precision, and is made current by its
-    `forward` after `reset` and `release`.
+    Values read from it are float32. Call `simulation.forward` after `reset` and `release`.
     """
 
     def __init__(
         self, scene: SceneCfg, dynamics: JointDynamics | None, *, num_envs: int, device: str
     ) -> None:
-        """Build the model and its copies; joints that are not among `dynamics` are nominal."""
+        """Build the model and its copies; joints without `dynamics` are nominal."""
         workcell = find_workcell(scene.workcell)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
@@ -205,11 +204,11 @@ class CatchWorld:
 
     @property
     def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
-        """True joint positions [rad]."""
+        """Return the true joint positions [rad]."""
         return _snapshot(self._fields.qpos[:, : self._num_joints])
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
-        """Put the masked robots at their start, with new dynamics, and let a new object hover."""
+        """Set the masked robots to their start, with new dynamics and a new hovering object."""
         self._set_object(mask, parameters)
         joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
         fields = self._fields
@@ -224,11 +223,10 @@ class CatchWorld:
         write(mask, weight, lift)
 
     def release(self, mask: Bool[Tensor, " num_envs"], throw: Throw) -> None:
-        """Let the masked objects fly as they are thrown; nothing carries them any longer.
+        """Throw the masked objects.
 
-        The physics steps first change the speed and then move by the new one, which makes a path fall short
-        by half a step of gravity; the release makes up for it, so that throws land where they are aimed at
-        any rate.
+        Half a step of gravity is added to the speed, because the integrator moves by the speed at the end of
+        a step: throws then land alike at any physics rate.
         """
         velocity = self._fields.qvel[:, self._num_joints :]
         start = torch.cat((throw.lin_vel, throw.ang_vel), dim=-1).to(velocity)
@@ -243,13 +241,13 @@ class CatchWorld:
         drag: Float[Tensor, " num_envs"] | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
-        """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
+        """Simulate one control step; commands ramp linearly to the target (first-order hold).
 
         Args:
-            joint_pos_target: Where the joints shall be at its end [rad].
-            base_acceleration: Acceleration of a base that shakes in the middle of each physics step [m/s²].
+            joint_pos_target: Joint targets at its end [rad].
+            base_acceleration: Acceleration of a shaking base in the middle of each physics step [m/s²].
             drag: Deceleration of the object by air over the square of its speed [1/m].
-            num_steps: Physics steps, if not those of a control step.
+            num_steps: Physics steps. Default: those of a control step.
         """
         num_steps = num_steps or self._decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)
@@ -268,10 +266,7 @@ class CatchWorld:
         acceleration: Float[Tensor, "num_envs 3"] | None,
         drag: Float[Tensor, " num_envs"] | None,
     ) -> None:
-        """Apply the force that accelerates a free object so [m/s²], and that of the air.
-
-        Air slows it against its velocity, by what its mean face feels; that it tumbles is neglected.
-        """
+        """Apply the force of an acceleration [m/s²] and of the air to the object; tumbling is neglected."""
         force = self._fields.qfrc_applied[:, self._linear]
         total = torch.zeros_like(force) if acceleration is None else acceleration.to(force)
         if drag is not None:
@@ -282,11 +277,11 @@ class CatchWorld:
         force.copy_(mass[:, None] * total)
 
     def quiet_log(self) -> StepExtremes:
-        """The log of a control step in which nothing was touched."""
+        """Return the log of a control step without contacts."""
         return self._read_log().cleared(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
     def privileged(self, log: StepExtremes) -> Privileged:
-        """What only the simulator knows, now; contacts since the last control step come from its log."""
+        """Return the true state, with the contacts of a control step from its log."""
         fields = self._fields
         return Privileged(
             palm_pos=torch.stack([fields.site_xpos[:, palm] for palm in self._palms], dim=1).float(),
@@ -311,13 +306,13 @@ class CatchWorld:
     def surface_points(
         self, camera: CameraSpec = RGB_CAMERA
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
+        """Return surface points of the object, world frame [m], and which of them nothing hides."""
         pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
         points = torch.baddbmm(
             pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
         )
         may_hide = None
-        if self.device.type == "cpu":  # others cast all rays at once
+        if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
             may_hide = self._occluders.may_hide(camera_center(camera, points), pos, self._object_id, geoms)
         directions = ray_directions(camera, points).to(self.simulation.dtype)
@@ -326,7 +321,7 @@ class CatchWorld:
         return points, is_unoccluded(hit)
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
-        """Shape, inertia and contact of the object."""
+        """Set shape, inertia and contact of the object."""
         write(mask, parameters.object_id, self._object_id)
         rows = self.objects.indices.rows
         for name, table in self._table.items():
@@ -368,12 +363,12 @@ class CatchWorld:
 
 
 def _snapshot(live: Tensor) -> Tensor:
-    """A float32 copy: where the simulation is float32 itself, a cast alone would follow the simulation."""
+    """A float32 copy; a cast alone would be a view of a float32 simulation."""
     return live.to(torch.float32, copy=True)
 
 
 def rotation_matrix(quat: Float[Tensor, "num_envs 4"]) -> Float[Tensor, "num_envs 3 3"]:
-    """Rotations of quaternions (w, x, y, z) of length 1."""
+    """Return the rotations of unit quaternions (w, x, y, z)."""
     w, x, y, z = quat.unbind(dim=-1)
     rows = (
         *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),

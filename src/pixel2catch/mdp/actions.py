@@ -1,7 +1,7 @@
-"""From actions in [-1, 1] to joint position targets: one affine map for arm and hand, with other numbers.
+"""From actions in [-1, 1] to joint position targets, by one affine map for arm and hand.
 
-Arm: the action is added to the measured joint position (paper, Sec. IV-D). Hand: the action, rescaled to the
-joint limits, is the target.
+Arm: the scaled action is added to the measured joint position. Hand: the action, rescaled to the joint
+limits, is the target. Source: paper, Sec. IV-D.
 """
 
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ class JointCommand:
 
 
 def relative_command(joint: JointSpec) -> JointCommand:
-    """Targets relative to the measured position; action 1 is the joint's speed limit in steady motion.
+    """Return targets relative to the measured position; action 1 is the speed limit in steady motion.
 
-    A servo with stiffness k and damping d, heavily damped, moves at k / d times the distance of its command.
-    The target is reached by a ramp over the control step T, so at a steady speed v it is v (d / k + T) ahead.
+    A heavily damped servo with stiffness k and damping d moves at k / d times the distance of its command.
+    The command ramps over the control step T, so at a steady speed v the target is v (d / k + T) ahead.
 
     Source: paper (added to the current joint positions); the scale is ours: the paper gives none.
     Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps.
@@ -39,14 +39,14 @@ def relative_command(joint: JointSpec) -> JointCommand:
 
 
 def absolute_command(joint: JointSpec) -> JointCommand:
-    """Targets over the whole range of the joint. Source: paper, Sec. IV-D."""
+    """Return targets over the whole range of the joint. Source: paper, Sec. IV-D."""
     middle, half_range = (joint.upper + joint.lower) / 2, (joint.upper - joint.lower) / 2
     return JointCommand(anchor=0.0, offset=middle, scale=half_range, lower=joint.lower, upper=joint.upper)
 
 
 @dataclass(frozen=True)
 class ActionMap:
-    """The commands of all joints as rows of a tensor, ready for many environments at once."""
+    """The commands of all joints as rows of a tensor."""
 
     table: Float[Tensor, "5 num_joints"]  #: anchor, offset, scale, lower and upper, one row each.
 
@@ -59,7 +59,7 @@ class ActionMap:
     def joint_pos_target(
         self, action: Float[Tensor, "num_envs num_joints"], joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """Joint targets [rad] of actions, which are clipped to [-1, 1]."""
+        """Return joint targets [rad] of actions, which are clipped to [-1, 1]."""
         anchor, offset, scale, lower, upper = self.table
         target = anchor * joint_pos + offset + scale * action.clamp(-1.0, 1.0)
         return torch.clamp(target, lower, upper)

@@ -1,7 +1,7 @@
-"""What is wrong with the camera of an episode: its pose, its boxes, the images that are missing.
+"""Errors of the camera in an episode: of its pose, its boxes, its stamps, and missing images.
 
-Source: ours; with the defaults of `SensingCfg` nothing is. A calibrated camera differs from episode to
-episode as far as its calibration leaves it open.
+Source: ours; the defaults of `SensingCfg` have none. A calibrated camera is drawn for each episode within the
+uncertainty of its calibration.
 """
 
 from dataclasses import dataclass
@@ -21,38 +21,38 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 class CameraErrors:
     """The draws of one episode in each environment."""
 
-    camera: Projection  #: The true camera; a tracker assumes the one that it was drawn about.
+    camera: Projection  #: The true camera; trackers assume the nominal one.
     box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
     noise_scale: Float[Tensor, " num_envs"]  #: Factor on the noise of every edge.
     drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
-    blackout_start: Int[Tensor, " num_envs"]  #: Control step of the episode at which the images fail.
-    blackout_steps: Int[Tensor, " num_envs"]  #: Control steps for which they do.
-    image_period: Float[Tensor, " num_envs"]  #: Control steps from one image that is looked at to the next.
-    clock_error: Float[Tensor, " num_envs"]  #: What the stamps make every box appear older [control steps].
-    #: Standard deviation of such an error of each image [control steps].
+    blackout_start: Int[Tensor, " num_envs"]  #: Control step of the first missing image.
+    blackout_steps: Int[Tensor, " num_envs"]  #: Control steps without images.
+    image_period: Float[Tensor, " num_envs"]  #: Control steps between images that are processed.
+    clock_error: Float[Tensor, " num_envs"]  #: Error of the age of every box, by its stamp [control steps].
+    #: Standard deviation of a further error of each image [control steps].
     stamp_jitter: Float[Tensor, " num_envs"]
     is_stamped: Bool[Tensor, " num_envs"]  #: Whether images have stamps.
 
     def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
-        """Whether there is no image after so many control steps of the episode."""
+        """Return whether an image is missing after this many control steps of the episode."""
         return (steps >= self.blackout_start) & (steps < self.blackout_start + self.blackout_steps)
 
     def is_looked_at(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
-        """Whether the image after so many control steps of the episode is looked at at all."""
+        """Return whether the image after this many control steps of the episode is processed."""
         count, before = steps / self.image_period, (steps - 1) / self.image_period
         return count.floor() > before.floor()
 
     def age_error(
         self, latency: Float[Tensor, " num_envs"], generator: torch.Generator
     ) -> Float[Tensor, " num_envs"]:
-        """What the stamp of an image makes its box appear older [control steps]."""
+        """Return the error of the age of a box, by the stamp of its image [control steps]."""
         jitter = torch.randn(len(latency), generator=generator, device=latency.device)
         error = self.clock_error + self.stamp_jitter * jitter
         return torch.where(self.is_stamped, error, ASSUMED_AGE - latency)
 
 
 def is_camera_exact(cfg: SensingCfg) -> bool:
-    """Whether nothing can be wrong with the camera but the noise of training."""
+    """Return whether the camera has no errors besides the noise of training."""
     errors = (
         *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
         *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
@@ -63,7 +63,7 @@ def is_camera_exact(cfg: SensingCfg) -> bool:
 
 
 def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
-    """Draw what is wrong, on the generator's device."""
+    """Draw the errors of an episode for each environment, on the generator's device."""
     is_uncertain = any((*cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
     num_envs = len(throw.pos)
     offset, turn = (random_directions(num_envs, generator) for _ in range(2))
@@ -98,7 +98,7 @@ def _sign(chance: Float[Tensor, " num_envs"]) -> Float[Tensor, " num_envs"]:
 
 
 def scaled_box(box: Float[Tensor, "num_envs 4"], factor: float) -> Float[Tensor, "num_envs 4"]:
-    """Boxes [px], larger by a factor about their centres."""
+    """Return boxes [px], scaled by a factor about their centres."""
     center = 0.5 * (box[:, :2] + box[:, 2:])
     half_size = 0.5 * factor * (box[:, 2:] - box[:, :2])
     return torch.cat((center - half_size, center + half_size), dim=-1)
@@ -110,10 +110,10 @@ def tracked_position(
     object_pos: Float[Tensor, "num_envs 3"],
     shift: Float[Tensor, "num_envs 2"],
 ) -> Float[Tensor, "num_envs 3"]:
-    """Where a depth camera's tracker takes the object to be, world frame [m].
+    """Return the position that a depth camera's tracker reports, world frame [m].
 
-    The true camera sees the object's centre; the tracker's pixel is off by `shift` [px]; what it reports is
-    that pixel at the true depth, seen by the camera that it assumes.
+    The true camera sees the object's centre. The tracker's pixel has the error `shift` [px]; it is projected
+    back at the true depth by the assumed camera.
     """
     pixels, depth = camera.pixels(object_pos[:, None])
     return back_project(assumed, pixels[:, 0] + shift, depth[:, 0])

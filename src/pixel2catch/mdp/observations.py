@@ -1,4 +1,4 @@
-"""Observation terms: pure functions of a frame. The robot in the laboratory runs these very functions.
+"""Observation terms: pure functions of a frame, the same in training and on the robot.
 
 An agent's observation is its terms on two consecutive frames, oldest first (paper, Sec. IV-C).
 """
@@ -21,7 +21,7 @@ from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationInputs:
-    """One control step as an agent sees it."""
+    """What observation terms read of one control step, for one agent."""
 
     before: Measurement  #: The measurement one control step earlier.
     now: Measurement  #: The measurement.
@@ -34,18 +34,18 @@ ObservationTerm = Callable[[ObservationInputs], Float[Tensor, "num_envs k"]]
 
 
 def pixels(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """The method's pixel features z. Source: paper, Eq. 1."""
+    """Return the method's pixel features z. Source: paper, Eq. 1."""
     features = pixel_features(frame.before.box, frame.now.box, RGB_CAMERA)
     return torch.stack([features[:, column] for column in frame.pixel_columns], dim=-1)
 
 
 def object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 6"]:
-    """Position of the object and its change since the step before, world frame [m]. Source: ours (oracle)."""
+    """Return the object's position and its change in a step, world frame [m]. Source: ours (oracle)."""
     return torch.cat((frame.now.object_pos, frame.now.object_pos - frame.before.object_pos), dim=-1)
 
 
 def object_extent(frame: ObservationInputs) -> Float[Tensor, "num_envs 2"]:
-    """Width and height of the box at the object's distance [m]. Source: ours (oracle that knows sizes)."""
+    """Return width and height of the box at the object's distance [m]. Source: ours (oracle)."""
     box, place = frame.now.box, frame.now.object_pos[:, None]
     _, depth = nominal_projection(RGB_CAMERA, place).pixels(place)
     focal = constant((RGB_CAMERA.fx, RGB_CAMERA.fy), box.device)
@@ -53,46 +53,43 @@ def object_extent(frame: ObservationInputs) -> Float[Tensor, "num_envs 2"]:
 
 
 def initial_object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
-    """Where the object was when the episode began, world frame [m]. Source: paper, Sec. V-A (w/o-PF)."""
+    """Return the object's first position of the episode [m]. Source: paper, Sec. V-A (w/o-PF)."""
     return frame.now.initial_object_pos
 
 
 def palm_pose(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """Position [m] and orientation (w, x, y, z) of the agent's palms (world). Source: paper, Sec. IV-C."""
+    """Return position [m] and orientation (w, x, y, z) of the agent's palms. Source: paper, Sec. IV-C."""
     pose = torch.cat((frame.now.palm_pos, frame.now.palm_quat), dim=-1)
     return take(pose, frame.palms).flatten(1)
 
 
 def joint_pos(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """The agent's joint positions [rad]. Source: paper, Sec. IV-C."""
+    """Return the agent's joint positions [rad]. Source: paper, Sec. IV-C."""
     return take(frame.now.joint_pos, frame.joints)
 
 
 def last_action(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """The agent's last action. Source: paper, Sec. IV-C."""
+    """Return the agent's last action. Source: paper, Sec. IV-C."""
     return take(frame.now.action, frame.joints)
 
 
 def palm_displacement(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """Movement of the palms since the step before [m]. Source: release (always zero there by a slip)."""
+    """Return the movement of the palms in a step [m]. Source: release (always zero there by mistake)."""
     return take(frame.now.palm_pos - frame.before.palm_pos, frame.palms).flatten(1)
 
 
 def joint_pos_target(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """The agent's joint targets [rad]. Source: release."""
+    """Return the agent's joint targets [rad]. Source: release."""
     return take(frame.now.joint_pos_target, frame.joints)
 
 
 def box_age(frame: ObservationInputs) -> Float[Tensor, "num_envs 1"]:
-    """Age of the newest measured box, by its stamp [control steps]. Source: ours."""
+    """Return the age of the newest measured box, by its stamp [control steps]. Source: ours."""
     return frame.now.boxes.age[:, :1]
 
 
 def box_track(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """The remembered boxes: centre and size of the newest [100 px], speeds between boxes [px/step], ages.
-
-    Source: ours.
-    """
+    """Return centre and size of the newest box [100 px], speeds between boxes [px/step], and ages (ours)."""
     box, age = frame.now.boxes.box, frame.now.boxes.age
     what = torch.cat((0.5 * (box[..., :2] + box[..., 2:]), box[..., 2:] - box[..., :2]), dim=-1)
     gap = (age[:, 1:] - age[:, :-1]).clamp(min=0.5)
@@ -101,9 +98,9 @@ def box_track(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
 
 
 def box_fit(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
-    """Path and growth of the box, fitted to the remembered boxes and carried on to the present.
+    """Return path and growth of the box, fitted to recent boxes and extrapolated to the present.
 
-    A method that does not see the centre of the box, or not its size, does not see what is fitted to it.
+    Features that need the centre or the size of the box are left out where the method does not observe it.
     Source: ours, see `fit_boxes`.
     """
     features = fit_boxes(frame.now.boxes.box, frame.now.boxes.age, RGB_CAMERA)
@@ -115,14 +112,14 @@ def box_fit(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
 
 @cache
 def _fit_columns(pixel_columns: tuple[int, ...]) -> tuple[int, ...]:
-    """Columns of `box_fit` that follow from what of a box is seen."""
+    """Columns of `box_fit` for methods with these pixel features."""
     seen = {PIXEL_FEATURES[column].lstrip("d") for column in pixel_columns}
     names = enumerate(BOX_FIT_FEATURES)
     return tuple(column for column, name in names if _is_fit_seen(name, seen))
 
 
 def _is_fit_seen(name: str, seen: set[str]) -> bool:
-    """Whether a feature of the fit follows from what of a box is seen: its centre, its size or both."""
+    """Whether a feature of the fit follows from the observed centre, size or both."""
     what = name.removesuffix("_short").removesuffix("_long")
     needs_size = what.startswith("far") or what in ("size", "growth")
     needs_center = what not in ("age", "size", "growth", "far", "far_growth")
@@ -136,7 +133,7 @@ JOURNAL_TERMS: tuple[ObservationTerm, ...] = (*PAPER_TERMS, palm_displacement, j
 
 
 def pixel_columns(names: tuple[str, ...]) -> tuple[int, ...]:
-    """Columns of named pixel features."""
+    """Return the columns of named pixel features."""
     return tuple(PIXEL_FEATURES.index(name) for name in names)
 
 
@@ -174,7 +171,7 @@ def observe(
 
 
 def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_envs k"]:
-    """What the value networks see besides the observations.
+    """Return the input of the value networks besides the observations.
 
     Source: paper (object position, two frames); release (object displacement, object - palm).
     """
@@ -192,10 +189,10 @@ def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_
     )
 
 
-NUM_BOXES = 16  #: Boxes that `box_fit` is made for. Source: ours, see there.
+NUM_BOXES = 16  #: Boxes that `fit_boxes` takes. Source: ours, `benchmarks/sight_information.py`.
 
 TIME_CONSTANTS = (3.0, 8.0)
-"""Time constants of the weights of the two fits [control steps]. Source: ours, see `box_fit`."""
+"""Time constants of the weights of the two fits [control steps]. Source: ours, as above."""
 
 STEPS_PER_SECOND = 30.0  #: Control steps in a second, for the units of the features. Source: release.
 
@@ -208,21 +205,20 @@ PIXEL_NOISE = 3.0
 """Unit of the residuals [px]. Source: ours; an edge that is up to 5 px off has a deviation of 2.9 px."""
 
 LONGEST_EXTRAPOLATION = 8.0
-"""Age of the newest box beyond which the fits wait where they are [control steps]. Source: ours, the longest
-latency and four missing boxes; noise of the curvature would carry them out of the image."""
+"""Longest time of extrapolation [control steps]. Source: ours, the longest latency and four missing boxes."""
 
-BOUND = 10.0  #: Features end here. Source: ours, several times what a flight reaches.
-MOST_FAR = 4.0  #: Largest distance by size [that of TYPICAL_SIZE]. Source: ours, smaller boxes are noise.
+BOUND = 10.0  #: Largest absolute value of a feature. Source: ours, several times that of a flight.
+MOST_FAR = 4.0  #: Largest distance [that of a box of TYPICAL_SIZE]. Source: ours, smaller boxes are noise.
 
 SPREAD_FLOOR = 1e-4
 """Variance of normalised time below which a slope fades to 0. Source: ours; boxes a step apart have 1."""
 
 FIT_FEATURES = ("u", "v", "du", "dv", "ddu", "ddv", "size", "growth", "residual")
 """Features of one fit, at age 0: centre from the optical axis [focal lengths], speed [1/s], half of the
-acceleration [1/s²], logarithm of the size, its growth [1/s], and what the fit of the centre leaves."""
+acceleration [1/s²], logarithm of the size, its growth [1/s], and the residual of the centre."""
 
 SCALED_FEATURES = ("far", "far_u", "far_v", "far_du", "far_dv", "far_growth")
-"""TYPICAL_SIZE over the size, which is as the distance, and its products with features of the long fit."""
+"""TYPICAL_SIZE over the size, as the distance, and its products with features of the long fit."""
 
 BOX_FIT_FEATURES = (
     *(f"{name}_short" for name in FIT_FEATURES),
@@ -236,20 +232,17 @@ BOX_FIT_FEATURES = (
 def fit_boxes(
     box: Float[Tensor, "num_envs num_boxes 4"], age: Float[Tensor, "num_envs num_boxes"], camera: CameraSpec
 ) -> Float[Tensor, "num_envs k"]:
-    """Fit the last boxes against time with a short and a long memory, and extrapolate to now.
+    """Return `BOX_FIT_FEATURES`: fits of recent boxes against time, extrapolated to the present.
 
-    Centres follow a parabola, logarithms of sizes a line. A box weighs exp(-(its age - the newest age) /
-    memory), so that the short fit soon forgets how the object rested before its flight, and the long fit's
-    residual tells whether it has. Extrapolation to age 0 makes up for latency and for missing boxes.
+    Centres follow a parabola, logarithms of sizes a line. A box weighs exp(-(its age - the newest age) / T),
+    once with a short and once with a long time constant T. Equal ages give no slope.
 
-    Boxes (xmin, ymin, xmax, ymax) are newest first [px], ages in control steps; equal ages give no slope
-    rather than an error. The camera's axis and focal lengths make pixels into directions. Returned are
-    `BOX_FIT_FEATURES`, of order 1.
+    Args:
+        box: Boxes (xmin, ymin, xmax, ymax), newest first [px].
+        age: Their ages [control steps].
+        camera: Its axis and focal lengths turn pixels into directions.
 
-    Source: ours, `benchmarks/sight_information.py`: 0.08 s before a practised thrower's throw comes down, the
-    same network after 900 gradient steps errs by 10.6 cm with these features, by 14.2 cm with 8 raw boxes and
-    ages, by 12.3 cm with their differences. Windows of 12 or 24 boxes and memories of 4 and 20 steps change
-    the mean over all moments and throws by 0.2 cm.
+    Source: ours, `benchmarks/sight_information.py`.
     """
     lower, upper = box[..., :2], box[..., 2:]
     center, size = (lower + upper) / 2.0, (upper - lower).mean(dim=-1).clamp(min=LEAST_SIZE)
@@ -271,12 +264,12 @@ def _fit_features(
     memory: float,
     camera: CameraSpec,
 ) -> Float[Tensor, "num_envs 9"]:
-    """`FIT_FEATURES` of the fit with this memory [control steps]."""
+    """`FIT_FEATURES` of the fit with this time constant [control steps]."""
     weight = torch.softmax(-age / memory, dim=-1)[..., None]
     time = (age[:, :1] - age)[..., None] / memory  # the newest box is at 0
     middle = (weight * time).sum(dim=1, keepdim=True)
     ahead = (age[:, :1] / memory).clamp(max=LONGEST_EXTRAPOLATION / memory)[..., None] - middle
-    # 1, t - a and (t - a)² - b (t - a) - c are orthogonal under the weights: no equations are left to solve.
+    # 1, t - a and (t - a)² - b (t - a) - c are orthogonal under the weights.
     linear = time - middle
     square = linear.square()
     skew = _slope(square, linear, weight)

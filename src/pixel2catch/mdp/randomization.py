@@ -1,4 +1,4 @@
-"""What differs from episode to episode: the object, the dynamics, biases and the latency of the camera.
+"""What is drawn for each episode: the object, the dynamics, biases and the latency of the camera.
 
 Source: paper, Table I; release (object friction, biases).
 """
@@ -27,7 +27,7 @@ class RandomizationCfg:
     gains: GainRanges = field(default_factory=GainRanges)  #: Factors on stiffness and damping of each joint.
     #: Factor on the noise of the actions of each joint group.
     action_noise: Annotated[float, Within(0.0, 50.0)] = 1.0
-    action_bias: Annotated[float, Within(0.0, 50.0)] = 1.0  #: Factor on their errors that last an episode.
+    action_bias: Annotated[float, Within(0.0, 50.0)] = 1.0  #: Factor on their bias in an episode.
     #: Largest deviation of each joint from its start position [rad].
     initial_joint_noise: Annotated[float, Within(0.0, 1.0)] = 0.125
     mass_scale: Annotated[Range, Within(0.01, 100.0)] = (
@@ -38,14 +38,13 @@ class RandomizationCfg:
     restitution: Annotated[Range, Within(0.0, 1.0)] = (0.0, 0.5)
     #: Sliding friction of contacts with the object (release).
     friction: Annotated[Range, Within(0.0, 5.0)] = (0.5, 1.5)
-    #: Share of a penetration of the object that a physics step removes: how stiff contacts are (ours).
+    #: Share of a penetration of the object that a physics step removes: stiffness of contacts (ours).
     push_out: Annotated[Amount, Within(0.01, 1.0)] = PUSH_OUT
-    #: Control steps between a command and its effect, first and last of the draw per episode (ours; the
-    #: paper's training has none).
+    #: Control steps between a command and its effect, drawn for each episode (ours; paper: none).
     command_delay: Annotated[Range, Within(0.0, 30.0)] = (0, 0)
-    #: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
+    #: Difference of neighbouring delays [control steps]; 0 draws any.
     command_delay_grid: Annotated[float, Within(0.0, 30.0)] = 1.0
-    #: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training, 1.2 is real.
+    #: Density of the air that slows the object [kg/m³]; paper: 0, at sea level: 1.2.
     air_density: Annotated[Amount, Within(0.0, 10.0)] = 0.0
 
 
@@ -77,8 +76,8 @@ def sample_parameters(
 ) -> EpisodeParameters:
     """Draw the parameters of one episode per environment, on the generator's device.
 
-    The gains of `cfg` have an entry for each joint; `action_bias` is the standard deviation of the error of
-    each action that lasts an episode.
+    The gains of `cfg` have an entry for each joint; `action_bias` is the standard deviation of the bias of
+    each action.
     """
     device, num_joints = generator.device, len(action_bias)
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
@@ -108,7 +107,7 @@ def sample_delay(
 ) -> Float[Tensor, " num_envs"]:
     """Draw a delay for every episode, on the generator's device [control steps].
 
-    Delays from the first limit to the last, `grid` apart, are all as likely; a grid of 0 draws any.
+    Delays from the first limit to the last, `grid` apart, are equally likely; a grid of 0 draws any.
     """
     if not grid:
         return uniform((limits,), num_envs, generator)[:, 0]
@@ -118,6 +117,6 @@ def sample_delay(
 
 
 def by_joint(workcell: WorkcellSpec, name: str, device: torch.device) -> Float[Tensor, " num_joints"]:
-    """A number of the joint groups for each of their joints, in joint order."""
+    """Return a number of the joint groups for each of their joints, in joint order."""
     values = [getattr(group, name) for group in workcell.groups for _ in group.joints]
     return torch.tensor(values, dtype=torch.float32, device=device)

@@ -1,7 +1,4 @@
-"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the camera, latency.
-
-Training and evaluation in simulation only: on the robot the sensors themselves do this.
-"""
+"""From the true state to what sensors measure, in simulation: occlusion, noise, latency."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -30,11 +27,9 @@ class SensingCfg:
 
     #: Largest error of each edge of the box, uniform [px] (Source: paper).
     corner_noise: Pixels = 5.0
-    #: Control steps between image and delivered box, first and last of the draw per episode (Source:
-    #: release).
+    #: Control steps between image and delivered box, drawn for each episode (Source: release).
     latency_steps: Annotated[Range, Within(0.0, 60.0)] = (1, 2)
-    #: Difference of neighbouring latencies that are drawn [control steps] (Source: release, whole steps); 0
-    #: draws any, as there are outside a simulation.
+    #: Difference of neighbouring latencies [control steps] (Source: release, whole steps); 0 draws any.
     latency_grid: Annotated[float, Within(0.0, 60.0)] = 1.0
     #: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
     joint_noise: Annotated[float, Within(0.0, 0.5)] = 0.005
@@ -43,12 +38,11 @@ class SensingCfg:
     #: Share of the object's surface points that must be visible for a detection (Source: ours, see
     #: `benchmarks/box_error.py`).
     least_visible: Share = 0.05
-    #: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn within that.
-    #: The default is the release's, known exactly.
+    #: The camera and its uncertainty: the true camera of each episode is drawn within that. Default: the
+    #: release's, known exactly.
     camera: CameraFile = RELEASE_CAMERA
-    #: Distance of the true camera from that one, in a random direction [m]. This and what follows is nothing
-    #: in the paper's training (Source: ours; values with their sources are in `envs.tasks` and
-    #: `evaluation.stress.suite`).
+    #: Distance of the true camera from that one, in a random direction [m]. The paper's training has neither
+    #: this error nor those below (ours; values with sources: `envs.tasks`, `evaluation.stress.suite`).
     camera_offset: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Angle between the two, about a random axis [rad].
     camera_turn: Annotated[Amount, Within(0.0, 0.8)] = 0.0
@@ -65,51 +59,49 @@ class SensingCfg:
     drop_rate: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Control steps of each flight, at a random time, without any image.
     blackout_steps: Annotated[Amount, Within(0.0, 300.0)] = 0
-    #: Control steps from one image that is looked at to the next, at least 1: perception that takes 60 ms
-    #: looks at every second.
+    #: Control steps between images that are processed: 2 if perception takes 60 ms.
     image_period: Annotated[Amount, Within(1.0, 100.0)] = 1.0
-    #: How far the stamps of all images of an episode are off, early or late [s].
+    #: Error of the stamps of all images of an episode, early or late [s].
     clock_error: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Standard deviation of the error of each stamp [s].
     stamp_jitter: Annotated[Amount, Within(0.0, 1.0)] = 0.0
-    #: Share of the episodes whose images have no stamps: their age is then taken for `ASSUMED_AGE`.
+    #: Share of the episodes whose images have no stamps; `ASSUMED_AGE` is then used.
     unstamped: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a camera whose pixels mean something else to a policy."""
+        """Refuse a camera of another resolution than that of policies."""
         camera = self.camera.camera
         if (camera.width, camera.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
             raise InvalidValueError(
-                f"the camera takes images of {camera.width} x {camera.height} pixels, but policies look at "
-                f"{RGB_CAMERA.width} x {RGB_CAMERA.height}: set it to that resolution and calibrate again."
+                f"the camera has {camera.width} x {camera.height} pixels; policies need "
+                f"{RGB_CAMERA.width} x {RGB_CAMERA.height}: set that resolution and calibrate again."
             )
 
 
 ASSUMED_AGE = 1.5
-"""Age of a box without a stamp when it arrives [control steps]. Source: release, mean of its latencies."""
+"""Assumed age of a box without a stamp [control steps]. Source: release, mean of its latencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
-    """What is known of the object from one image."""
+    """The object in one image."""
 
     box: Float[Tensor, "num_envs 4"]  #: Its bounding box [px].
     object_pos: Float[Tensor, "num_envs 3"]  #: Its position by a tracker, world frame [m].
-    #: Whether it was found in that image; if not, box and position are of the last one in which it was.
+    #: Whether it was found in that image; else box and position are those of the last detection.
     is_seen: Bool[Tensor, " num_envs"]
-    stale: Float[Tensor, " num_envs"]  #: Control steps since that one.
-    age_error: Float[Tensor, " num_envs"]  #: What its stamp makes its age appear larger [control steps].
+    stale: Float[Tensor, " num_envs"]  #: Control steps since that detection.
+    age_error: Float[Tensor, " num_envs"]  #: Error of its age by the stamp [control steps].
 
     def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
-        """This detection where the object is seen, else the previous one, a control step older."""
+        """Return this detection where the object is seen, else the previous one, a control step older."""
         later = replace(previous, is_seen=torch.zeros_like(is_seen), stale=previous.stale + 1.0)
         return select(is_seen, self, later)
 
     def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
-        """What an image shows that was taken some time before this one, 0 to 1 [control steps].
+        """Return the detection some time before this one, 0 to 1 [control steps], by linear interpolation.
 
-        The previous one was taken a control step before this one. An object's box moves almost linearly
-        meanwhile: in free flight the error is under 0.6 px.
+        The previous detection is one control step older.
         """
         share = time[:, None]
         return replace(
@@ -126,10 +118,13 @@ def detect(
     least_visible: float,
     camera: Projection | None = None,
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Box of the visible surface points, world frame [m], and whether enough are visible for a detection.
+    """Return the box of the visible surface points [px], and whether enough of them are visible.
 
-    `is_visible` is where nothing hides them, `least_visible` the share that must be visible and in the image.
-    Without a camera the nominal one looks.
+    Args:
+        points: Surface points, world frame [m].
+        is_visible: Which of them nothing hides.
+        least_visible: Share that must be visible and in the image.
+        camera: The camera. Default: the release's.
     """
     camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)

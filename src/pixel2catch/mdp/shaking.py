@@ -1,9 +1,8 @@
 """A table that shakes, in the frame of the robot that stands on it.
 
-The robot's base moves by b(t) = A d sin(2 pi f t + phase) with d a random direction. In the frame of the base
-the free object feels the fictitious force -m b''(t), and whatever stands on the floor, camera and thrower,
-moves by -b(t). The servos hold the robot; its own inertial load is neglected.
-Source: ours, for tests of policies.
+The robot's base moves by b(t) = A d sin(2 pi f t + phase) with a random direction d. In the frame of the
+base, the fictitious force -m b''(t) acts on the free object, and camera and thrower move by -b(t). The
+inertial load of the robot is neglected. Source: ours, for tests of policies.
 """
 
 from dataclasses import dataclass, replace
@@ -37,21 +36,21 @@ class Shake:
     rate: Float[Tensor, " num_envs"]  #: 2 pi f [rad/s].
 
     def displacement(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """From where the base stands without shaking [m]."""
+        """Return the displacement of the base [m]."""
         angle = (self.rate * time).unsqueeze(-1)
         return self.sine * torch.sin(angle) + self.cosine * torch.cos(angle)
 
     def velocity(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """Velocity of the base [m/s]."""
+        """Return the velocity of the base [m/s]."""
         angle = (self.rate * time).unsqueeze(-1)
         return self.rate[:, None] * (self.sine * torch.cos(angle) - self.cosine * torch.sin(angle))
 
     def acceleration(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """Acceleration of the base [m/s²]."""
+        """Return the acceleration of the base [m/s²]."""
         return -self.rate.square()[:, None] * self.displacement(time)
 
     def seen_from_base(self, throw: Throw) -> Throw:
-        """A throw of the laboratory in the frame of the base; its aim stays the one in the laboratory."""
+        """Return a throw in the frame of the base; its aim stays in the laboratory's frame."""
         start, release = torch.zeros_like(throw.pos[:, 0]), throw.hover_steps * CONTROL_DT
         return replace(
             throw,
@@ -62,7 +61,7 @@ class Shake:
 
 
 def sample_shake(cfg: ShakeCfg, num_envs: int, generator: torch.Generator) -> Shake | None:
-    """Draw direction and phase, on the generator's device; nothing where the table stands still."""
+    """Draw direction and phase, on the generator's device; None if the table stands still."""
     if not (cfg.amplitude and cfg.frequency):
         return None
     device = generator.device

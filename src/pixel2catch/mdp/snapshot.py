@@ -1,7 +1,6 @@
-"""One control step as data: what the robot can measure, what only the simulator knows, and what changed.
+"""One control step as data: what the robot measures, what only the simulator has, and what changed.
 
-Policy inputs are computed from `Measurement` alone; value networks and rewards may also see `Privileged`.
-The split is a type, so that no policy can be given what a real robot does not have.
+Policies observe a `Measurement` alone; value networks and rewards may also use `Privileged`.
 """
 
 from collections.abc import Sequence
@@ -29,10 +28,7 @@ class BoxHistory:
     def begun(
         cls, box: Float[Tensor, "num_envs 4"], age: Float[Tensor, " num_envs"], num_boxes: int
     ) -> "BoxHistory":
-        """The history of an object that has been where it is for long: one box, once in every control step.
-
-        `box` is in pixels, `age` in control steps.
-        """
+        """Return the history of an object at rest: one box [px] in every control step before `age`."""
         steps = torch.arange(num_boxes, device=age.device, dtype=age.dtype)
         return cls(box=box[:, None].expand(-1, num_boxes, -1).clone(), age=age[:, None] + steps)
 
@@ -40,13 +36,13 @@ class BoxHistory:
     def of_stamps(
         cls, boxes: Float[Tensor, "num_measured 4"], stamps: Sequence[float], now: float, num_boxes: int
     ) -> "BoxHistory":
-        """The history of one robot, from images with stamps; before the first one the object was there, too.
+        """Return the history of one robot from images with stamps; before the first, the object was at rest.
 
         Args:
             boxes: Measured boxes, oldest first, at least one [px].
             stamps: When their images were taken [s].
             now: The time [s].
-            num_boxes: Boxes to remember.
+            num_boxes: Length of the history.
         """
         ages = torch.tensor([(now - stamp) / CONTROL_DT for stamp in stamps], dtype=torch.float32).flip(0)
         newest = boxes.flip(0)
@@ -61,7 +57,7 @@ class BoxHistory:
         age: Float[Tensor, " num_envs"],
         is_new: Bool[Tensor, " num_envs"],
     ) -> "BoxHistory":
-        """The history a control step later; the delivered box [px], of this age, may be an old one."""
+        """Return the history a control step later, with the delivered box [px] where it is new."""
         older = BoxHistory(box=self.box, age=self.age + 1.0)
         newest = BoxHistory(
             box=torch.cat((box[:, None], older.box[:, :-1]), dim=1),
@@ -72,11 +68,10 @@ class BoxHistory:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What the robot knows at one control step, in simulation and in the laboratory."""
+    """What the robot measures at one control step, in simulation and in the laboratory."""
 
-    boxes: BoxHistory  #: The last measured bounding boxes of the object, as many as the method remembers.
-    #: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only methods that
-    #: others are compared with read it.
+    boxes: BoxHistory  #: The last measured boxes of the object.
+    #: Position of the object's centre by a tracker, as old as the box, world frame [m]; for comparisons.
     object_pos: Float[Tensor, "num_envs 3"]
     initial_object_pos: Float[Tensor, "num_envs 3"]  #: The first such position of the episode [m].
     joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint encoders [rad].
@@ -89,7 +84,7 @@ class Measurement:
 
     @property
     def box(self) -> Float[Tensor, "num_envs 4"]:
-        """Newest measured box of the object: xmin, ymin, xmax, ymax [px]."""
+        """Return the newest measured box of the object: xmin, ymin, xmax, ymax [px]."""
         return self.boxes.box[:, 0]
 
 
@@ -103,10 +98,10 @@ class History(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Privileged:
-    """What only the simulator knows at one control step (world frame)."""
+    """The true state at one control step, which only a simulator has (world frame)."""
 
     palm_pos: Float[Tensor, "num_envs num_palms 3"]  #: True positions of the palms [m].
-    palm_normal: Float[Tensor, "num_envs num_palms 3"]  #: Where they look, unit vectors.
+    palm_normal: Float[Tensor, "num_envs num_palms 3"]  #: Their normals, unit vectors.
     #: True positions of the fingertips, palm by palm [m].
     fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
     object_pos: Float[Tensor, "num_envs 3"]  #: Position of the object's centre [m].
@@ -125,13 +120,13 @@ class Privileged:
 class Transition:
     """What one control step changed: the input of every reward and ending."""
 
-    before: Privileged  #: The state that the actions were chosen in.
-    now: Privileged  #: The state that they led to.
+    before: Privileged  #: The state before the action.
+    now: Privileged  #: The state after it.
     action: Float[Tensor, "num_envs num_joints"]  #: The actions in joint order, in [-1, 1].
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The joint targets that they commanded [rad].
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The commanded joint targets [rad].
     #: Consecutive control steps, this one included, with the object in the palm's reach.
     held_steps: Int[Tensor, " num_envs"]
     was_success: Bool[Tensor, " num_envs"]  #: Whether there was a success in an earlier step of the episode.
     #: Control steps since the start of the episode, this one included.
     episode_steps: Int[Tensor, " num_envs"]
-    geometry: WorkcellGeometry  #: Where palms and arms are for given joint positions.
+    geometry: WorkcellGeometry  #: Forward kinematics of palms and arms.

@@ -18,15 +18,15 @@ Columns = tuple[slice, ...]
 
 
 def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
-    """`new` in the masked environments, `old` in the others.
+    """Return `new` in the masked environments, `old` in the others.
 
-    Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays so.
+    Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays `None`.
     """
     return mapped(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
 
 
 def clone(value: T) -> T:
-    """The same values in memory of their own."""
+    """Return a copy that shares no memory."""
     return mapped(torch.clone, value)
 
 
@@ -38,7 +38,7 @@ def assign(target: T, source: T) -> None:
 def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
     """Copy `new` into `target`, whose memory stays where it is, in the masked environments.
 
-    On the CPU only those, mostly few, are touched; a device or a compiler is not asked which they are.
+    On the CPU only those rows are written; on a device that would wait for it.
     """
     if mask.device.type == "cpu" and not torch.compiler.is_compiling():
         rows = mask.nonzero()[:, 0]
@@ -64,7 +64,7 @@ def mapped(function: Callable[..., Tensor], *values: Any) -> Any:
 
 
 def merged(columns: Sequence[slice]) -> Columns:
-    """The same columns, with slices that follow each other made one."""
+    """Return the same columns, with adjacent slices joined."""
     whole: list[slice] = []
     for each in columns:
         if whole and whole[-1].stop == each.start:
@@ -75,20 +75,20 @@ def merged(columns: Sequence[slice]) -> Columns:
 
 
 def count(columns: Columns) -> int:
-    """How many columns there are."""
+    """Return the number of columns."""
     return sum(each.stop - each.start for each in columns)
 
 
 def take(
     values: Shaped[Tensor, "num_envs k *rest"], columns: Columns
 ) -> Shaped[Tensor, "num_envs num_columns *rest"]:
-    """Columns of a tensor, one after the other."""
+    """Return columns of a tensor, one after the other."""
     parts = [values[:, each] for each in columns]
     return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
 
 def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
-    """A tensor of which each part has some columns: `take` undone. Together they have all, each once."""
+    """Return the tensor with these parts as its columns: the inverse of `take`."""
     placed = []
     for columns, values in parts:
         sizes = [each.stop - each.start for each in columns]
@@ -99,33 +99,33 @@ def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
 
 @dataclass(frozen=True)
 class DelayLine(Generic[T]):
-    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors."""
+    """Delayed values, tensors or dataclasses of tensors: the newest and its predecessors."""
 
     ages: tuple[T, ...]  #: Values by age in control steps, newest first.
 
     def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
-        """The value that is `delay` control steps old, or the next newer one where there is none."""
+        """Return the value that is `delay` control steps old; between two, the newer one."""
         result = self.ages[0]
         for age, value in enumerate(self.ages[1:], start=1):
             result = select(delay >= age, value, result)
         return result
 
     def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
-        """Values (num_envs, k) that are `delay` control steps old, linear between those that were sent."""
+        """Return values (num_envs, k) `delay` control steps old, interpolated linearly."""
         ages = torch.stack(self.ages, dim=1)
         distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)
         return (torch.clamp(1.0 - distance.abs(), min=0.0)[..., None] * ages).sum(dim=1)
 
     def pushed(self, value: T) -> "DelayLine[T]":
-        """The line one control step later."""
+        """Return the line one control step later."""
         return DelayLine((value, *self.ages[:-1]))
 
     @classmethod
     def filled(cls, value: T, longest: int) -> "DelayLine[T]":
-        """A line for delays of up to `longest`, in which every age is the same: how an episode begins."""
+        """Return a line for delays up to `longest` in which all values are equal: the start of an episode."""
         return cls((value,) * (longest + 1))
 
     @property
     def newest(self) -> T:
-        """The value that was sent last."""
+        """Return the newest value."""
         return self.ages[0]

@@ -1,4 +1,4 @@
-"""When the object is near, held or lost, and when an episode ends."""
+"""When the object is reached, held or lost, and when an episode ends."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -12,12 +12,9 @@ from pixel2catch.mdp.snapshot import Privileged, Transition
 
 REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
 ONE_HAND_RADIUS = 0.07
-"""Mean radius of an object over which one robot does not hold it well [m].
-
-Source: ours: one robot's verified hold is 91 % of balls of 10 cm, 46 of 16 cm (experiments/LOG.md).
-"""
+"""Mean radius of an object above which all palms are needed [m]. Source: ours (experiments/LOG.md)."""
 SURFACE_REACH = 0.035
-"""Distance of palm and surface of an object larger than the release's, taken as a ball, likewise [m].
+"""Distance of palm and surface under which a larger object, taken as a ball, counts as reached [m].
 
 Source: ours, the least that `REACH` leaves at the release's objects.
 """
@@ -28,66 +25,64 @@ DROP_X = 0.03  #: World x under which the object has passed the robot [m]. Sourc
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeCfg:
-    """When an episode ends besides the loss of the object."""
+    """When an episode ends, besides by the loss of the object."""
 
     #: Control steps after which it ends: 3.0 s (Source: release).
     max_steps: Annotated[int, Within(1, 100_000)] = 90
-    #: Control steps for which a hold goes on after a success before that ends the episode (Source: paper, 0;
-    #: ours: with those of the hold test, a policy also learns what becomes of what it holds).
+    #: Control steps from a success to the end of the episode (Source: paper, 0; ours: hold test).
     rest_steps: Annotated[int, Within(0, 100_000)] = 0
-    #: Whether robots that touch each other end it, as in evaluation and on the wire (ours). In training that
-    #: costs instead: robots whose episodes end so learn to keep apart before they learn to catch.
+    #: Whether contact of two robots ends it, as in evaluation (ours); in training it costs a reward instead.
     ends_on_robot_contact: bool = False
 
 
 def palm_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
-    """Distance d of each palm and the object's centre [m]. Source: paper, Eq. 2."""
+    """Return the distance d of each palm and the object's centre [m]. Source: paper, Eq. 2."""
     return torch.linalg.vector_norm(snapshot.object_pos[:, None] - snapshot.palm_pos, dim=-1)
 
 
 def reach_of(radius: float) -> float:
-    """Distance of palm and an object's centre under which it counts as reached [m], by its mean radius."""
+    """Return the distance from a palm under which an object of this mean radius counts as reached [m]."""
     return max(REACH, radius + SURFACE_REACH)
 
 
 def near_palms(snapshot: Privileged) -> Bool[Tensor, "num_envs num_palms"]:
-    """Which palms have reached the object. Source: release, d < 0.08 m."""
+    """Return which palms have reached the object. Source: release, d < 0.08 m."""
     return palm_distance(snapshot) < snapshot.object_reach[:, None]
 
 
 def needs_all(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether the object is too large for one of several robots."""
+    """Return whether there are several palms and the object needs all of them."""
     has_several = snapshot.palm_pos.shape[1] > 1
     return (snapshot.object_reach > reach_of(ONE_HAND_RADIUS)) & has_several
 
 
 def palm_share(snapshot: Privileged) -> Float[Tensor, " num_envs"]:
-    """The share of the palms that have reached what is too large for one of several robots; else one."""
+    """Return the share of palms that have reached an object that needs all; one for other objects."""
     return torch.where(needs_all(snapshot), near_palms(snapshot).float().mean(dim=-1), 1.0)
 
 
 def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether a palm has reached the object: the paper's tracking."""
+    """Return whether a palm has reached the object: the paper's tracking."""
     return near_palms(snapshot).any(dim=-1)
 
 
 def is_success(transition: Transition) -> Bool[Tensor, " num_envs"]:
-    """Whether the object has just been held long enough; true at one step of a hold. Source: release."""
+    """Return whether this step completes a hold. Source: release."""
     return transition.held_steps == HOLD_STEPS
 
 
 def is_dropped(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether the object fell or passed the robot. Source: release."""
+    """Return whether the object fell or passed the robot. Source: release."""
     return (snapshot.object_pos[:, 2] < DROP_HEIGHT) | (snapshot.object_pos[:, 0] < DROP_X)
 
 
 def is_lost(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether nothing can be caught any more: the object is dropped, or robots hit each other (ours)."""
+    """Return whether the object is dropped, or robots touch each other (ours)."""
     return is_dropped(snapshot) | snapshot.is_robot_contact
 
 
 def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
-    """Success and rest, loss or time-out. Source: paper; a time-out is a termination there, so one here."""
+    """Return whether an episode ends by success, loss or time-out, all terminations. Source: paper."""
     lost = is_lost if cfg.ends_on_robot_contact else is_dropped
     ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
     return ended | (transition.held_steps >= HOLD_STEPS + cfg.rest_steps)

@@ -1,4 +1,4 @@
-"""Throws: where the object hovers, and the flight that follows, through air or none.
+"""Throws: where the object hovers, and its flight, with or without air.
 
 Source: release, unless a line says otherwise.
 """
@@ -23,22 +23,21 @@ Height = Annotated[Range, Within(0.05, 5.0)]  #: Above the floor [m].
 class ThrowCfg:
     """Ranges of uniformly drawn throws, world frame [m]."""
 
-    release_x: Depth = (2.4, 2.9)  #: Where the object is released, x.
-    release_y: Width = (-0.3, 0.3)  #: Likewise, y.
-    release_z: Height = (0.75, 0.85)  #: Likewise, z.
-    aim_x: Depth = (0.65, 0.85)  #: Where the path comes down through the catch height, x.
-    aim_y: Width = (-0.35, 0.35)  #: Likewise, y.
+    release_x: Depth = (2.4, 2.9)  #: Release position.
+    release_y: Width = (-0.3, 0.3)
+    release_z: Height = (0.75, 0.85)
+    aim_x: Depth = (0.65, 0.85)  #: Where the path falls through the catch height.
+    aim_y: Width = (-0.35, 0.35)
     aim_z: Height = (0.9, 1.1)  #: The catch height.
     peak_z: Height = (1.6, 1.9)  #: Highest point of the path.
     clearance: Annotated[float, Within(0.01, 3.0)] = 0.2  #: Least height of the peak over release and aim.
     #: Control steps that the object hovers before it flies, first and last.
     hover_steps: Annotated[tuple[int, int], InOrder(), Within(1, 900)] = (5, 19)
-    #: Standard deviation of a relative error of the speed at release. This and what follows is 0 in training
-    #: (ours, for tests of policies).
+    #: Standard deviation of the relative error of the speed at release (ours; paper: no errors, no spin).
     speed_deviation: Annotated[Amount, Within(0.0, 0.5)] = 0.0
-    #: Standard deviation of the errors of its elevation and of its azimuth [rad].
+    #: Standard deviation of the errors of its elevation and azimuth [rad].
     angle_deviation: Annotated[Amount, Within(0.0, 0.8)] = 0.0
-    #: Largest angular speed of the object, uniform, about a random axis [rad/s].
+    #: Largest angular speed of the object about a random axis [rad/s].
     spin: Annotated[float, Within(0.0, 200.0)] = 0.0
 
 
@@ -48,14 +47,14 @@ class Throw:
 
     pos: Float[Tensor, "num_envs 3"]  #: Release position [m].
     quat: Float[Tensor, "num_envs 4"]  #: Orientation, uniform over all rotations, (w, x, y, z).
-    hover_vel: Float[Tensor, "num_envs 3"]  #: Velocity before the release [m/s]; only that of a moving frame.
+    hover_vel: Float[Tensor, "num_envs 3"]  #: Velocity of a moving frame before the release [m/s].
     lin_vel: Float[Tensor, "num_envs 3"]  #: Velocity at release [m/s].
     ang_vel: Float[Tensor, "num_envs 3"]  #: Angular velocity at release, frame of the object [rad/s].
-    aim: Float[Tensor, "num_envs 3"]  #: Where the path is meant to come down through the catch height [m].
+    aim: Float[Tensor, "num_envs 3"]  #: Intended point at the catch height [m].
     hover_steps: Int[Tensor, " num_envs"]  #: Control steps before the release.
 
     def flight_time(self) -> Float[Tensor, " num_envs"]:
-        """Time from the release until the path comes down through the catch height, but for drag [s]."""
+        """Return the time from release to the catch height, without drag [s]."""
         return flight_time(self.lin_vel, self.aim[:, 2] - self.pos[:, 2])
 
 
@@ -67,7 +66,7 @@ def sample_throws(
 ) -> Throw:
     """Draw throws on the generator's device.
 
-    The thrower makes up for `drag`: deceleration by air over the square of the speed [1/m].
+    They reach their aim in spite of `drag`: deceleration by air over the square of the speed [1/m].
     """
     device = generator.device
     ranges = (cfg.release_x, cfg.release_y, cfg.release_z, cfg.aim_x, cfg.aim_y, cfg.aim_z, cfg.peak_z)
@@ -120,7 +119,7 @@ def _spin(largest: float, num_envs: int, generator: torch.Generator) -> Float[Te
 def launch_velocity(
     pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], peak: Float[Tensor, " num_envs"]
 ) -> Float[Tensor, "num_envs 3"]:
-    """Velocity at `pos` of the path that peaks at height `peak` and comes down through `aim` [m/s]."""
+    """Return the velocity at `pos` of the path with this peak height that falls through `aim` [m/s]."""
     rise = torch.sqrt(2.0 * (peak - pos[:, 2]) / GRAVITY)
     fall = torch.sqrt(2.0 * (peak - aim[:, 2]) / GRAVITY)
     horizontal = (aim[:, :2] - pos[:, :2]) / (rise + fall)[:, None]
@@ -128,7 +127,7 @@ def launch_velocity(
 
 
 def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Float[Tensor, " num_envs"]:
-    """The amount of every episode, on the generator's device; a number draws nothing."""
+    """Draw the amount of every episode, on the generator's device; a number is returned as it is."""
     if isinstance(amount, tuple):
         return uniform((amount,), num_envs, generator)[:, 0]
     return torch.full((num_envs,), float(amount), device=generator.device)
@@ -137,28 +136,26 @@ def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Float[Te
 def uniform(
     ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator
 ) -> Float[Tensor, "num_envs k"]:
-    """Independent uniform draws, one column per range, on the generator's device."""
+    """Return independent uniform draws, one column per range, on the generator's device."""
     lower, upper = constant(ranges, generator.device).T
     draws = torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
     return lower + (upper - lower) * draws
 
 
 def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
-    """Unit vectors, uniform over all directions, on the generator's device."""
+    """Return unit vectors, uniform over all directions, on the generator's device."""
     normal = torch.randn(num_envs, 3, generator=generator, device=generator.device)
     return torch.nn.functional.normalize(normal, dim=-1)
 
 
-NUM_STEPS = 16  #: Steps of the midpoint rule in a flight. Source: ours, a millimetre.
-
-NUM_CORRECTIONS = 4
-"""How often the aim is corrected; each leaves less than a third of the error before. Source: ours."""
+NUM_STEPS = 16  #: Steps of the midpoint rule in a flight. Source: ours, accurate to 1 mm.
+NUM_CORRECTIONS = 4  #: Corrections of the aim; each leaves less than a third of the error. Source: ours.
 
 
 def flight_time(
     lin_vel: Float[Tensor, "num_envs 3"], height: Float[Tensor, " num_envs"]
 ) -> Float[Tensor, " num_envs"]:
-    """Time until an object without drag comes down through this height over its release [s]."""
+    """Return the time until an object without drag falls through this height above its release [s]."""
     up = lin_vel[:, 2]
     return (up + torch.sqrt(torch.clamp(up.square() - 2.0 * GRAVITY * height, min=0.0))) / GRAVITY
 
@@ -169,15 +166,9 @@ def velocity_through_air(
     lin_vel: Float[Tensor, "num_envs 3"],
     drag: Float[Tensor, " num_envs"],
 ) -> Float[Tensor, "num_envs 3"]:
-    """Velocity at release that leads to the aim in spite of the air [m/s].
+    """Return the velocity at release that reaches the aim through air, in the time without air [m/s].
 
-    The object arrives after the time that it would take without air.
-
-    Args:
-        pos: Where it is released [m].
-        aim: Where it shall come down [m].
-        lin_vel: The velocity that leads there without air [m/s].
-        drag: Deceleration over the square of the speed [1/m].
+    `lin_vel` is the velocity without air [m/s], `drag` the deceleration over the square of the speed [1/m].
     """
     duration = flight_time(lin_vel, aim[:, 2] - pos[:, 2])[:, None]
     for _ in range(NUM_CORRECTIONS):
@@ -192,13 +183,9 @@ def flight_path(
     drag: Float[Tensor, " num_envs"],
     duration: Float[Tensor, " num_envs"],
 ) -> Float[Tensor, "num_points num_envs 3"]:
-    """Points of a flight through air from the release on, evenly spread over the time of the flight [m].
+    """Return points of a flight through air, at equal time steps from the release to `duration` [m].
 
-    Args:
-        pos: Where the object is released [m].
-        lin_vel: Its velocity there [m/s].
-        drag: Deceleration over the square of the speed [1/m].
-        duration: Time of the flight [s].
+    `drag` is the deceleration over the square of the speed [1/m].
     """
     step, path = duration[:, None] / NUM_STEPS, [pos]
     for _ in range(NUM_STEPS):
@@ -209,7 +196,7 @@ def flight_path(
 
 
 def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int = 0) -> Float[Tensor, "num_throws num_points 3"]:
-    """Points on drawn flights without air, from the release to the aim [m]."""
+    """Return points on drawn flights without air, from the release to the aim [m]."""
     throw = sample_throws(cfg, num_throws, torch.Generator().manual_seed(seed))
     path = flight_path(throw.pos, throw.lin_vel, torch.zeros(num_throws), throw.flight_time())
     return path.transpose(0, 1).double()

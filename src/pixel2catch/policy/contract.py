@@ -1,9 +1,7 @@
-"""The contract of a policy: everything outside its networks that must be the same wherever it acts.
+"""The contract of a policy: inputs and outputs of its networks, camera, work cell and action scale.
 
-A policy is a function of numbers. Which numbers, in which order and unit, seen by which camera, and what
-becomes of its outputs is written here, saved beside the networks and compared on loading: a policy that does
-not fit fails with the name of the field instead of moving a robot in a wrong way. It follows from the values
-that define a method, and a method from it, own ones too.
+It is saved with the networks and compared when a policy is loaded; a difference is an error that names the
+field.
 """
 
 import contextlib
@@ -29,10 +27,10 @@ from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2
-"""Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
+"""Version of the files of `Policy.save`; higher where older files cannot be read."""
 
-MOST_NAMED = 100  #: Fields of a policy that does not fit that a message names.
-MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Of policies that are read. Source: ours; the largest have 4, and 200.
+MOST_NAMED = 100  #: Largest number of differing fields in a message.
+MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; policies have 4 and 200.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,13 +43,13 @@ class AgentContract:
 
     @property
     def num_inputs(self) -> int:
-        """Length of the observation vector."""
+        """Return the length of the observation vector."""
         return sum(size for _, size in self.observation)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """What the policy of a method expects of the world and promises to it."""
+    """Inputs, outputs and surroundings of a policy."""
 
     method: str  #: Name of the method.
     pixel_features: tuple[str, ...]  #: Names of the pixel features, in their order within a frame.
@@ -62,8 +60,8 @@ class PolicyContract:
     #: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
-    task: str = "nominal"  #: Name of the task that it was trained for; it may act in others.
-    #: Radius of the ball of the volume of the largest object that it was trained to catch [m].
+    task: str = "nominal"  #: Name of the task of its training; it may act in others.
+    #: Radius of the ball of equal volume of the largest object of its training [m].
     object_radius: float = OBJECT_RADIUS
     format_version: int = FORMAT_VERSION  #: Version of the file format.
 
@@ -76,7 +74,7 @@ class PolicyContract:
         """Read what `to_dict` returned.
 
         Raises:
-            PolicyMismatchError: A field is missing or unknown, or the file has another format version.
+            PolicyMismatchError: A field is missing, unknown or of another version.
         """
         data = _of_version_1(data) if data.get("format_version") == 1 else data
         version = data.get("format_version")
@@ -98,10 +96,10 @@ class PolicyContract:
         return contract
 
     def require(self, expected: "PolicyContract") -> None:
-        """Compare with the contract of the place where the policy is to act.
+        """Compare with the contract of the robot and camera at hand.
 
         Raises:
-            PolicyMismatchError: They differ; the message names every field that does, with both values.
+            PolicyMismatchError: They differ; the message names the fields, with both values.
         """
         same_task = dataclasses.replace(expected, task=self.task, object_radius=self.object_radius)
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
@@ -113,7 +111,7 @@ class PolicyContract:
 
 
 def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What files say that knew one robot only, with a left or a right hand."""
+    """Content of version 1, which had one robot with a left or a right hand, as version 2."""
     content = {**data, "format_version": FORMAT_VERSION}
     hand = content.pop("handedness", "left")
     name = UR5E_ALLEGRO.name
@@ -121,7 +119,7 @@ def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted names and values of nested mappings: what two of them are compared by."""
+    """Yield dotted names and values of nested mappings."""
     if isinstance(value, Mapping) and value:
         for key, entry in value.items():
             yield from leaves(entry, f"{name}.{key}" if name else str(key))
@@ -130,13 +128,13 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 NO_REWARD = RewardTerm(function=rewards.elapsed_time, weight=0.0)
-"""What an agent is rewarded for whose rewards are not written down; only a training needs them."""
+"""Reward of agents that are made from a contract, which has no rewards."""
 
 
 def contract_of(
     method: Method, workcell: WorkcellSpec = UR5E_ALLEGRO, camera: CameraSpec = RGB_CAMERA
 ) -> PolicyContract:
-    """Return what a policy of this method, for these robots and this camera, expects and promises."""
+    """Return the contract of policies of a method for a work cell and a camera."""
     return PolicyContract(
         method=method.name,
         pixel_features=method.pixel_features,
@@ -181,13 +179,11 @@ def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
 
 
 def method_of(contract: PolicyContract) -> Method:
-    """The method of a policy: the one of its name, or what its contract says where there is none.
-
-    A contract is enough where all terms are of this package, and memories, too (`NAME+MEMORY`).
+    """Return the method of a policy by its name, or else made from its contract.
 
     Raises:
-        PolicyMismatchError: If it is not enough.
-        InvalidValueError: If a file that is to be imported cannot be.
+        PolicyMismatchError: The name is unknown, and the contract has terms that are not of this package.
+        InvalidValueError: A file of the user cannot be imported.
     """
     import_files()
     base, _, suffix = contract.method.partition("+")
@@ -209,7 +205,7 @@ def method_of(contract: PolicyContract) -> Method:
 
 
 def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSpec) -> AgentSpec:
-    """An agent as far as its contract tells: two frames of the same terms, oldest first, then its memory."""
+    """Make an agent from its contract: two frames of the same terms, oldest first, then its memory."""
     names = [name.partition("[")[0] for name, _ in contract.observation]
     num_frame_terms = sum(term.endswith("[t-1]") for term, _ in contract.observation)
     terms = tuple(_term(each, method) for each in names[num_frame_terms:])

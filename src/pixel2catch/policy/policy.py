@@ -21,7 +21,7 @@ MOST_LAYERS, LARGEST_LAYER = 16, 8192  #: Of networks that are read. Source: our
 WEIGHTS_FILE = "policy.safetensors"
 CONTRACT_FILE = "policy.json"
 
-HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers of every network. Source: paper, Sec. IV-E.
+HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers. Source: paper, Sec. IV-E.
 
 INPUT_CLIP = 5.0
 """Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
@@ -40,12 +40,12 @@ def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN)
 
 
 def gru_step(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what the hidden layers see, and the new hidden state.
+    """Return the input of the hidden layers, and the new hidden state.
 
     Args:
-        gru: A gated recurrent unit before the hidden layers, which see the inputs themselves without one.
+        gru: A gated recurrent unit before the hidden layers; None passes the inputs on.
         inputs: Standardised, clipped inputs, (num_envs, num_inputs).
-        hidden_state: What the unit remembers, (num_envs, size); zeros at the first step of an episode.
+        hidden_state: Hidden state, (num_envs, size); zeros at the first step of an episode.
     """
     if gru is None:
         return inputs, hidden_state
@@ -106,10 +106,7 @@ class Policy(nn.Module):
         return cast(AgentNetwork, self.agents[agent])
 
     def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Forget what was seen: where the next observation is the first of an episode, or everywhere.
-
-        Recurrent policies need it.
-        """
+        """Reset the hidden states of a GRU where an episode ended, or everywhere."""
         if is_ended is None:
             self._hidden_states.clear()
         else:
@@ -131,10 +128,7 @@ class Policy(nn.Module):
     def act(
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
-        """Return the mean action of every agent, clipped to [-1, 1]; a GRU goes on from the last call.
-
-        The observation vectors are in the order of the contract.
-        """
+        """Return the mean action of every agent, clipped to [-1, 1]; hidden states are kept."""
         actions = {}
         for name in self.agents:
             observation, state = observations[name], self._hidden_states.get(name)
@@ -148,7 +142,7 @@ class Policy(nn.Module):
 
     @property
     def description(self) -> str:
-        """The contract and the sizes of the networks as JSON."""
+        """Return the contract and the sizes of the networks as JSON."""
         sizes = {"hidden": list(self.hidden)} | ({"recurrent": self.recurrent} if self.recurrent else {})
         return json.dumps({**sizes, **self.contract.to_dict()}, indent=2) + "\n"
 
@@ -156,7 +150,7 @@ class Policy(nn.Module):
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither.
 
         Raises:
-            OSError: A file could not be written; a policy that was there before is still there.
+            OSError: A file could not be written; an earlier policy is kept.
         """
         folder.mkdir(parents=True, exist_ok=True)
         text = self.description
@@ -183,10 +177,10 @@ class Policy(nn.Module):
 
 
 def described(content: dict[str, Any]) -> tuple[PolicyContract, tuple[int, ...], int]:
-    """Contract, sizes of the hidden layers and of the GRU, of what a policy says of itself.
+    """Return contract, sizes of the hidden layers and of the GRU from a policy's description.
 
     Raises:
-        InvalidValueError: A size is missing, or none that a network has.
+        InvalidValueError: A size is missing or out of range.
         PolicyMismatchError: Another field does not fit this code.
     """
     if "hidden" not in content:
@@ -203,7 +197,6 @@ def described(content: dict[str, Any]) -> tuple[PolicyContract, tuple[int, ...],
 
 
 def _require_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
-    """Refuse networks that are not of these shapes, or whose numbers are not finite."""
     for name in shapes | tensors:
         found = tuple(tensors[name].shape) if name in tensors else "nothing"
         if found != shapes.get(name, "nothing"):
