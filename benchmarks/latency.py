@@ -29,10 +29,9 @@ from pixel2catch.deployment.replay import played_topics
 from pixel2catch.files import write_atomically
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.servo.link import SERVO_PRIORITY, set_real_time
 
 STAMPED = (messages.IMAGE, messages.JOINT_STATE)

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 IMAGES = Topic(name="/benchmark/image", type=messages.IMAGE)

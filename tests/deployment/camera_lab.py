@@ -11,7 +11,7 @@ from loop_lab import BOX, moved, picture
 from wire_lab import WireLab
 
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport
 from pixel2catch.scene.constants import CONTROL_DT

@@ -7,9 +7,8 @@ from importlib.util import find_spec
 import pytest
 import rclpy_stand_in
 
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""

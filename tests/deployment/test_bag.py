@@ -10,7 +10,6 @@ import pytest
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.deployment.replay import BagPlayer
-from pixel2catch.errors import PerceptionError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import compress, compressed_topic
@@ -81,12 +80,3 @@ def test_jpeg_images_come_as_raw_ones(tmp_path: Path):
     assert len(readings) == 2
     assert readings[1].stamp - readings[0].stamp == pytest.approx(1.0)
     assert np.abs(readings[0].pixels.astype(int) - pixels).max() < 8
-
-
-def test_topics_that_are_not_asked_for_are_passed_over(folder: Path):
-    assert played(folder, Topic(name=NUMBER.name, type=messages.TEXT), messages.read_text) == []
-
-
-def test_what_is_no_recording_is_refused(tmp_path: Path):
-    with pytest.raises(PerceptionError, match="not a readable rosbag2"):
-        BagPlayer(tmp_path / "gone", Broker().node(StepClock(lambda _: None)), {NUMBER})

@@ -8,7 +8,6 @@ import sys
 import time
 from contextlib import ExitStack
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,17 +15,14 @@ from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
-from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as DdsTopic
 from networks import dds_nodes
-from rosbags.typesys import Stores, get_typestore
 
 from domains import PATIENCE, own_domain
-from pixel2catch.errors import DeploymentError, UnknownNameError
+from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.dds import MESSAGE, THIS_MACHINE, dds_type
-from pixel2catch.ros2.factory import make_transport
-from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic
+from pixel2catch.ros2.dds import THIS_MACHINE, dds_type
+from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -77,41 +73,6 @@ def test_publishers_have_the_names_types_and_hashes_of_ros_2(make):
     assert isinstance(states.qos[Policy.Reliability], Policy.Reliability.Reliable)
 
 
-@pytest.mark.parametrize(("distribution", "size"), [("humble", 24), ("jazzy", 16)])
-def test_a_node_has_its_name_where_the_version_of_ros_2_is_known(make, monkeypatch, distribution, size):
-    monkeypatch.setenv("ROS_DISTRO", distribution)
-    node = make("pixel2catch")
-    node.publisher(STATES)
-    node.subscription(MODE)
-    store = get_typestore(Stores(f"ros2_{distribution}"))
-    message: Any = store.deserialize_cdr(discovery(store), MESSAGE)
-    (entry,) = message.node_entities_info_seq
-    assert (entry.node_namespace, entry.node_name) == ("/", "pixel2catch")
-    assert len(message.gid.data) == size
-    assert (len(entry.writer_gid_seq), len(entry.reader_gid_seq)) == (1, 1)
-    publisher = bytes(entry.writer_gid_seq[0].data)[:16]
-    endpoints = announced()
-    assert publisher == endpoints["rt/joint_states"].key.bytes
-    # Without a hash each node of ROS 2 warns of it. Source: what rosidl 4.6.5 (Jazzy) writes down.
-    digest = b"91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
-    said = endpoints["ros_discovery_info"].qos[Policy.Userdata].data
-    assert said == b"typehash=RIHS01_" + digest + b";"
-
-
-def test_nothing_is_sent_to_a_ros_2_whose_version_is_unknown(make, monkeypatch):
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    make("pixel2catch").publisher(STATES)
-    assert "ros_discovery_info" not in announced()
-
-
-def discovery(store) -> bytes:
-    """What the only node tells ROS's tools."""
-    participant = DomainParticipant(int(own_domain()))
-    topic = DdsTopic(participant, "ros_discovery_info", dds_type(MESSAGE, store))
-    qos = Qos(Policy.Durability.TransientLocal, Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
-    return DataReader(participant, topic, qos).take_one(timeout=round(1e9 * PATIENCE)).cdr
-
-
 @pytest.mark.parametrize("hours", [-1.0, 1.0])
 def test_a_sender_with_a_wrong_clock_cannot_make_messages_older_or_newer_than_they_are(make, hours):
     node, clock = make("node"), RealClock()
@@ -134,11 +95,6 @@ def test_a_domain_that_does_not_exist_is_refused(make, monkeypatch, text):
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(DeploymentError, match=r"ROS_DOMAIN_ID is .* set it to a number from 0 to 232"):
         make("node")
-
-
-def test_an_unknown_transport_is_refused():
-    with pytest.raises(UnknownNameError, match="Did you mean 'dds'"):
-        make_transport("dss", "node", LOOPBACK, RealClock())
 
 
 def test_where_ros_2_is_not_sourced_its_transport_says_what_to_do():

@@ -18,7 +18,7 @@ from camera_lab import Arming, run_laboratory
 
 from domains import PATIENCE, own_domain
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
 

@@ -29,11 +29,3 @@ def test_nodes_in_several_threads_lose_nothing():
             received += [messages.read_number(message.data) for message in subscription.take()]
     assert sorted(received) == list(range(2000))
     assert receiver.num_other_publishers(NUMBER) == 0
-
-
-def test_brokers_are_networks_of_their_own():
-    here, there = Broker().node(RealClock()), Broker().node(RealClock())
-    subscription = here.subscription(NUMBER)
-    there.publisher(NUMBER).publish(messages.number(1.0))
-    assert not subscription.take()
-    assert here.num_other_publishers(NUMBER) == 0

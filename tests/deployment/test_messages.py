@@ -1,8 +1,6 @@
 """Messages as bytes: hand-worked ones, round trips, and what damaged ones do."""
 
 import json
-import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,21 +14,6 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 LITTLE = b"\x00\x01\x00\x00"
 """The header of a message in little endian."""
-
-READERS: dict[str, Callable[[bytes], object]] = {
-    name: getattr(messages, f"read_{name}")
-    for name in (
-        "joint_state",
-        "float_array",
-        "image",
-        "camera_info",
-        "boolean",
-        "number",
-        "text",
-        "safety_mode",
-        "robot_mode",
-    )
-}
 
 PIXELS = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
 
@@ -59,23 +42,6 @@ RCLPY = json.loads(Path(__file__).with_name("rclpy_bytes.json").read_text())
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_a_message_is_the_bytes_that_rclpy_makes_of_it(name: str):
     assert EXAMPLES[name].hex() == RCLPY["cdr"][name]
-
-
-def test_small_messages_are_the_bytes_that_ros_2_sends():
-    assert messages.boolean(True) == LITTLE + b"\x01"
-    assert messages.number(1.5) == LITTLE + struct.pack("<d", 1.5)
-    assert messages.text("ab") == LITTLE + struct.pack("<I", 3) + b"ab\x00"
-    assert messages.safety_mode(3) == LITTLE + b"\x03"
-    assert messages.robot_mode(-1) == LITTLE + b"\xff"
-
-
-def test_a_joint_state_is_the_bytes_that_ros_2_sends():
-    stamp, frame = struct.pack("<iI", 3, 250_000_000), struct.pack("<I", 1) + b"\x00" + 3 * b"\x00"
-    names = struct.pack("<I", 1) + struct.pack("<I", 2) + b"a\x00"
-    # 26 bytes so far; the number of positions begins at 28, the positions at 32, a multiple of 8.
-    position = 2 * b"\x00" + struct.pack("<I", 1) + struct.pack("<d", 0.5)
-    nothing = 2 * struct.pack("<I", 0)
-    assert messages.joint_state(["a"], [0.5], 3.25) == LITTLE + stamp + frame + names + position + nothing
 
 
 def test_controllers_that_are_active_are_known_by_their_state():
@@ -146,8 +112,8 @@ def test_an_image_without_padding_is_not_copied():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (image_message(PIXELS, "mono8", 15), "encoded as 'mono8'; have the camera send rgb8 or bgr8"),
-        (image_message(PIXELS, "rgb8", 15, height=5), "image of 5 x 5 has 60 bytes, 15 a row"),
+        (image_message(PIXELS, "mono8", 15), "encoded as 'mono8'"),
+        (image_message(PIXELS, "rgb8", 15, height=5), "image of 5 x 5 has 60 bytes"),
         (image_message(PIXELS[:, :0], "rgb8", 0), "image of 0 x 4"),
         (image_message(PIXELS, "rgb8", 15, height=0), "image of 5 x 0"),
     ],
@@ -172,23 +138,3 @@ def test_a_camera_that_is_not_calibrated_is_refused():
     message.k = np.zeros(9)  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(DeploymentError, match="no focal length: calibrate it"):
         messages.read_camera_info(bytes(messages.STORE.serialize_cdr(message, messages.CAMERA_INFO)))
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_a_message_that_was_cut_is_refused_wherever_it_was_cut(name: str):
-    data = EXAMPLES[name]
-    for size in range(len(data) - 3):  # three bytes may be padding
-        with pytest.raises(
-            DeploymentError, match=r"two programs disagree|positions for|not calibrated|damaged"
-        ):
-            READERS[name](data[:size])
-
-
-@pytest.mark.parametrize("name", READERS)
-@given(st.binary(max_size=120))
-def test_noise_is_refused_or_read_but_never_crashes(name: str, data: bytes):
-    for message in (data, LITTLE + data):
-        try:
-            READERS[name](message)
-        except DeploymentError:
-            continue

@@ -1,6 +1,5 @@
 """Which network the commands join: this machine only, unless they are told of another one."""
 
-import os
 import socket
 import subprocess
 import sys
@@ -8,15 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from domains import PATIENCE, own_domain
+from domains import PATIENCE
 from pixel2catch.cli.deploy import Deploy
-from pixel2catch.cli.link import Link, Network
+from pixel2catch.cli.link import Link
 from pixel2catch.cli.main import main
 from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.record import Record
-from pixel2catch.errors import UnknownNameError
-from pixel2catch.ros2.dds import THIS_MACHINE
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock
 
@@ -44,39 +40,6 @@ def test_an_interface_that_there_is_not_is_refused_at_once(
     said = capsys.readouterr().err
     assert "network 'eth99'" in said
     assert all(name in said for name in (LOOPBACK, ANY, *INTERFACES))
-
-
-def test_a_network_that_there_is_not_is_refused_of_a_program_too():
-    with pytest.raises(UnknownNameError, match="network 'eth99'"):
-        make_transport("dds", "node", "eth99", RealClock())
-
-
-def test_each_network_is_said_at_the_beginning(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    with Network().join("node"):
-        said = capsys.readouterr().err
-    assert "network: lo, the digital twin on this machine; for a robot: --network INTERFACE" in said
-    assert f"ROS_DOMAIN_ID {own_domain()}" in said
-
-
-OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in INTERFACES if name != LOOPBACK]
-"""Something is sent there, if only to find others."""
-
-
-@pytest.mark.parametrize("network", [*OTHERS[-1:], ANY])
-def test_another_network_is_joined(network: str):
-    """In a process of its own: a process configures a domain once. Any is what CYCLONEDDS_URI says."""
-    script = (
-        "from pixel2catch.cli.link import Network\n"
-        f"with Network(network={network!r}).join('node'):\n"
-        "    print('joined')"
-    )
-    environment = {**os.environ, "ROS_DOMAIN_ID": own_domain(), "CYCLONEDDS_URI": THIS_MACHINE}
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
-    assert run.stdout == "joined\n", run.stderr
-    assert f"network: {network}, " in run.stderr
 
 
 def test_only_the_twin_needs_no_identified_dynamics():

@@ -3,27 +3,20 @@
 `test_transports` has what every transport promises.
 """
 
-import importlib
-import inspect
 import sys
-import threading
-from enum import Enum
-from importlib.metadata import version
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy_stand_in
-from rclpy_stand_in import API, STAND_IN, Network
+from rclpy_stand_in import Network
 from servo_rows import LIMITS
 
 from domains import PATIENCE
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.servo.process import ServoSubscriptions
 
@@ -70,7 +63,7 @@ def test_it_is_refused_where_it_would_speak_to_the_whole_network(network: Networ
 
 def test_an_rclpy_that_does_not_tell_the_age_of_a_message_is_refused(network: Network, monkeypatch):
     monkeypatch.delattr(rclpy_stand_in.Subscription, "CallbackType")
-    with pytest.raises(DeploymentError, match="take ROS 2 Iron or a newer one, or the transport dds"):
+    with pytest.raises(DeploymentError, match="ROS 2 Iron"):
         make_transport("ros", "node", LOOPBACK, RealClock())
 
 
@@ -89,85 +82,5 @@ def test_what_keeps_rclpy_from_joining_is_said_in_words(network: Network, monkey
 
     for name in ("create_node", "init"):
         monkeypatch.setattr(sys.modules["rclpy"], name, refuse)
-        with pytest.raises(
-            DeploymentError, match=r"cannot join .*not an integral number.*look at ROS_DOMAIN_ID"
-        ):
+        with pytest.raises(DeploymentError, match=r"cannot join .*not an integral number"):
             make_transport("ros", "node", LOOPBACK, RealClock())
-
-
-def test_a_node_may_be_closed_twice_and_its_thread_ends(network: Network):
-    before = set(threading.enumerate())
-    node = make_transport("ros", "node", LOOPBACK, RealClock())
-    assert len(set(threading.enumerate()) - before) == 1
-    node.close()
-    node.close()
-    assert set(threading.enumerate()) == before
-
-
-def test_the_stand_in_has_nothing_that_is_not_in_the_table():
-    known = {*API["functions"], *API["members"]}
-    for module, members in STAND_IN.items():
-        for name, member in members.items():
-            assert f"{module}.{name}" in known or name == "Subscription"
-            if inspect.isclass(member) and not issubclass(member, Enum):
-                assert {each for each in vars(member) if not each.startswith("_")} <= OWN_OF_STAND_IN | {
-                    function.removeprefix(f"{module}.{name}.") for function in known
-                }
-
-
-OWN_OF_STAND_IN = {"network", "is_usable", "topic", "info", "spin", "CallbackType"}
-"""What classes of the stand-in have beside it; `rclpy_node` uses the last one."""
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda rclpy, context: rclpy.init(args=[], context=context, domain=3),
-        lambda rclpy, context: rclpy.create_node(context=context),
-        lambda rclpy, context: rclpy.try_shutdown(context),
-        lambda rclpy, context: rclpy.shutdown(context=context),
-        lambda rclpy, context: rclpy.create_node("node", context=context),
-    ],
-    ids=["unknown option", "no name", "by position", "unknown function", "context before init"],
-)
-def test_the_stand_in_raises_on_what_rclpy_raises_on(network: Network, call: Any):
-    rclpy = sys.modules["rclpy"]
-    context = rclpy_stand_in.Context()
-    with pytest.raises((TypeError, AttributeError, RuntimeError)):
-        call(rclpy, context)
-
-
-@pytest.mark.skipif(not find_spec("rclpy"), reason="ROS 2 is not sourced")
-def test_the_table_is_that_of_the_real_rclpy():
-    if version("rclpy") != API["rclpy"]:
-        pytest.skip(f"the table is of rclpy {API['rclpy']}")
-    for name, text in API["functions"].items():
-        assert described(real(name)) == text, name
-    for name in ("rclpy.qos.QoSDurabilityPolicy", "rclpy.qos.QoSReliabilityPolicy"):
-        assert set(API["members"][name]) <= set(real(name).__members__)
-    assert hasattr(real("rclpy.signals.SignalHandlerOptions"), "NO")
-    assert hasattr(real("rclpy.subscription.Subscription"), "CallbackType")
-
-
-def real(name: str) -> Any:
-    """A function or class of the real rclpy by its name."""
-    place, _, last = name.rpartition(".")
-    try:
-        return getattr(importlib.import_module(place), last)
-    except ModuleNotFoundError:
-        return getattr(real(place), last)
-
-
-def described(function: Any) -> str:
-    """A function's parameters as the table has them: a default that is no plain value is `...`."""
-    signature = inspect.signature(function)
-    plain = (type(None), bool, int, float, str)
-    parameters = [
-        each.replace(
-            annotation=each.empty,
-            default=each.default if each.default is each.empty or isinstance(each.default, plain) else ...,
-        )
-        for each in signature.parameters.values()
-    ]
-    text = str(signature.replace(parameters=parameters, return_annotation=signature.empty))
-    return text.replace("Ellipsis", "...")

@@ -15,9 +15,8 @@ from servo_rows import HOME, LIMITS
 from wire_lab import WireLab
 
 from domains import PATIENCE, own_domain
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Fault, Mode, flag_names
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo

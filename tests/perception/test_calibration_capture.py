@@ -21,9 +21,8 @@ from pixel2catch.perception.calibration.capture import Capture, Taken, blur, cov
 from pixel2catch.perception.calibration.target import CharucoBoard, View, read_image
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
 
 JOINTS = [joint.name for joint in ARM.joints]

@@ -24,10 +24,9 @@ from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.findings import Absent, Broken, Check
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import DriverJoint, Profile
-from pixel2catch.ros2.transport import RealClock, Topic
+from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.twin.drivers import CameraDriver

@@ -14,9 +14,8 @@ from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
 from pixel2catch.twin.lab_node import COMMAND, STATE
 
 RATE = 0.5

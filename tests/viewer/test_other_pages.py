@@ -27,9 +27,8 @@ from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.video import BOX_COLOR
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.replay import RecordingPage

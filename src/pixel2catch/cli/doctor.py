@@ -159,8 +159,7 @@ def dds() -> str:
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not checked without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
-    from pixel2catch.ros2.factory import make_transport
-    from pixel2catch.ros2.transport import RealClock, Topic
+    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
 from pixel2catch.cli.console import say
-from pixel2catch.ros2.factory import make_transport
-from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock
+from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock, make_transport
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.control_loop import Connection

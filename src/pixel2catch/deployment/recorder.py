@@ -137,7 +137,7 @@ class DeploymentRecorder:
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
         self._polled, self._has_gaps = np.inf, False
-        topics = profile.told | {part.command_topic for part in profile.robots}
+        topics = profile.driver_topics | {part.command_topic for part in profile.robots}
         topics |= {*vars(profile.operator).values()}
         self._subscriptions = [
             (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics

@@ -134,7 +134,7 @@ def played_topics(profile: Profile) -> set[Topic]:
     """Return the topics that a deployment subscribes to."""
     operator, camera = profile.operator, profile.camera
     topics = {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
-    return profile.told | {topic for topic in topics if topic}
+    return profile.driver_topics | {topic for topic in topics if topic}
 
 
 def _require_images(recording: Path, profile: Profile) -> None:

@@ -1,5 +1,5 @@
-"""ROS 2 without an installation of it: messages as bytes, how they travel, and what a laboratory calls them.
+"""ROS 2 without an installation of it: messages, transports, recordings and robot profiles.
 
-The interface to the network and the clock are in `transport`, the one decoder of each message in `messages`,
-the one reader of recordings in `bags`, the one map between our joints and those of the drivers in `profile`.
+`transport` has the interface to network and clock, `messages` the only encoder and decoder of each message,
+`bags` the only reader of recordings, `profile` the names and order of a driver's joints.
 """

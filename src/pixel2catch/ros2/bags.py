@@ -1,4 +1,4 @@
-"""Recordings of ROS 2 (rosbag2: MCAP or SQLite), opened and read message by message. Needs rosbags."""
+"""Recordings of ROS 2 (rosbag2: MCAP or SQLite), read message by message. Needs rosbags."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,13 +20,12 @@ if TYPE_CHECKING:
 
 BAG_SUFFIXES, METADATA = (".mcap", ".db3"), "metadata.yaml"
 
-MOST_CHUNK = 2**26  #: Bytes of a chunk of an MCAP file, unpacked; recorders write some million. Source: ours.
-MOST_AT_ONCE = 2**28
-"""Bytes of chunks of an MCAP file whose times overlap, which are unpacked at the same time. Source: ours."""
+MOST_CHUNK = 2**26  #: Largest unpacked chunk of an MCAP file [bytes]. Source: ours.
+MOST_AT_ONCE = 2**28  #: Largest sum of chunks whose times overlap: all are unpacked together. Source: ours.
 
 
 def is_bag(path: Path) -> bool:
-    """Whether it is a rosbag2: its folder, or its .mcap or .db3 file."""
+    """Return whether a path is a rosbag2: its folder, or its .mcap or .db3 file."""
     return path.suffix in BAG_SUFFIXES or (path / METADATA).exists()
 
 
@@ -34,12 +33,10 @@ def is_bag(path: Path) -> bool:
 def opened_bag(
     path: Path, error: type[Pixel2CatchError] = PerceptionError, extra: str = "perception"
 ) -> "Iterator[Reader]":
-    """A bag, by its folder or .mcap or .db3 file; whatever a damaged one raises becomes one error.
-
-    Its definitions of messages are not read: what is decoded has the types of `messages.STORE`.
+    """Open a bag by its folder, .mcap or .db3 file. Messages are decoded by the types of `messages.STORE`.
 
     Raises:
-        error: If it cannot be read, or the library is missing, which the package's `extra` brings along.
+        error: It cannot be read, or rosbags is missing, which is part of the package's `extra`.
     """
     try:
         from rosbags.rosbag2 import Reader, storage_mcap
@@ -61,7 +58,7 @@ def opened_bag(
 
 
 def _require_files(path: Path) -> None:
-    """Refuse what waits when it is opened, and a description that is not simple."""
+    """Refuse files whose opening may block, compressed bags, and complex descriptions."""
     files = [path]
     if path.is_dir():
         content = parse_yaml(read_text(path / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
@@ -77,13 +74,13 @@ def _require_files(path: Path) -> None:
 
 
 def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
-    """Refuse chunks that are too large, alone or together: all that overlap in time are unpacked at once."""
+    """Refuse chunks that are too large, alone or together."""
     sizes = [(each.message_start_time, 0, each.uncompressed_size) for each in chunks]
     sizes += [(each.message_end_time, 1, -each.uncompressed_size) for each in chunks]
     most = max(accumulate(size for *_, size in sorted(sizes)), default=0)
     if most > MOST_AT_ONCE or any(each.uncompressed_size > MOST_CHUNK for each in chunks):
         raise InvalidValueError(
-            f"its chunks are too large; {MOST_CHUNK:,} bytes each are read, {MOST_AT_ONCE:,} of one time"
+            f"its chunks are too large; at most {MOST_CHUNK:,} bytes each are read, {MOST_AT_ONCE:,} together"
         )
 
 
@@ -104,17 +101,17 @@ class BagMessage:
     """A message of a bag."""
 
     topic: str
-    type: str  #: its ROS type
-    received: int  #: when the recorder got it [ns]
-    stamp: int  #: time in its header [ns]; 0 if there is none
-    content: Any  #: as `messages.decode` has it
+    type: str  #: ROS type.
+    received: int  #: Time of recording [ns].
+    stamp: int  #: Time in its header [ns]; 0 without a header.
+    content: Any  #: Result of `messages.decode`.
 
 
 def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMessage]:
-    """The messages of some connections, in the order of the bag.
+    """Yield the messages of some connections, in the order of the bag.
 
     Raises:
-        DeploymentError: If one is damaged.
+        DeploymentError: A message is damaged.
     """
     from pixel2catch.ros2.messages import decode, nanoseconds
 
@@ -134,25 +131,24 @@ MOTION_TYPES = (
     "trajectory_msgs/msg/JointTrajectory",
     "std_msgs/msg/Float64MultiArray",
 )
-"""Types of messages that have positions of joints."""
+"""Types of messages with joint positions."""
 
-MOTION_FIELDS = ("position", "velocity", "effort")
-"""What they say of a joint [rad, rad/s, N·m]; all but the first may be missing."""
+MOTION_FIELDS = ("position", "velocity", "effort")  #: [rad, rad/s, N·m]; only the first is required.
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointMotion:
-    """What a message of one of `MOTION_TYPES` says."""
+    """The content of a message of one of `MOTION_TYPES`."""
 
-    joints: tuple[str, ...]  #: names in the order of the numbers; empty if the type has none
-    fields: dict[str, np.ndarray]  #: one number a joint, by those of `MOTION_FIELDS` that were given
+    joints: tuple[str, ...]  #: Names in the order of the numbers; empty if the type has none.
+    fields: dict[str, np.ndarray]  #: One number for each joint, by the `MOTION_FIELDS` that are there.
 
 
 def joint_motion(where: str, message: BagMessage) -> JointMotion:
     """Read a joint state, a trajectory of one target, or numbers without names.
 
     Raises:
-        RecordingError: If it is of another type, or has no target; the text begins with the place.
+        RecordingError: It has another type, or no target. The error begins with `where`.
     """
     content = message.content
     if message.type == "std_msgs/msg/Float64MultiArray":
@@ -161,7 +157,7 @@ def joint_motion(where: str, message: BagMessage) -> JointMotion:
         if len(content.points) != 1:
             raise RecordingError(
                 f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
-                "record the targets that are streamed to the joints, one point a message."
+                "record the targets that are streamed to the joints, one point in each message."
             )
         joints, fields = content.joint_names, {"position": content.points[0].positions}
     elif message.type == "sensor_msgs/msg/JointState":

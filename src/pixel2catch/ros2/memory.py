@@ -1,4 +1,4 @@
-"""Nodes of one process that talk to each other through memory, by the rules of DDS: for tests."""
+"""Nodes of one process that exchange messages in memory, by the rules of DDS: for rehearsals and tests."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subs
 
 @final
 class MessageQueue(Subscription):
-    """The messages of one subscription; made by `MessageQueues`."""
+    """The messages of one subscription; `MessageQueues` makes it. Any thread may use it."""
 
     def __init__(self, clock: Clock, arrived: Condition, depth: int) -> None:
         """Begin empty."""
@@ -20,7 +20,7 @@ class MessageQueue(Subscription):
         self._waiting: deque[Message] = deque(maxlen=depth)
 
     def put(self, data: bytes, age: float = 0.0, sender: int = 0) -> None:
-        """Keep a message that has just arrived, some time [s] after it was sent; any thread may call this."""
+        """Add a message that arrives now; its age is the time since it was sent [s]."""
         with self._arrived:
             self._waiting.append(Message(data=data, arrival=self._clock.now(), age=age, sender=sender))
             self._arrived.notify_all()
@@ -33,33 +33,33 @@ class MessageQueue(Subscription):
         return received
 
     def __bool__(self) -> bool:
-        """Return whether a message waits."""
+        """Return whether there is a message."""
         return bool(self._waiting)
 
 
 class MessageQueues:
-    """What makes the queues of a node, and the wait for them; the clock tells when a message arrives."""
+    """The queues of a node; the clock gives the arrival of messages."""
 
     def __init__(self, clock: Clock) -> None:
-        """Begin with none."""
+        """Begin without queues."""
         self._clock, self._arrived = clock, Condition()
         self._queues: list[MessageQueue] = []
 
-    def add(self, depth: int, *, is_awaited: bool = True) -> MessageQueue:
-        """Make one that keeps so many messages, and is waited for or not."""
+    def add(self, depth: int, *, only_watches: bool = False) -> MessageQueue:
+        """Make a queue; see `Transport.subscription`."""
         queue = MessageQueue(self._clock, self._arrived, depth)
-        if is_awaited:
+        if not only_watches:
             self._queues.append(queue)
         return queue
 
     def wait(self, seconds: float) -> bool:
-        """Wait until there is a message in any that is waited for, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         with self._arrived:
             return self._arrived.wait_for(lambda: any(self._queues), timeout=seconds)
 
 
 class Broker:
-    """The network: make all nodes on the same one. Any thread may use it."""
+    """The network of some nodes. Any thread may use it."""
 
     def __init__(self) -> None:
         """Begin without nodes."""
@@ -67,16 +67,22 @@ class Broker:
         self.nodes: list[MemoryTransport] = []
 
     def node(self, clock: Clock) -> "MemoryTransport":
-        """Make a node; the clock tells when its messages arrive."""
+        """Add a node; the clock gives the arrival of its messages."""
         node = MemoryTransport(self, clock)
         with self.lock:
             self.nodes.append(node)
         return node
 
 
+class _Listener(NamedTuple):
+    topic: Topic
+    queue: MessageQueue
+    only_watches: bool
+
+
 @final
 class MemoryTransport(Transport):
-    """A node on a broker, which makes it."""
+    """A node of a broker; `Broker.node` makes it."""
 
     def __init__(self, broker: Broker, clock: Clock) -> None:
         """Begin without publishers and subscriptions."""
@@ -92,8 +98,8 @@ class MemoryTransport(Transport):
         return publisher
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """Begin to listen to a topic; one that is latched gives its last messages."""
-        queue = self._queues.add(depth, is_awaited=not only_watches)
+        """See `Transport.subscription`."""
+        queue = self._queues.add(depth, only_watches=only_watches)
         with self.broker.lock:
             self.listeners.append(_Listener(topic, queue, only_watches))
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
@@ -118,25 +124,16 @@ class MemoryTransport(Transport):
             found = [(each.topic, True) for node in others for each in node.publishers]
             listeners = (each for node in others for each in node.listeners if not each.only_watches)
             found += [(each.topic, False) for each in listeners]
-        return [
-            Endpoint(topic=topic.name, type=topic.type, is_publisher=is_publisher)
-            for topic, is_publisher in found
-        ]
+        return [Endpoint(topic=topic.name, type=topic.type, is_publisher=sends) for topic, sends in found]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
         return self._queues.wait(seconds)
 
     def close(self) -> None:
-        """Leave the broker."""
+        """See `Transport.close`."""
         with self.broker.lock:
             self.broker.nodes = [node for node in self.broker.nodes if node is not self]
-
-
-class _Listener(NamedTuple):
-    topic: Topic
-    queue: MessageQueue
-    only_watches: bool
 
 
 @final
@@ -159,8 +156,7 @@ class _MemoryPublisher(Publisher):
         with self._node.broker.lock:
             return sum(not listener.only_watches for listener in self._listeners())
 
-    def _listeners(self) -> "Iterator[_Listener]":
-        """All that hear it."""
+    def _listeners(self) -> Iterator[_Listener]:
         listeners = (each for node in self._node.broker.nodes for each in node.listeners)
         return (each for each in listeners if _fits(self.topic, each.topic))
 
@@ -169,6 +165,6 @@ def _is_same(one: Topic, other: Topic) -> bool:
     return (one.name, one.type) == (other.name, other.type)
 
 
-def _fits(offered: Topic, wanted: Topic) -> bool:
-    """Whether DDS would match the two: who asks for latched messages needs a publisher that keeps them."""
-    return _is_same(offered, wanted) and (offered.is_latched or not wanted.is_latched)
+def _fits(offered: Topic, requested: Topic) -> bool:
+    """Return whether DDS would connect them: latched messages need a publisher that keeps them."""
+    return _is_same(offered, requested) and (offered.is_latched or not requested.is_latched)

@@ -1,12 +1,9 @@
-"""The messages of a deployment as CDR bytes: what is sent is encoded, what arrives is decoded, by rosbags.
-
-Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
-"""
+"""Messages of a deployment as CDR bytes, by rosbags. Stamps are seconds since the epoch."""
 
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from io import BytesIO
 from typing import Any, TypeVar
 
@@ -27,10 +24,10 @@ ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
 ACTIVITY = "controller_manager_msgs/msg/ControllerManagerActivity"
 _CONTROLLER = "controller_manager_msgs/msg/NamedLifecycleState"
 
-MOST_BYTES = 2**26  #: Bytes of a message that is read: an image of 22 million pixels. Source: ours.
+MOST_BYTES = 2**26  #: Largest message that is read [bytes]: an image of 22 million pixels. Source: ours.
 
 NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
-"""Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
+"""Modes of a UR robot; it moves in the first and the last. Source: `ur_dashboard_msgs`."""
 
 ACTIVE = 3  #: State of a controller that moves its joints. Source: `lifecycle_msgs`.
 
@@ -54,45 +51,45 @@ STORE.register(
 
 
 def encode(kind: str, *fields: Any) -> bytes:
-    """The message of a type with these fields."""
+    """Encode a message of a type with these fields."""
     return bytes(STORE.serialize_cdr(STORE.types[kind](*fields), kind))
 
 
 def decode(data: bytes, kind: str) -> Any:
-    """The message as rosbags has it; its arrays are views of the data.
+    """Decode a message; its arrays are views of the data.
 
     Raises:
-        DeploymentError: It is of another type, or damaged.
+        DeploymentError: It has another type, is damaged, or is too large.
     """
     if len(data) > MOST_BYTES:
-        raise DeploymentError(f"a message has {len(data):,} bytes; {MOST_BYTES:,} at most are read.")
+        raise DeploymentError(f"a message has {len(data):,} bytes; at most {MOST_BYTES:,} are read.")
     try:
         return STORE.deserialize_cdr(memoryview(data), kind)
     except (SerdeError, struct.error, ValueError, LookupError) as error:
         raise DeploymentError(
-            f"a message is no {kind} ({error}): two programs disagree about the type of a topic."
+            f"a message is no {kind} ({error}): two programs use different types for a topic."
         ) from error
 
 
 def float64(values: Iterable[float]) -> np.ndarray:
-    """An array as the codec wants it."""
+    """Return an array for the encoder."""
     return np.array(values if isinstance(values, np.ndarray) else tuple(values), dtype=np.float64)
 
 
 def header(stamp: float, frame_id: str = "") -> Any:
-    """A header of a time since the epoch [s]."""
+    """Return a header with a time since the epoch [s]."""
     nanoseconds = round(stamp * 1e9)
     time = STORE.types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
     return STORE.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
 def nanoseconds(header: Any) -> int:
-    """Time of a header since the epoch [ns]; 0 if it has none."""
+    """Return the time of a header since the epoch [ns]."""
     return header.stamp.sec * 10**9 + header.stamp.nanosec
 
 
 def seconds(header: Any) -> float:
-    """Time of a header since the epoch [s]."""
+    """Return the time of a header since the epoch [s]."""
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
 
@@ -106,26 +103,26 @@ NUMBER = "std_msgs/msg/Float64"
 TEXT = "std_msgs/msg/String"
 
 CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
-"""Encodings of images that are read, and how their channels become red, green and blue."""
+"""Encodings of images that are read, and the order of their channels for red, green and blue."""
 
 OPTICAL_FRAME = "camera_color_optical_frame"  #: Frame of the images. Source: RealSense driver.
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointReading:
-    """What a joint state says."""
+    """Joint positions of a joint state."""
 
-    names: tuple[str, ...]  #: the sender's names of the joints, as many as it likes, in its order
-    position: Float[np.ndarray, " num_joints"]  #: their positions [rad]
-    stamp: float  #: when they were measured [s]
+    names: tuple[str, ...]  #: The driver's names of the joints, in its order.
+    position: Float[np.ndarray, " num_joints"]  #: Their positions [rad].
+    stamp: float  #: Time of their measurement [s].
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraReading:
-    """What a camera says of its lens."""
+    """The lens of a camera."""
 
-    camera: CameraSpec  #: Size and lens; as a camera does not say where it stands, it is in its own frame.
-    distortion: tuple[float, ...]  #: As in OpenCV; none if all numbers are 0.
+    camera: CameraSpec  #: Size and lens, in the camera's own frame.
+    distortion: tuple[float, ...]  #: As in OpenCV; empty if all numbers are 0.
 
 
 def joint_state(
@@ -135,7 +132,7 @@ def joint_state(
     velocity: Iterable[float] | None = None,
     effort: Iterable[float] | None = None,
 ) -> bytes:
-    """Encode positions [rad], and velocities [rad/s] and efforts where there are any, of joints by name."""
+    """Encode positions [rad], and optionally velocities [rad/s] and efforts [N·m], of joints by name."""
     numbers = (float64(() if values is None else values) for values in (position, velocity, effort))
     return encode(JOINT_STATE, header(stamp), list(names), *numbers)
 
@@ -144,33 +141,24 @@ def read_joint_state(data: bytes) -> JointReading:
     """Decode the positions of a joint state.
 
     Raises:
-        DeploymentError: It is damaged, or has not one position a name.
+        DeploymentError: It is damaged, or has not one position for each name.
     """
-    return joint_reading(decode(data, JOINT_STATE))
-
-
-def joint_reading(message: Any) -> JointReading:
-    """The positions of a decoded joint state; see `read_joint_state`."""
+    message = decode(data, JOINT_STATE)
     if len(message.name) != len(message.position):
         raise DeploymentError(
             f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
-            "look at what publishes it."
+            "check the program that publishes it."
         )
     names, position = tuple(message.name), float64(message.position)
     return JointReading(names=names, position=position, stamp=seconds(message.header))
 
 
-@lru_cache(maxsize=16)
-def _before_numbers(size: int) -> bytes:
-    """What a message of so many numbers without names begins with; the numbers are all that follows."""
-    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-    return encode(FLOAT_ARRAY, layout, np.zeros(size))[: -8 * size or None]
+_LAYOUT = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
 
 
 def float_array(values: Iterable[float]) -> bytes:
     """Encode numbers without names, such as the commands of a forward position controller."""
-    numbers = float64(values)
-    return _before_numbers(len(numbers)) + numbers.astype("<f8", copy=False).tobytes()
+    return encode(FLOAT_ARRAY, _LAYOUT, float64(values))
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
@@ -185,9 +173,9 @@ def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
 
 
 def pixels_of(message: Any) -> Pixels | None:
-    """The pixels of a decoded image of one of `CHANNELS`, not copied if it is rgb8 without padding.
+    """Return the pixels of a decoded image of one of `CHANNELS`, or None if its size and bytes differ.
 
-    None if its size and its bytes do not agree.
+    They are not copied if it is rgb8 without padding.
     """
     height, width, step = message.height, message.width, message.step
     if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
@@ -200,18 +188,18 @@ def read_image(data: bytes) -> Image:
     """Decode an image; see `pixels_of`.
 
     Raises:
-        DeploymentError: It is damaged, of another encoding, or its size and its bytes do not agree.
+        DeploymentError: It is damaged, or not encoded in one of `CHANNELS`.
     """
     message = decode(data, IMAGE)
     if message.encoding not in CHANNELS:
         raise DeploymentError(
-            f"an image is encoded as '{message.encoding}'; have the camera send {' or '.join(CHANNELS)}."
+            f"an image is encoded as '{message.encoding}'; set the camera to {' or '.join(CHANNELS)}."
         )
     pixels = pixels_of(message)
     if pixels is None:
         raise DeploymentError(
             f"an image of {message.width} x {message.height} has {len(message.data)} bytes, "
-            f"{message.step} a row: it is damaged."
+            f"{message.step} in each row: it is damaged."
         )
     return Image(pixels=pixels, stamp=seconds(message.header), encoding=message.encoding)
 
@@ -255,7 +243,7 @@ Value = TypeVar("Value", bool, int, float, str)
 def _single(
     kind: str, value: type[Value], field: str = "data"
 ) -> tuple[Callable[[Value], bytes], Callable[[bytes], Value]]:
-    """What encodes and decodes messages of one value; the latter raises DeploymentError for others."""
+    """Return functions that encode and decode messages of one value; decoding raises as `decode` does."""
     return partial(encode, kind), lambda data: value(getattr(decode(data, kind), field))
 
 
@@ -264,22 +252,24 @@ number, read_number = _single(NUMBER, float)
 text, read_text = _single(TEXT, str)
 
 
-MOST_TEXT = 65_536  #: Characters of a JSON text that is read; ours have some hundreds. Source: ours.
+MOST_TEXT = 65_536  #: Longest JSON text that is read [characters]; ours have some hundreds. Source: ours.
 
 
 def read_json(data: bytes) -> dict[str, Any]:
     """Decode a text that is a JSON object.
 
     Raises:
-        DeploymentError: It is another text, or too long, or too deep.
+        DeploymentError: It is another text, too long, or too deeply nested.
     """
     written = read_text(data)
     if len(written) > MOST_TEXT:
-        raise DeploymentError(f"a text of {len(written)} characters is too long; it may have {MOST_TEXT}.")
+        raise DeploymentError(f"a text has {len(written)} characters; at most {MOST_TEXT} are read.")
     try:
         return json_object(written)
     except InvalidValueError as error:
-        raise DeploymentError(f"a text is no JSON object ({error}): look at what publishes it.") from error
+        raise DeploymentError(
+            f"a text is no JSON object ({error}): check the program that publishes it."
+        ) from error
 
 
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
@@ -294,40 +284,36 @@ def activity(states: Mapping[str, int], stamp: float) -> bytes:
 
 
 def read_active_controllers(data: bytes) -> frozenset[str]:
-    """Names of the controllers that move their joints; raises as `decode` does."""
+    """Decode the names of the active controllers; raises as `decode` does."""
     return frozenset(each.name for each in decode(data, ACTIVITY).controllers if each.state.id == ACTIVE)
 
 
-LARGEST_JPEG = 65_500  #: Width and height of the largest JPEG [px]. Source: libjpeg.
+LARGEST_JPEG = 65_500  #: Largest width and height of a JPEG [px]. Source: libjpeg.
 MOST_PIXELS = 2**25  #: Of an image that is unpacked; 50 times what the policies look at. Source: ours.
-FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.
-
-SUFFIX = "/compressed"
-"""What the topic of compressed images is called behind that of the raw ones. Source: image_transport."""
+FORMAT = "rgb8; jpeg compressed bgr8"  #: Format of compressed images. Source: image_transport.
+SUFFIX = "/compressed"  #: Suffix of the topic of compressed images. Source: image_transport.
 
 
 def compressed_topic(topic: Topic) -> Topic:
-    """The topic of the compressed images of a topic."""
+    """Return the topic of the compressed images of a topic."""
     return replace(topic, name=topic.name + SUFFIX, type=COMPRESSED_IMAGE)
 
 
 def compress(data: bytes) -> bytes:
-    """An image message as a JPEG message.
-
-    Raises:
-        DeploymentError: It is damaged, of another encoding than `CHANNELS`, or larger than a JPEG may be.
-    """
+    """Convert an image message to a JPEG message; raises as `read_image` does, and for too large an image."""
     import cv2
 
     reading = read_image(data)
     if max(reading.pixels.shape) > LARGEST_JPEG:
-        raise DeploymentError(f"an image of shape {reading.pixels.shape} is larger than a JPEG may be.")
+        raise DeploymentError(
+            f"an image of shape {reading.pixels.shape} is too large for a JPEG; {LARGEST_JPEG} is the most."
+        )
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(reading.pixels, cv2.COLOR_RGB2BGR))
     return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
 
 
 def unpacked_image(data: bytes) -> Pixels | None:
-    """The pixels of a JPEG, PNG, BMP or TIFF; None if it is damaged, or has more than `MOST_PIXELS`."""
+    """Decode a JPEG, PNG, BMP or TIFF; return None if it is damaged, or has more than `MOST_PIXELS`."""
     from PIL import Image, ImageOps
 
     try:
@@ -339,7 +325,7 @@ def unpacked_image(data: bytes) -> Pixels | None:
 
 
 def uncompress(data: bytes) -> bytes:
-    """A JPEG message as an image message.
+    """Convert a JPEG message to an image message.
 
     Raises:
         DeploymentError: It is damaged.

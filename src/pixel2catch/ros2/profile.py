@@ -1,7 +1,6 @@
-"""The robot profile: what a laboratory calls its topics and joints, and the order of its drivers.
+"""The robot profile: names of topics and joints in a laboratory, and the order of its drivers.
 
-It is a file of YAML that a person owns. The fields and types of the dataclasses here are its schema; errors
-name file, key and fix.
+It is a YAML file, whose schema are the dataclasses here. Errors name file, key and fix.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,8 +21,7 @@ from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.transport import Topic
 
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
-COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of the messages that take commands.
-
+COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of messages that drivers take as commands.
 
 LATCHED = {
     "activity": messages.ACTIVITY,
@@ -31,7 +29,7 @@ LATCHED = {
     "robot_mode": messages.ROBOT_MODE,
     "program_running": messages.BOOLEAN,
 }
-"""Types of the topics whose last message late subscribers get, by field. In the file they are names."""
+"""Types of latched topics, by field."""
 
 TOPICS = LATCHED | {
     "state_topic": messages.JOINT_STATE,
@@ -44,7 +42,7 @@ TOPICS = LATCHED | {
     "prompt": messages.TEXT,
     "status": messages.TEXT,
 }
-"""Types of all topics that are only a name in the file, by field."""
+"""Types of the topics that have only a name in the file, by field."""
 
 
 def _with_topics(content: Any, field: str = "") -> Any:
@@ -57,29 +55,29 @@ def _with_topics(content: Any, field: str = "") -> Any:
         return content
     if not content.startswith("/"):
         raise InvalidValueError(
-            f"field '{field}': {shown(content)} is no topic; write its whole name, such as '/joint_states'"
+            f"field '{field}': {shown(content)} is no topic; write its full name, such as '/joint_states'"
         )
     return {"name": content, "type": TOPICS[field], "is_latched": field in LATCHED}
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriverJoint:
-    """What a driver calls a joint."""
+    """A joint of a driver."""
 
-    name_in_state: str  #: Its name in the joint states.
-    index_in_command: int  #: Its place in a command.
+    name_in_state: str  #: Its name in joint states.
+    index_in_command: int  #: Its index in a command.
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionBudget:
-    """How much a laboratory allows of the motion of a part; the servo's own limits hold beside it."""
+    """A laboratory's limits of a part's motion, in addition to those of the servo."""
 
     speed: float = inf  #: Largest speed of a joint [rad/s].
     acceleration: float = inf  #: Largest acceleration of a command [rad/s²].
     jerk: float = inf  #: Largest jerk of a command [rad/s³].
 
     def __post_init__(self) -> None:
-        """Refuse what would be no limit."""
+        """Refuse limits that are not positive."""
         for entry in fields(self):
             if not (value := getattr(self, entry.name)) > 0.0:
                 raise InvalidValueError(f"{entry.name} is {value:g}; it must be more than 0")
@@ -87,10 +85,10 @@ class MotionBudget:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldJoint:
-    """A joint that is none of ours."""
+    """A driver joint that the work cell does not control. It is held at its angle."""
 
-    angle: float  #: Where it is kept [rad].
-    #: Its name in the joint states: it goes to its angle evenly. Without, it is sent there at once.
+    angle: float  #: [rad].
+    #: Its name in joint states. Without it, the joint is not moved to its angle evenly, but at once.
     name_in_state: str | None = None
 
 
@@ -99,8 +97,7 @@ class Controller:
     """The controller of ros2_control that takes the commands."""
 
     name: str  #: Such as forward_position_controller; it must be active.
-    #: What its controller manager says of all of them, from ROS 2 Jazzy on.
-    activity: Topic
+    activity: Topic  #: Topic of its controller manager with the states of all controllers, from Jazzy on.
 
 
 Columns = Int[np.ndarray, " num_found"]
@@ -110,22 +107,21 @@ FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no jo
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPart:
-    """One driver, of a joint group of the work cell; its profile checks it."""
+    """The driver of one joint group of the work cell. `Profile` checks it."""
 
-    name: str  #: The joint group that it moves, such as "arm" or "hand".
-    joints: dict[str, DriverJoint]  #: Its joints, by our names.
-    state_topic: Topic  #: Other parts may use it, too.
-    command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
-    command_size: int  #: How many numbers a command has.
-    #: Joints that are none of ours, by their place in a command.
-    held: dict[int, HeldJoint] = field(default_factory=dict)
-    rate_hz: float  #: How often the driver takes a command [Hz].
-    limits: MotionBudget = MotionBudget()  #: What its joints are allowed, if less than the servo allows.
-    controller: Controller | None = None  #: What must be active; not watched if absent.
-    joint_order: tuple[str, ...] = ()  #: All joints of the work cell, which the profile fills in.
+    name: str  #: The joint group, such as "arm" or "hand".
+    joints: dict[str, DriverJoint]  #: Its joints, by their names in the work cell.
+    state_topic: Topic  #: Joint states; parts may share the topic.
+    command_topic: Topic  #: Commands, of a type in `COMMANDS`.
+    command_size: int  #: Number of values in a command.
+    held: dict[int, HeldJoint] = field(default_factory=dict)  #: Held joints, by their index in a command.
+    rate_hz: float  #: Rate at which the driver takes commands [Hz].
+    limits: MotionBudget = MotionBudget()
+    controller: Controller | None = None  #: Not checked if absent.
+    joint_order: tuple[str, ...] = ()  #: All joints of the work cell; the profile fills it in.
 
     def require_complete(self) -> None:
-        """Refuse a part that would leave a number of its command to chance."""
+        """Refuse a part whose command is not fully defined."""
         for joint in self.joints:
             if joint not in self.joint_order:
                 raise UnknownNameError("joint", joint, self.joint_order)
@@ -152,19 +148,17 @@ class RobotPart:
 
     @cached_property
     def ids(self) -> Int[np.ndarray, " part_joints"]:
-        """Places of its joints in joint order."""
+        """Indices of its joints in joint order."""
         return np.array([self.joint_order.index(joint) for joint in self.joints], dtype=np.int64)
 
     @cached_property
     def held_angles(self) -> Float[np.ndarray, " num_held"]:
-        """Where the joints are kept that are none of ours [rad]."""
+        """Angles of the held joints [rad]."""
         return np.array([joint.angle for joint in self.held.values()])
 
     @cached_property
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places in a command of the joints, and of those that are none of ours."""
-        ours = [theirs.index_in_command for theirs in self.joints.values()]
-        return np.array(ours, dtype=np.int64), np.array([*self.held], dtype=np.int64)
+    def _places(self) -> Int[np.ndarray, " part_joints"]:
+        return np.array([joint.index_in_command for joint in self.joints.values()], dtype=np.int64)
 
     def command(
         self,
@@ -172,15 +166,16 @@ class RobotPart:
         stamp: float = 0.0,
         held: Float[np.ndarray, " num_held"] | None = None,
     ) -> bytes:
-        """Encode the command of this part, from the targets of all joints in joint order [rad].
+        """Encode the command of this part.
 
-        The stamp [s] is for drivers that take joint states, which have no names then: the order tells. Held
-        joints are where they are kept, or on their way there [rad].
+        Args:
+            joint_pos_target: Commands of all joints, in joint order [rad].
+            stamp: For drivers that take joint states, which are sent without names [s].
+            held: Commands of the held joints [rad]; their angles if absent.
         """
         values = np.empty(self.command_size)
-        ours, others = self._places
-        values[ours] = joint_pos_target[self.ids]
-        values[others] = self.held_angles if held is None else held
+        values[self._places] = joint_pos_target[self.ids]
+        values[[*self.held]] = self.held_angles if held is None else held
         if self.command_topic.type == messages.JOINT_STATE:
             return messages.joint_state((), values, stamp)
         return messages.float_array(values)
@@ -188,19 +183,16 @@ class RobotPart:
     def merge(
         self, reading: JointReading, joint_pos: Float[np.ndarray, " num_joints"]
     ) -> Int[np.ndarray, " num_read"]:
-        """Write those joints of this part that a joint state has into the positions of all; it may lack some.
+        """Copy this part's joints of a joint state into positions in joint order [rad].
 
-        The positions are in joint order [rad]; returned is which of them were written.
-
-        Raises:
-            DeploymentError: It has one of them twice.
+        Returns which of them were written. Raises as `columns` does.
         """
         columns, ids = self.columns(reading.names)
         joint_pos[ids] = reading.position[columns]
         return ids
 
     def columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
-        """Which columns of a joint state with such names are its joints, and their places in joint order.
+        """Return the columns of a joint state with these names that are its joints, and their `ids`.
 
         Raises:
             DeploymentError: It has one of them twice.
@@ -209,16 +201,15 @@ class RobotPart:
         return _columns(names, dict(zip(ours, self.ids.tolist(), strict=True)))
 
     def held_columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
-        """Likewise of its joints that are none of ours, and their places among these."""
+        """Return the columns of its held joints, and their places among these; raises as `columns` does."""
         others = {joint.name_in_state: place for place, joint in enumerate(self.held.values())}
         return _columns(names, {name: place for name, place in others.items() if name})
 
 
 def _columns(names: tuple[str, ...], places: Mapping[str, int]) -> tuple[Columns, Columns]:
-    """Columns of a joint state that have a place, and that place."""
     twice = sorted({name for name in places if names.count(name) > 1})
     if twice:
-        raise DeploymentError(f"a joint state has {', '.join(twice)} twice: look at what publishes it.")
+        raise DeploymentError(f"a joint state has {', '.join(twice)} twice: check what publishes it.")
     found = [(names.index(name), place) for name, place in places.items() if name in names]
     columns, ids = np.array(found, dtype=np.int64).reshape(-1, 2).T
     return columns, ids
@@ -245,7 +236,7 @@ class CameraProfile:
         """Refuse an image of another size or encoding.
 
         Raises:
-            DeploymentError: If it is one.
+            DeploymentError: The driver must be set differently.
         """
         height, width, _ = reading.pixels.shape
         if (width, height, reading.encoding) != (self.width, self.height, self.encoding):
@@ -257,13 +248,12 @@ class CameraProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class StatusTopics:
-    """What the arm's driver says of itself; what is left out is not watched."""
+    """Status topics of the arm's driver; one that is left out is not checked."""
 
     safety_mode: Topic | None = None
     robot_mode: Topic | None = None
-    #: Whether the driver's program runs.
     program_running: Topic | None = None
-    speed_scaling: Topic | None = None  #: In percent.
+    speed_scaling: Topic | None = None  #: [%].
 
 
 def _own(name: str, message: str = messages.BOOLEAN) -> Topic:
@@ -272,13 +262,13 @@ def _own(name: str, message: str = messages.BOOLEAN) -> Topic:
 
 @dataclass(frozen=True, kw_only=True)
 class OperatorTopics:
-    """Our own topics, between the operator and the deployment."""
+    """Topics between operator and deployment."""
 
-    arm: Topic = field(default=_own("arm"))  #: The operator asks to arm.
-    dead_man: Topic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
-    stop: Topic = field(default=_own("stop"))  #: The operator stops.
-    prompt: Topic = field(default=_own("prompt", messages.TEXT))  #: The operator points at the object.
-    status: Topic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
+    arm: Topic = field(default=_own("arm"))  #: Requests to arm.
+    dead_man: Topic = field(default=_own("dead_man"))  #: Whether the dead-man's switch is held.
+    stop: Topic = field(default=_own("stop"))  #: Requests to stop.
+    prompt: Topic = field(default=_own("prompt", messages.TEXT))  #: Where the object is in an image.
+    status: Topic = field(default=_own("status", messages.TEXT))  #: Status of the deployment.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,14 +276,14 @@ class Profile:
     """A robot with its drivers and its camera."""
 
     name: str
-    workcell: str  #: Name of the work cell whose robot it is, or a Python file that defines `WORKCELLS`.
+    workcell: str  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     camera: CameraProfile
     robots: tuple[RobotPart, ...]  #: A driver for each joint group.
     status: StatusTopics = StatusTopics()
     operator: OperatorTopics = OperatorTopics()
 
     def __post_init__(self) -> None:
-        """Give the parts the joint order; refuse what is not in the work cell, or driven twice."""
+        """Fill in the joint order; refuse joints that are not in the work cell, or driven twice."""
         from pixel2catch.workcells import find_workcell  # needs MuJoCo: not where a profile is unpickled
 
         workcell = find_workcell(self.workcell)
@@ -317,7 +307,7 @@ class Profile:
 
         Raises:
             UnknownNameError: There is no such profile.
-            DeploymentError: The file cannot be read, or is no profile; the message names the key and the fix.
+            DeploymentError: The file cannot be read, or is no profile.
         """
         path = Path(name_or_path)
         if path.suffix not in (".yaml", ".yml"):
@@ -329,8 +319,8 @@ class Profile:
             return decoded(cls, _with_topics(parse_yaml(read_text(path, MOST_YAML))))
 
     @property
-    def told(self) -> set[Topic]:
-        """What the drivers of the robot say: joint states, and how it is."""
+    def driver_topics(self) -> set[Topic]:
+        """Topics that the robot's drivers send: joint states and status."""
         topics = {part.state_topic for part in self.robots} | {*vars(self.status).values()}
         topics |= {part.controller.activity for part in self.robots if part.controller}
         return topics - {None}
@@ -339,11 +329,11 @@ class Profile:
         """Refuse a policy that moves joints which this robot does not have.
 
         Raises:
-            DeploymentError: Some are missing; the message names them.
+            DeploymentError: Some are missing.
         """
         missing = [joint for joint in joints if not any(joint in part.joints for part in self.robots)]
         if missing:
             raise DeploymentError(
                 f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
-                "joints of a part, or take a policy for this robot."
+                "joints of a part, or use a policy for this robot."
             )

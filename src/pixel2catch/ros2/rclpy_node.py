@@ -1,8 +1,6 @@
-"""The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not speak.
+"""The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not support.
 
-A node imports rclpy; this module does not, so that it can be imported without ROS 2.
-
-Tried with rclpy 7.1 (Jazzy) on Cyclone DDS; versions before Iron do not say when a message was sent.
+A node imports rclpy; this module can be imported without ROS 2. Tested with rclpy 7.1 (Jazzy) on Cyclone DDS.
 """
 
 # pyright: reportMissingImports=false
@@ -27,7 +25,7 @@ from pixel2catch.ros2.transport import (
     Transport,
 )
 
-OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only watch what others are to take.
+OWN_NODES = "pixel2catch"  #: Prefix of the names of our nodes, whose subscriptions only watch.
 
 
 @final
@@ -38,8 +36,8 @@ class RosTransport(Transport):
         """Join.
 
         Raises:
-            DeploymentError: It may speak to this machine only, and ROS 2 is not set so, or to one interface,
-                which rclpy cannot choose; this version of ROS 2 is too old; or it cannot be started.
+            DeploymentError: The network is this machine only and ROS 2 is not set so, or an interface, which
+                rclpy cannot choose; this version of ROS 2 is too old; or rclpy cannot be started.
             ImportError: ROS 2 is not sourced.
         """
         import rclpy
@@ -52,16 +50,16 @@ class RosTransport(Transport):
             os.environ.get(name) == value for name, value in ROS_ON_LOOPBACK.items()
         ):
             settings = " or ".join(f"{name}={value}" for name, value in ROS_ON_LOOPBACK.items())
-            raise DeploymentError(f"ROS 2 would speak to the whole network: set {settings} first.")
+            raise DeploymentError(f"ROS 2 would use the whole network: set {settings} first.")
         if network not in (LOOPBACK, ANY):
             raise DeploymentError(
-                f"rclpy cannot be told to speak to {network}: take --network {ANY}, and name the interface "
-                "in the settings of its middleware, such as CYCLONEDDS_URI."
+                f"rclpy cannot choose the interface {network}: use --network {ANY}, and name the interface "
+                "in the settings of the middleware, such as CYCLONEDDS_URI."
             )
         if not hasattr(RclpySubscription, "CallbackType"):
             raise DeploymentError(
-                "this rclpy does not say when a message was sent, so that an old switch would count: "
-                "take ROS 2 Iron or a newer one, or the transport dds."
+                "this rclpy does not give the time at which a message was sent, so that an old switch would "
+                "count: use ROS 2 Iron or newer, or the transport dds."
             )
         self._clock, self._queues = clock, MessageQueues(clock)
         self._num_own: dict[str, int] = {}
@@ -74,7 +72,7 @@ class RosTransport(Transport):
         except RuntimeError as error:
             rclpy.try_shutdown(context=self._context)
             raise DeploymentError(
-                f"rclpy cannot join ({error}); look at ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the settings of "
+                f"rclpy cannot join ({error}); check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the settings of "
                 "that middleware."
             ) from error
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -84,26 +82,26 @@ class RosTransport(Transport):
         self._receiver.start()
 
     def publisher(self, topic: Topic) -> Publisher:
-        """Announce a topic that this node sends."""
+        """See `Transport.publisher`."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
         qos = _qos(topic, 1, is_reader=False)
         publisher = self._node.create_publisher(_type(topic), topic.name, qos)
         return _RosPublisher(topic, self._node, publisher)
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """See `Transport.subscription`; others know who only watches by the name of its node."""
-        queue = self._queues.add(depth, is_awaited=not only_watches)
+        """See `Transport.subscription`; others recognise one that only watches by the name of its node."""
+        queue = self._queues.add(depth, only_watches=only_watches)
         qos = _qos(topic, depth, is_reader=True)
         keep = partial(_keep, queue, self._clock)
         self._node.create_subscription(_type(topic), topic.name, keep, qos, raw=True)
         return queue
 
     def num_other_publishers(self, topic: Topic) -> int:
-        """How many publishers of a topic there are besides those of this node."""
+        """See `Transport.num_other_publishers`."""
         return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
-        """See `Transport.other_publishers`; messages do not tell which of them sent one."""
+        """See `Transport.other_publishers`; messages do not name their sender."""
         found = self._node.get_publishers_info_by_topic(topic.name)
         others = (each for each in found if each.node_name != self._node.get_name())
         return {int.from_bytes(bytes(each.endpoint_gid)): f"node {each.node_name}" for each in others}
@@ -133,7 +131,7 @@ class RosTransport(Transport):
         if not self._is_open:
             return
         self._is_open = False
-        self._executor.create_task(bool)  # ends the wait of the thread that receives
+        self._executor.create_task(bool)  # ends the wait of the receiving thread
         self._receiver.join()
         self._executor.shutdown()
         self._node.destroy_node()
@@ -145,7 +143,7 @@ class RosTransport(Transport):
 
 
 def _keep(queue: MessageQueue, clock: RealClock, data: bytes, info: dict[str, int]) -> None:
-    """Take a message from rclpy; its second argument makes rclpy tell when it was sent [ns]."""
+    """Keep a message; for a callback of two arguments, rclpy gives the time at which it was sent [ns]."""
     queue.put(data, clock.age(info["source_timestamp"]))
 
 
@@ -165,16 +163,16 @@ class _RosPublisher(Publisher):
         return sum(self._is_taken_by(each) for each in found)
 
     def _is_taken_by(self, subscription: Any) -> bool:
-        """Whether a subscription hears this publisher, and does more than watch."""
+        """Return whether a subscription receives these messages, and does not only watch."""
         from rclpy.qos import QoSDurabilityPolicy
 
-        wants_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-        fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= wants_latched
+        is_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= is_latched
         return fits and not subscription.node_name.startswith(OWN_NODES)
 
 
 def _type(topic: Topic) -> Any:
-    """The message's class; its package must be installed, as ur_dashboard_msgs is with UR's driver."""
+    """Return the class of a message, whose package must be installed."""
     from rosidl_runtime_py.utilities import get_message
 
     try:
@@ -186,9 +184,10 @@ def _type(topic: Topic) -> Any:
 
 
 def _qos(topic: Topic, depth: int, *, is_reader: bool) -> Any:
-    """Writers are reliable, and keep the last message of latched topics for late subscribers.
+    """Return the qualities of an endpoint.
 
-    A best-effort reader hears every publisher; latched messages must be asked for reliably.
+    Writers are reliable, and keep the last message of latched topics. Best-effort readers receive from every
+    publisher; latched messages need reliable ones.
     """
     from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 

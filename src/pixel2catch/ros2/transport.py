@@ -1,6 +1,6 @@
-"""How messages travel: the interface to DDS, ROS 2, bags and memory, in serialised messages (CDR).
+"""How messages travel: the interface to DDS, ROS 2, recordings and memory, in serialised messages (CDR).
 
-Nothing here waits but `Transport.wait`; what arrives is kept until it is taken, up to a depth.
+Only `Transport.wait` blocks. Messages that arrive are kept until they are taken, up to a depth.
 """
 
 import socket
@@ -10,38 +10,40 @@ from dataclasses import dataclass
 from typing import Annotated, final
 
 from pixel2catch.checks import Requirement
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
+from pixel2catch.installation import install_command
+
+POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
 
 
 class Clock(ABC):
-    """Seconds that everything which takes part in a deployment agrees on."""
+    """Time that all processes of a deployment share."""
 
     @abstractmethod
     def now(self) -> float:
-        """Monotonic time [s]: for ages, periods and deadlines."""
+        """Return the monotonic time [s], for ages, periods and deadlines."""
 
     @abstractmethod
     def stamp(self) -> float:
-        """Time of day [s]: for the headers of messages, which other machines compare with their own."""
+        """Return the time of day [s], for headers of messages."""
 
     @abstractmethod
     def sleep_until(self, moment: float) -> None:
-        """Wait for a moment of `now`; return at once if it is over."""
+        """Wait for a time of `now`; return at once if it has passed."""
 
 
-POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 
 @final
 class RealClock(Clock):
-    """Seconds that pass at a stated rate, the same ones in every process of one machine.
+    """Real time, equal in all processes of a machine, at a stated rate.
 
-    They pass, too, while the machine is suspended: whoever held the switch before does not hold it after.
+    It advances while the machine is suspended, so that a switch held before does not count after it.
     """
 
     def __init__(self, rate: float = 1.0) -> None:
-        """Begin, with so many seconds in a real one: 1 for a robot, less where a twin is too slow.
+        """Set the rate: 1 for a robot, less where a twin is too slow.
 
         Raises:
             InvalidValueError: The rate is out of range.
@@ -59,7 +61,7 @@ class RealClock(Clock):
         return self.rate * time.time()
 
     def age(self, sent: int) -> float:
-        """How long ago it was that a sender's real clock showed a time since the epoch [ns]: seconds."""
+        """Return the time since a sender's stamp, in nanoseconds since the epoch [s]."""
         return self.stamp() - 1e-9 * self.rate * sent
 
     def sleep_until(self, moment: float) -> None:
@@ -71,7 +73,7 @@ class RealClock(Clock):
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """What is published under a name."""
+    """A name under which messages of one type are sent."""
 
     name: str  #: ROS name, such as "/joint_states".
     type: str  #: ROS type, such as "sensor_msgs/msg/JointState".
@@ -80,21 +82,21 @@ class Topic:
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """One message as it arrived."""
+    """A message as it arrived."""
 
     data: bytes  #: CDR, with its header of four bytes.
-    arrival: float  #: When it was received, `Clock.now` [s].
-    age: float = 0.0  #: How long before it was sent, by the sender's clock [s]; 0 where that is not told.
-    sender: int = 0  #: Its publisher, a key of `Transport.other_publishers`; 0 where that is not told.
+    arrival: float  #: Time of arrival, `Clock.now` [s].
+    age: float = 0.0  #: Time between sending, by the sender's clock, and arrival [s]; 0 if unknown.
+    sender: int = 0  #: Its publisher, a key of `Transport.other_publishers`; 0 if unknown.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Endpoint:
-    """A publisher or a subscription of another program."""
+    """A publisher or subscription of another program."""
 
     topic: str  #: ROS name.
     type: str  #: ROS type.
-    is_publisher: bool  #: Whether it sends; else it receives.
+    is_publisher: bool
 
 
 class Publisher(ABC):
@@ -106,7 +108,7 @@ class Publisher(ABC):
 
     @abstractmethod
     def num_subscribers(self) -> int:
-        """How many subscriptions take its messages, those left out that only watch."""
+        """Return the number of subscriptions that receive its messages, without those that only watch."""
 
 
 class Subscription(ABC):
@@ -114,7 +116,7 @@ class Subscription(ABC):
 
     @abstractmethod
     def take(self) -> list[Message]:
-        """What arrived since the last call, oldest first; of more than the depth the oldest are lost."""
+        """Return what arrived since the last call, oldest first; beyond the depth, the oldest are lost."""
 
 
 class Transport(ABC):
@@ -126,37 +128,36 @@ class Transport(ABC):
 
     @abstractmethod
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """Begin to listen to a topic; so many messages are kept until they are taken.
+        """Subscribe to a topic.
 
-        One that only watches, such as a recording's, does not count as a subscriber, and is not awaited: its
-        messages end no `wait`.
+        Args:
+            topic: What is received.
+            depth: Number of messages that are kept until they are taken.
+            only_watches: Not counted as a subscriber, and does not end a `wait`, as for a recording.
         """
 
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
-        """How many publishers of a topic there are besides those of this node."""
+        """Return the number of publishers of a topic, without those of this node."""
 
     @abstractmethod
     def other_publishers(self, topic: Topic) -> dict[int, str]:
-        """Those publishers, in words as far as the network tells: program, process and machine."""
+        """Return these publishers with a description, as far as known: program, process and machine."""
 
     @abstractmethod
     def endpoints(self) -> list[Endpoint]:
-        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced.
-
-        Subscriptions that only watch are left out.
-        """
+        """Return the known publishers and subscriptions of other nodes, without those that only watch."""
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something that is awaited has arrived, or for a real time [s]; say which."""
+        """Wait up to a real time for a message [s]; return whether there is one."""
 
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     def __enter__(self) -> "Transport":
-        """Return the node itself."""
+        """Return the node."""
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -165,19 +166,19 @@ class Transport(ABC):
 
 
 LOOPBACK, ANY = "lo", "any"
-"""Networks besides the interfaces of this machine: itself alone, and what the transport takes by itself."""
+"""Networks besides the interfaces of this machine: this machine only, and the transport's own choice."""
 
 ROS_ON_LOOPBACK = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""What keeps ROS 2 to this machine, the older setting first."""
+"""Settings that limit ROS 2 to this machine, the older one first."""
 
 
 @final
 @dataclass(frozen=True)
 class Reachable(Requirement):
-    """A network that this machine is on."""
+    """A network that this machine has."""
 
     def require(self, name: str, value: str) -> None:
-        """Refuse an interface that there is not, and name those that there are."""
+        """Refuse an unknown interface, and name the known ones."""
         known = dict.fromkeys((LOOPBACK, *(interface for _, interface in socket.if_nameindex()), ANY))
         if value not in known:
             raise UnknownNameError(name, value, known)
@@ -185,3 +186,29 @@ class Reachable(Requirement):
 
 NetworkName = Annotated[str, Reachable()]
 """`LOOPBACK`, an interface of this machine, or `ANY`."""
+
+TRANSPORTS = ("dds", "ros")
+
+
+def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
+    """Join a network, a `NetworkName`, by one of `TRANSPORTS`.
+
+    Raises:
+        UnknownNameError: There is no such transport or network.
+        DeploymentError: Its library is missing, or it cannot be started.
+    """
+    if name not in TRANSPORTS:
+        raise UnknownNameError("transport", name, TRANSPORTS)
+    Reachable().require("network", network)
+    try:
+        if name == "dds":
+            from pixel2catch.ros2.dds import DdsTransport
+
+            return DdsTransport(node_name, clock, network=network)
+        from pixel2catch.ros2.rclpy_node import RosTransport
+
+        return RosTransport(node_name, clock, network=network)
+    except ImportError as error:
+        remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds"
+        remedy = install_command("deployment") if name == "dds" else remedy
+        raise DeploymentError(f"the transport '{name}' cannot be loaded ({error}): {remedy}.") from error

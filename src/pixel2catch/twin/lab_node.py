@@ -23,9 +23,8 @@ from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.link import set_niceness
 from pixel2catch.twin.drivers import CYCLE, ArmDriver, CameraDriver, Driver, HandDriver

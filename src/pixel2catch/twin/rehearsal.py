@@ -20,9 +20,8 @@ from pixel2catch.deployment.operator import DEPTH, OperatorConsole, newest
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import OperatorTopics, Profile
-from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE

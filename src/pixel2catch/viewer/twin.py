@@ -9,9 +9,8 @@ from typing import Any, NoReturn, final
 
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
