@@ -11,9 +11,8 @@ from loop_lab import BOX, moved, picture
 from wire_lab import WireLab
 
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.transport import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Command, JointTargets, set_niceness

@@ -18,9 +18,8 @@ from camera_lab import Arming, run_laboratory
 
 from domains import PATIENCE, own_domain
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.transport import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 RATE = 0.05
