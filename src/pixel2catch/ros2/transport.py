@@ -7,6 +7,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Annotated, final
 
 from pixel2catch.checks import Requirement
@@ -187,7 +188,8 @@ class Reachable(Requirement):
 NetworkName = Annotated[str, Reachable()]
 """`LOOPBACK`, an interface of this machine, or `ANY`."""
 
-TRANSPORTS = ("dds", "ros")
+TRANSPORTS = {"dds": ("dds", "DdsTransport"), "ros": ("rclpy_node", "RosTransport")}
+"""Module and class of each transport; they are loaded by name, as their libraries may be missing."""
 
 
 def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
@@ -200,14 +202,9 @@ def make_transport(name: str, node_name: str, network: str, clock: RealClock) ->
     if name not in TRANSPORTS:
         raise UnknownNameError("transport", name, TRANSPORTS)
     Reachable().require("network", network)
+    module, kind = TRANSPORTS[name]
     try:
-        if name == "dds":
-            from pixel2catch.ros2.dds import DdsTransport
-
-            return DdsTransport(node_name, clock, network=network)
-        from pixel2catch.ros2.rclpy_node import RosTransport
-
-        return RosTransport(node_name, clock, network=network)
+        return getattr(import_module(f"pixel2catch.ros2.{module}"), kind)(node_name, clock, network=network)
     except ImportError as error:
         remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds"
         remedy = install_command("deployment") if name == "dds" else remedy
