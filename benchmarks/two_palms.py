@@ -95,7 +95,7 @@ class Script:
         if not self._is_planned:
             self._plan()
         time = (steps - self._hover_steps).double() * CONTROL_DT
-        self._is_touched |= env._senses.now.is_touching.any(dim=-1)
+        self._is_touched |= env._sensors.now.is_touching.any(dim=-1)
         is_flying = time >= 0.0
         goes_along = is_flying & (self._is_touched | (time > self._duration - self._catch["lead"]))
         joint_pos = env.measurement.joint_pos.double()
