@@ -1,0 +1,68 @@
+"""The budgets of `budgets.toml`: lines, files and options. A commit that raises one says why."""
+
+import tomllib
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+import tyro
+
+from pixel2catch.cli.fields import PREFIX, default_of
+from pixel2catch.cli.help import option_rules
+from pixel2catch.cli.main import COMMANDS, load_command
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "pixel2catch"
+BUDGETS = tomllib.loads((ROOT / "budgets.toml").read_text(encoding="utf-8"))
+
+
+def lines(paths: Iterable[Path]) -> int:
+    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in paths)
+
+
+def python(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+
+
+def room_files(room: str) -> list[Path]:
+    return [*SOURCE.glob("*.py")] if room == "ground" else [*(SOURCE / room).rglob("*.py")]
+
+
+MEASURES = {
+    "source_lines": lambda: lines(python("src")),
+    "source_files": lambda: len(python("src")),
+    "all_but_tests_lines": lambda: lines(python("src", "companions", "benchmarks")),
+    "javascript_lines": lambda: lines((ROOT / "src").rglob("*.js")),
+    "test_lines": lambda: lines(python("tests", "companions")),
+}
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_the_whole_keeps_its_budget(name: str):
+    assert MEASURES[name]() <= BUDGETS["whole"][name]
+
+
+def test_every_room_keeps_its_budget():
+    rooms = {path.name for path in SOURCE.iterdir() if [*path.glob("*.py")]} | {"ground"}
+    budgets = BUDGETS["rooms"]
+    assert {room for rooms in budgets for room in rooms.split("+")} == rooms
+    sizes = {
+        rooms: lines(path for room in rooms.split("+") for path in room_files(room)) for rooms in budgets
+    }
+    assert {name: size for name, size in sizes.items() if size > budgets[name]} == {}
+
+
+def test_commands_have_few_options():
+    """Without --help and the fields of the task."""
+    counts = {}
+    for name in COMMANDS:
+        command = load_command(name)
+        with warnings.catch_warnings(action="ignore"):  # tyro has no other way to list options
+            default, rules = default_of(command, []), option_rules()
+            parser = tyro.extras.get_parser(command, default=default, registry=rules)
+        options = [action.option_strings[0] for action in parser._actions if action.option_strings]
+        counts[name] = sum(
+            option not in ("-h", "--help") and not option.startswith(PREFIX) for option in options
+        )
+    assert sum(counts.values()) <= BUDGETS["whole"]["options"], counts
