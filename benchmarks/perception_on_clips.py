@@ -16,9 +16,8 @@ from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.files import write_atomically
-from pixel2catch.perception.image_fit import camera_for
 from pixel2catch.perception.labels import Labels, Truth
-from pixel2catch.perception.sources import SourceCfg, ticks_of
+from pixel2catch.perception.sources import SourceCfg, camera_for, ticks_of
 
 HUES = {"red": (340.0, 20.0), "orange": (8.0, 45.0), "yellow": (42.0, 75.0), "blue": (195.0, 235.0)}
 """Hues that one would give `--color` for an object of which a label file says such a word [degrees]."""

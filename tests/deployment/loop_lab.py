@@ -20,10 +20,10 @@ from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.segmenter import (
+    BoxPrompt,
     ColorRange,
     ColorThreshold,
     ImageMotion,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -60,7 +60,7 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
 class EverythingRed(Segmenter):
     """Finds everything that is red."""
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         return self.track(image, motion)
 
     def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:

@@ -26,7 +26,6 @@ from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ColorThreshold,
     ImageMotion,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -268,7 +267,7 @@ class SuspendedSegmenter(Segmenter):
         self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
         self.settled_by = SimpleQueue[str]()
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         self._wait()
         return self._segmenter.start(image, prompt, motion)
 

@@ -9,7 +9,7 @@ import numpy as np
 from pixel2catch.camera.image import Mask, Pixels
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.foreground import Foreground
-from pixel2catch.perception.segmenter import Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
 
 HEIGHT, WIDTH = 240, 320
 RED = (200, 40, 30)
@@ -37,7 +37,7 @@ class Follower:
         self.segmenter = segmenter or BackgroundSubtraction()
         self.foreground = Foreground()
 
-    def start(self, image: Pixels, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, ignored: Mask | None = None) -> Segmentation:
         motion = self.foreground.reveal(self.foreground.step(image, ignored), prompt)
         return self._kept(self.segmenter.start(image, prompt, motion))
 

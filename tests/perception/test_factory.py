@@ -13,7 +13,7 @@ from pixel2catch.perception import factory
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold, PointPrompt
+from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 from pixel2catch.perception.side_by_side import SideBySide
 
 RED = (340.0, 20.0)
@@ -69,7 +69,7 @@ def test_what_is_too_slow_for_a_camera_is_refused(
     words = "SAM 2 takes seconds for an image of 1024 px on a CPU, and a camera gives one .* --device cuda"
     with pytest.raises(InvalidValueError, match=words):
         large.make_segmenter(is_live=True)
-    monkeypatch.setattr(factory, "LONGEST_LOOK", 0.0)
+    monkeypatch.setattr(factory, "LONGEST_IMAGE_TIME", 0.0)
     small = PerceptionArgs(segmenter=segmenter, checkpoint=checkpoint)
     with pytest.raises(
         InvalidValueError, match=r"takes \d+\.\d ms for an image of 64 px on cpu, and a camera"
@@ -82,7 +82,6 @@ def test_what_a_person_gave_comes_before_the_colour():
     given = PerceptionArgs(box=(10, 10, 30, 30), color=RED).make_prompter()
     assert given.look(image) == BoxPrompt(box=(10, 10, 30, 30))
     assert given.look(image) == BoxPrompt(box=(300, 200, 320, 220))
-    assert PerceptionArgs(point=(5, 6)).make_prompter().look(image) == PointPrompt(center=(5, 6))
 
 
 def test_colour_is_looked_for_in_the_region():
@@ -98,16 +97,9 @@ def test_colour_is_looked_for_in_the_region():
     [
         PerceptionArgs(box=(30, 10, 10, 30)),
         PerceptionArgs(box=(600, 10, 700, 30)),
-        PerceptionArgs(point=(640, 10)),
-        PerceptionArgs(point=(-1, 10)),
         PerceptionArgs(region=(0, 0, 641, 480)),
     ],
 )
 def test_places_off_the_image_are_refused(args: PerceptionArgs):
     with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
         args.make_prompter()
-
-
-def test_box_and_point_exclude_each_other():
-    with pytest.raises(InvalidValueError, match="not both"):
-        PerceptionArgs(box=(10, 10, 30, 30), point=(20, 20)).make_prompter()

@@ -19,9 +19,8 @@ from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, _truth_rows
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.evaluation.box_scores import score_box, summary
-from pixel2catch.perception.image_fit import ImageFit, camera_for
 from pixel2catch.perception.labels import Label, Labels, Truth
-from pixel2catch.perception.sources import video_frames
+from pixel2catch.perception.sources import ImageFit, camera_for, video_images
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 CLIPS = Path(__file__).parents[2] / "benchmarks" / "clips"
@@ -127,7 +126,7 @@ def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
                 container.mux(packet)
         for packet in stream.encode():
             container.mux(packet)
-    plain = next(video_frames(path, []))
+    plain = next(video_images(path, []))
     assert plain.pixels.shape == (64, 128, 3)
     data = bytearray(
         path.read_bytes()
@@ -137,7 +136,7 @@ def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
     place = data.index(matrix, data.index(b"tkhd"))
     data[place : place + len(matrix)] = turned
     path.write_bytes(data)
-    upright = next(video_frames(path, []))
+    upright = next(video_images(path, []))
     assert upright.pixels.shape == (128, 64, 3)
     assert upright.pixels[:, -10:, 0].mean() > 200  # what was above is at the right
     assert upright.pixels[:, :40, 0].mean() < 30

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.rosbag_images import bag_frames
+from pixel2catch.perception.bag_images import bag_images
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 IMAGE = next(throw())
@@ -18,7 +18,7 @@ NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
-    return list(bag_frames(path, topic, "/joint_states", NAMES, [] if notes is None else notes))
+    return list(bag_images(path, topic, NAMES, [] if notes is None else notes))
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

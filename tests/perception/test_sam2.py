@@ -10,10 +10,10 @@ from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
-from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt, Segmentation
+from pixel2catch.perception.segmenter import BoxPrompt, Segmentation
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
-POINT = PointPrompt(center=(50.0, 20.0))
+OTHER = BoxPrompt(box=(45.0, 15.0, 55.0, 25.0))
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_tiny_sam2(tmp_path_factory.mktemp("sam2"))
 
 
-def run(segmenter: Sam2Segmenter, images: list[np.ndarray], prompt: Prompt = BOX) -> list[Segmentation]:
+def run(segmenter: Sam2Segmenter, images: list[np.ndarray], prompt: BoxPrompt = BOX) -> list[Segmentation]:
     return [segmenter.start(images[0], prompt), *(segmenter.track(image) for image in images[1:])]
 
 
@@ -72,7 +72,7 @@ def test_the_past_matters_up_to_a_new_start(folder: Path) -> None:
     images = random_images(6)
     segmenter, other = Sam2Segmenter(folder, "cpu"), Sam2Segmenter(folder, "cpu")
     expected = run(segmenter, images)
-    run(other, random_images(6, seed=1), POINT)
+    run(other, random_images(6, seed=1), OTHER)
     assert other.track(images[-1]).score != expected[-1].score
     assert_equal(run(other, images), expected)
 
@@ -154,7 +154,7 @@ def test_compiled_modules_see_what_plain_ones_see(folder: Path, device: str) -> 
 
 @pytest.mark.slow
 def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
-    """39 million random weights at full size: a box, a point, and images with what they are remembered by."""
+    """39 million random weights at full size: two boxes, and images with their memories."""
     torch.manual_seed(0)
     model = Sam2VideoModel(Sam2VideoConfig())
     assert sum(weights.numel() for weights in model.parameters()) == pytest.approx(39e6, rel=0.01)
@@ -162,7 +162,7 @@ def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
     model.save_pretrained(tmp_path)
     segmenter, images = Sam2Segmenter(tmp_path, "cpu"), random_images(3)
     assert segmenter.image_size == 1024
-    for prompt in (BOX, POINT):
+    for prompt in (BOX, OTHER):
         for result in run(segmenter, images, prompt):
             assert result.mask is not None
             assert result.score > 0.99
@@ -181,13 +181,12 @@ def test_nothing_is_found_before_start_and_after_reset(folder: Path) -> None:
     [
         (BoxPrompt(box=(0.0, 0.0, WIDTH, HEIGHT)), [[0.0, 0.0], [SIZE, SIZE]], [2, 3]),
         (BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)), [[SIZE / 4, SIZE / 2], [SIZE, SIZE]], [2, 3]),
-        (PointPrompt(center=(WIDTH / 2, HEIGHT / 4)), [[SIZE / 2, SIZE / 4]], [1]),
     ],
 )
 def test_prompts_reach_the_encoder_in_its_coordinates(
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
-    prompt: Prompt,
+    prompt: BoxPrompt,
     points: list[list[float]],
     labels: list[int],
 ) -> None:
@@ -209,18 +208,18 @@ def test_prompts_reach_the_encoder_in_its_coordinates(
 
 def test_different_prompts_give_different_masks(folder: Path) -> None:
     segmenter, image = Sam2Segmenter(folder, "cpu"), random_images(1)[0]
-    by_box, by_point = segmenter.start(image, BOX), segmenter.start(image, POINT)
-    assert by_box.mask is not None
-    assert by_point.mask is not None
-    assert (by_box.mask != by_point.mask).any()
+    one, other = segmenter.start(image, BOX), segmenter.start(image, OTHER)
+    assert one.mask is not None
+    assert other.mask is not None
+    assert (one.mask != other.mask).any()
 
 
-@pytest.mark.parametrize("center", [(-1.0, 5.0), (5.0, HEIGHT + 1.0), (float("nan"), 5.0)])
-def test_a_prompt_off_the_image_is_refused(folder: Path, center: tuple[float, float]) -> None:
+@pytest.mark.parametrize("left", [-40.0, WIDTH + 1.0, float("nan")])
+def test_a_prompt_off_the_image_is_refused(folder: Path, left: float) -> None:
     segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(2)
     run(segmenter, images)
     with pytest.raises(PerceptionError, match=f"not on the image of {WIDTH} by {HEIGHT} px"):
-        segmenter.start(images[0], PointPrompt(center=center))
+        segmenter.start(images[0], BoxPrompt(box=(left, 5.0, left + 10.0, 15.0)))
     assert segmenter.track(images[1]).mask is not None
 
 

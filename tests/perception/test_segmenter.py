@@ -9,10 +9,10 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.regions import Blob, find_blobs
 from pixel2catch.perception.segmenter import (
     LARGEST_REACH,
+    BoxPrompt,
     ColorRange,
     ColorThreshold,
     ImageTrack,
-    PointPrompt,
 )
 
 
@@ -130,7 +130,7 @@ def test_a_red_ball_is_followed_past_another_that_lies_still():
     other = Disc(path=np.tile((170.0, 130.0), (NUM_STEPS, 1)), radius=12.0)
     segmenter = ColorThreshold(REDS)
     for step, image in enumerate(painted.images((other, BALL), NUM_STEPS)):
-        prompt = PointPrompt(center=(20.0, 200.0))
+        prompt = BoxPrompt(box=(11.0, 191.0, 29.0, 209.0))
         found = segmenter.start(image, prompt) if step == 0 else segmenter.track(image)
         assert found.mask is not None
         assert found.mask[BALL.mask(step)].mean() > 0.9
@@ -141,7 +141,7 @@ def test_a_red_ball_is_followed_past_another_that_lies_still():
 def test_without_the_colour_nothing_is_found():
     segmenter = ColorThreshold(ColorRange(hue=(200.0, 260.0)))
     for image in painted.images((BALL,), 5):
-        assert segmenter.start(image, PointPrompt(center=(20.0, 200.0))).mask is None
+        assert segmenter.start(image, BoxPrompt(box=(11.0, 191.0, 29.0, 209.0))).mask is None
     assert segmenter.track(np.full((HEIGHT, WIDTH, 3), painted.BLUE, dtype=np.uint8)).mask is None
     segmenter.reset()
     assert segmenter.track(np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)).mask is None

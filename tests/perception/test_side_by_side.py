@@ -25,7 +25,6 @@ from pixel2catch.perception.segmenter import (
     ColorRange,
     ColorThreshold,
     ImageMotion,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -78,7 +77,7 @@ class Troubled(Segmenter):
         self.go_on = Event()
         self.go_on.set()
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         self.num_starts += 1
         return self.segmenter.start(image, prompt, motion)
 

@@ -24,14 +24,14 @@ from pixel2catch.perception.sources import (
     on_control_clock,
     open_camera,
     ticks_of,
-    video_frames,
+    video_images,
 )
 from pixel2catch.scene.constants import CONTROL_DT
 
 
 def test_video_keeps_pixels_and_stamps(tmp_path: Path):
     pictures = list(islice(throw(), 5))
-    frames = list(video_frames(save_video(tmp_path / "v.mp4", pictures, fps=24), []))
+    frames = list(video_images(save_video(tmp_path / "v.mp4", pictures, fps=24), []))
     assert [frame.stamp for frame in frames] == pytest.approx([i / 24 for i in range(5)], abs=1e-4)
     difference = np.array([frame.pixels for frame in frames], dtype=float) - pictures
     assert np.abs(difference).mean() < 4.0
@@ -77,7 +77,7 @@ def test_a_damaged_video_ends_where_the_damage_begins(tmp_path: Path):
     content[middle : middle + length] = bytes(length)
     file.write_bytes(content)
     notes: list[str] = []
-    frames = list(video_frames(file, notes))
+    frames = list(video_images(file, notes))
     assert 3 < len(frames) < 30
     assert notes[0].startswith(f"the video is damaged after {len(frames)} images: Invalid data")
 

@@ -20,8 +20,6 @@ from pixel2catch.perception.segmenter import (
     ColorRange,
     ColorThreshold,
     ImageMotion,
-    PointPrompt,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -81,7 +79,7 @@ def test_repeated_and_older_images_hold_the_box():
 class EverythingRed(Segmenter):
     """Returns all that is red, in one piece or several."""
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         return self.track(image, motion)
 
     def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
@@ -92,7 +90,7 @@ class EverythingRed(Segmenter):
 
 
 def everything_red() -> ObjectTracker:
-    return ObjectTracker(EverythingRed(), Prompter(PointPrompt(center=(315.0, 165.0))))
+    return ObjectTracker(EverythingRed(), Prompter(BoxPrompt(box=START)))
 
 
 def test_of_two_regions_the_box_is_that_of_the_largest():
@@ -186,7 +184,7 @@ def red_boxes(*boxes: tuple[int, int, int, int]) -> np.ndarray:
 
 def first_prompt(
     prompter: Prompter, discs: tuple[Disc, ...], ignored: Disc | None = None, first: int = 0
-) -> tuple[int, Prompt] | None:
+) -> tuple[int, BoxPrompt] | None:
     """Step and prompt of the first prompt in a stream from a first step on."""
     foreground, num_steps = Foreground(), len(discs[0].path)
     for step, image in islice(enumerate(painted.images(discs, num_steps)), first, None):
@@ -198,7 +196,7 @@ def first_prompt(
 
 
 def test_a_persons_prompt_is_used_once_and_comes_before_the_colour():
-    click, later = PointPrompt(center=(3.0, 4.0)), PointPrompt(center=(5.0, 6.0))
+    click, later = BoxPrompt(box=(3.0, 4.0, 9.0, 9.0)), BoxPrompt(box=(5.0, 6.0, 9.0, 9.0))
     prompter, red = Prompter(click, colors=REDS), red_boxes((30, 10, 50, 20))
     box = BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
     assert [prompter.look(red), prompter.look(red), prompter.look(BLANK)] == [click, box, None]

@@ -1,4 +1,4 @@
-"""`pixel2catch track`: what the perception sees in a video, a rosbag or a camera, and how fast it is."""
+"""`pixel2catch track`: what perception finds in a video, a rosbag or a camera, and how fast it is."""
 
 import csv
 import time
@@ -26,10 +26,9 @@ from pixel2catch.scene.constants import OBJECT_RADIUS
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.evaluation.report import Cells
-    from pixel2catch.perception.image_fit import ImageFit
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting, Tally
-    from pixel2catch.perception.sources import SourceCfg
+    from pixel2catch.perception.sources import ImageFit, SourceCfg
     from pixel2catch.perception.tracker import Prompter
     from pixel2catch.scene.constants import CameraSpec
 
@@ -39,10 +38,10 @@ REPORT_SECONDS = 5.0  #: Time between two lines of progress [s].
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """Show and record what the perception sees: annotated video, features as CSV, time of every stage.
+    """Show and record what perception finds: annotated video, features as CSV, duration of every stage.
 
-    The object is pointed out by --box or --point, by --color, or, if neither is given and after a loss, by
-    its flight. A camera is watched until Ctrl-C or --seconds.
+    The object is pointed out by --box or by --color, or, without both and after a loss, by its flight. A
+    camera is followed until Ctrl-C or --seconds.
     """
 
     #: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
@@ -51,22 +50,21 @@ class Track:
     at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
     seconds: Positive | None = None  #: When to stop [s after the first image]. Default: at the end.
     topic: str | None = None  #: Topic of the images in a rosbag. Default: the only one.
-    joint_states: str = "/joint_states"  #: Topic of the joint states in a rosbag, for --mask-robot.
-    #: Ignore motion where the robot is; the rosbag must have the states of all joints.
-    mask_robot: bool = False
-    #: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines WORKCELLS.
-    workcell: str = "ur5e_allegro"
-    #: Of the ball of the largest object's volume [m]: what is much larger in the image is not believed.
+    #: Ignore motion of these robots, a work cell as for `train`; the rosbag must have /joint_states of all
+    #: joints.
+    mask_robot: str | None = None
+    #: Radius of a ball of the largest object's volume [m]: much larger things are not the object.
     object_radius: Positive = OBJECT_RADIUS
-    #: Labels of the video, of CVAT, Label Studio or in COCO format: how right the boxes are, from --at on.
+    #: Labels of the video, of CVAT, Label Studio or in COCO format: compare the boxes with them, from --at
+    #: on.
     truth: Path | None = None
-    perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
-    json: bool = False  #: Print the summary as one JSON object.
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
 
     def run(self) -> None:
-        """Follow the object, write what is seen, and print how long it took."""
+        """Follow the object, write what was found, and print how long it took."""
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
+            from pixel2catch.perception.bag_images import JOINT_STATES
             from pixel2catch.perception.labels import load_labels
             from pixel2catch.perception.sightings import Tally
             from pixel2catch.ros2.bags import is_bag
@@ -81,18 +79,18 @@ class Track:
         if self.mask_robot and tally.num_without_joints:
             notes.append(
                 f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
-                f"joints on {self.joint_states} before their images."
+                f"joints on {JOINT_STATES} before their images."
             )
         source = {"source": self.source, "segmenter": self.perception.segmenter}
         truth = {"truth": box_scores.summary(scores)} if labels else {}
         summary = {**source, **tally.summary(), **truth, "notes": notes}
         text = json_text(summary | {"circumstances": circumstances()})
         write_atomically({self.out / SUMMARY: text.encode()})
-        _print_result(tally, summary, as_json=self.json)
+        _print_result(tally, summary)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
     def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
-        """Follow the object and write video and table until the end, or until Ctrl-C; compare with labels."""
+        """Follow the object, write video and table until the end or Ctrl-C, and return its scores."""
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.regions import PlausibilityCfg
         from pixel2catch.perception.robot_mask import RobotMask
@@ -101,17 +99,16 @@ class Track:
         from pixel2catch.perception.tracker import ObjectTracker
         from pixel2catch.workcells import find_workcell
 
-        workcell = find_workcell(self.workcell)
-        source = SourceCfg(
-            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=workcell.joint_names
-        )
+        workcell = find_workcell(self.mask_robot) if self.mask_robot else None
+        joints = workcell.joint_names if workcell else ()
+        source = SourceCfg(name=self.source, topic=self.topic, joints=joints)
         fit, camera = self._fit(source, notes)
         if labels:
             labels.require_size(*fit.own)
         tracker = ObjectTracker(
             self.perception.make_segmenter(is_live=is_camera(self.source), say=say),
             self._prompter(fit, camera),
-            robot=RobotMask(workcell, camera) if self.mask_robot else None,
+            robot=RobotMask(workcell, camera) if workcell else None,
             camera=camera,
             limits=PlausibilityCfg.up_to(self.object_radius),
             waits=True,
@@ -135,9 +132,8 @@ class Track:
         return scores
 
     def _fit(self, source: "SourceCfg", notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
-        """How the images are made to fit, and the camera that would take them then."""
-        from pixel2catch.perception.image_fit import ImageFit, camera_for
-        from pixel2catch.perception.sources import image_size
+        """How the images are scaled, and the camera of the scaled images."""
+        from pixel2catch.perception.sources import ImageFit, camera_for, image_size
 
         camera = self.perception.camera_spec(notes)
         size = image_size(source)
@@ -149,21 +145,16 @@ class Track:
             (width, height), (wide, high) = fit.own, fit.size
             notes.append(
                 f"images of {width} by {height} px were scaled and framed in black to {wide} by {high}: the "
-                "table has boxes in these pixels; --box, --point, --region and --truth are in the file's."
+                "table has boxes in these pixels; --box, --region and --truth are in the file's."
             )
         return fit, camera
 
     def _prompter(self, fit: "ImageFit", camera: "CameraSpec") -> "Prompter":
-        """What points the object out: what was given in the pixels of the file."""
+        """The prompter; box and region are given in the pixels of the file."""
         args = self.perception
-        args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # says what is not on them
-        args = replace(
-            args,
-            box=args.box and fit.box(args.box),
-            point=args.point and fit.point(args.point),
-            region=args.region and fit.box(args.region),
-        )
-        return args.make_prompter(camera)
+        args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # checks their range
+        box, region = args.box and fit.box(args.box), args.region and fit.box(args.region)
+        return replace(args, box=box, region=region).make_prompter(camera)
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
@@ -188,11 +179,8 @@ class Track:
                     say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
 
 
-def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:
-    """Print the times of the stages, what was seen, and whether it is fast enough."""
-    if as_json:
-        print(json_text(summary), end="")
-        return
+def _print_result(tally: "Tally", summary: dict[str, Any]) -> None:
+    """Print the duration of the stages, what was found, and whether it is fast enough."""
     from pixel2catch.evaluation.report import terminal_table
 
     stages = [
@@ -212,7 +200,7 @@ def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> 
 
 
 def _truth_rows(truth: dict[str, Any]) -> "Iterator[Cells]":
-    """How right the boxes are, by phases that are labelled."""
+    """Accuracy of the boxes, by labelled phase."""
     for phase, row in truth.items():
         if row["images"] + row["hidden"]:
             low, high = row.get("within_5px_interval", (0.0, 0.0))
@@ -240,7 +228,7 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
         yield f"In {count} images: {doubt}{remedies.get(doubt, '')}."
     share = summary["seen_since_first"]
     yield (
-        "The object was never seen: point it out with --box, --point or --color, at the time --at."
+        "The object was never seen: point it out with --box or --color, at the time --at."
         if share is None
         else f"Seen in {100 * share:.1f} % of the images since it was first seen."
     )

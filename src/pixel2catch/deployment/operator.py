@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
-from pixel2catch.perception.segmenter import BoxPrompt, Prompt
+from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.ros2.transport import Clock, Message, Transport
@@ -37,7 +37,7 @@ class OperatorRequests:
         self.complaint = ""  #: Why the last prompt was refused; empty if it was not.
         self.stopped_by = ""  #: Sentence about the last stop request; empty without one.
 
-    def take_prompts(self) -> Iterator[Prompt]:
+    def take_prompts(self) -> Iterator[BoxPrompt]:
         """Yield the valid prompts since the last call; count the stop requests."""
         for message in self._stops.take():
             if _is_true(message):
@@ -72,7 +72,7 @@ def _is_true(message: Message) -> bool:
     return False
 
 
-def read_prompt(data: bytes) -> Prompt:
+def read_prompt(data: bytes) -> BoxPrompt:
     """Read a prompt message.
 
     Raises:

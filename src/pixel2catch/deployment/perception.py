@@ -13,7 +13,7 @@ from pixel2catch.camera.image import Box, Image
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.perception.segmenter import Prompt
+from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile
 from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Transport
@@ -265,7 +265,7 @@ class PerceptionRunner:
         else:
             self._clock.sleep_until(min(self._due, self._clock.now() + seconds))
 
-    def begin_throw(self, prompt: Prompt | None) -> None:
+    def begin_throw(self, prompt: BoxPrompt | None) -> None:
         """Start a new throw; the result of an image that is being processed will be dropped."""
         self._pipeline.begin_throw()
         point = partial(self._pipeline.point, prompt)

@@ -20,7 +20,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import Method
 from pixel2catch.perception.regions import PlausibilityCfg
 from pixel2catch.perception.robot_mask import RobotMask
-from pixel2catch.perception.segmenter import Prompt, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.policy import LoadedPolicy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
@@ -235,7 +235,7 @@ class PolicyPipeline:
         self._boxes.clear()
         self._num_held = 0
 
-    def point(self, prompt: Prompt | None) -> None:
+    def point(self, prompt: BoxPrompt | None) -> None:
         """Start a new throw of the perception, with the operator's prompt if there is one."""
         self._tracker.reset()
         if prompt is not None:

@@ -10,9 +10,9 @@ import numpy as np
 
 from pixel2catch.camera.image import Box, Edges, Verdict
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.perception.image_fit import ImageFit
 from pixel2catch.perception.labels import PHASES, Labels, Phase, Truth
 from pixel2catch.perception.sightings import Sighting
+from pixel2catch.perception.sources import ImageFit
 
 GOOD = 5.0
 """Largest error of an edge that is good enough [px]. Source: the noise of training."""

@@ -18,7 +18,6 @@ from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ImageMotion,
     ImageTrack,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -81,14 +80,13 @@ class BackgroundSubtraction(Segmenter):
         self._size: Size | None = None
         self._later: partial[None] | None = None
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
-        """Start at a prompt, and learn its colours if it is a box: see `Segmenter.start`.
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
+        """Start at a prompt, and learn its colours: see `Segmenter.start`.
 
         A guess that does not resemble the last object is ignored.
         """
         self.settle()
-        guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
-        if self._track is not None and guess is not None and not self._resembles(image, guess):
+        if self._track is not None and prompt.is_guess and not self._resembles(image, prompt.box):
             return self.track(image, motion)
         self._track = ImageTrack(center=prompt.center, limits=self.limits)
         self._appearance = Appearance()
@@ -110,13 +108,13 @@ class BackgroundSubtraction(Segmenter):
         """See `Segmenter.reset`."""
         self._track = None
 
-    def _follow(self, motion: ImageMotion | None, prompt: Prompt | None) -> Segmentation:
+    def _follow(self, motion: ImageMotion | None, prompt: BoxPrompt | None) -> Segmentation:
         """Find the object in the next image, or at its prompt."""
         assert motion is not None
         if self._track is None:
             return replace(NOT_FOUND, doubt=motion.doubt)
         maybe = None
-        if isinstance(prompt, BoxPrompt):
+        if prompt is not None:
             inside, maybe = prompted(prompt.box, motion.image)
             is_cut = any(blob.is_cut for blob in regions(maybe))
             self._size = None if is_cut else _prompted_size(prompt.box)

@@ -1,6 +1,6 @@
-"""What looks for an object in images, as data: the options of commands, and what is made of them.
+"""How the object is found, as options of commands, and what is made of them.
 
-OpenCV and SAM 2 are optional packages, which are imported only where something is made.
+OpenCV and SAM 2 are optional packages: they are imported where something is made.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.camera.image import Edges
-from pixel2catch.checks import CameraPath, Count, Device, Share
+from pixel2catch.checks import CameraPath, Count, Device
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
@@ -17,46 +17,40 @@ if TYPE_CHECKING:
     from pixel2catch.perception.segmenter import ColorRange, Segmenter
     from pixel2catch.perception.tracker import Prompter
 
-Span = tuple[float, float]
-
-TIMED_IMAGES = 10  #: Images from which it is told what one takes, on CUDA.
+TIMED_IMAGES = 10  #: Images that measure the time of one on CUDA.
 
 HOPELESS_ON_CPU = 512
-"""Side of SAM 2's image from which on no processor keeps up with a camera [px]. Source: measured: 0.6 s at
-512, 5 s at 1,024 px on two cores."""
+"""Side of SAM 2's image from which no CPU is fast enough for a camera [px]. Source: measured: 0.6 s at 512, 5
+s at 1,024 px on two cores."""
 
-LONGEST_LOOK = 2 * CONTROL_DT
-"""Longest time of an image with which a camera is worth following [s]. Source: rehearsals: where an image
-takes 60 ms as many objects are caught as with 10, with 100 ms a third of them."""
+LONGEST_IMAGE_TIME = 2 * CONTROL_DT
+"""Longest time of an image with which a camera is followed [s]. Source: rehearsals: with 60 ms as many
+objects are caught as with 10 ms, with 100 ms a third of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionArgs:
-    """What looks for the object, and through which camera."""
+    """How the object is found, and through which camera."""
 
     #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint; sam2+background:
-    #: both on the same images, the one where the other loses the object or is late.
+    #: both on the same images, the second where the first loses the object or is late.
     segmenter: Literal["background", "color", "sam2", "sam2+background"] = "background"
     box: Edges | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
-    point: tuple[float, float] | None = None  #: A point on the object when the throw begins: u, v [px].
     #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
     region: Edges | None = None
     #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
-    color: Span | None = None
-    saturation: tuple[Share, Share] = (0.4, 1.0)  #: Smallest and largest saturation of --color.
-    value: tuple[Share, Share] = (0.2, 1.0)  #: Smallest and largest brightness of --color.
-    camera: CameraPath | None = (
-        None  #: Camera file as `calibrate` writes it. Default: the camera of the policies.
-    )
+    color: tuple[float, float] | None = None
+    #: Camera file of `calibrate`. Default: the camera of the policies.
+    camera: CameraPath | None = None
     checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint in the format of transformers.
-    #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
+    #: Side of the square image of SAM 2 [px], a multiple of 32. Default: the checkpoint's.
     image_size: Count | None = None
     device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
-    #: Fuse SAM 2's kernels at the start: a minute, with a C compiler. docs/results.md says what it saves.
+    #: Compile SAM 2 at the start. This takes a minute or two and needs a C compiler.
     compile: bool = False
 
     def prepare(self) -> None:
-        """Leave the cores to others, unless SAM 2 is to run on them."""
+        """Use one thread for images, unless SAM 2 runs."""
         import cv2
         import torch
 
@@ -65,7 +59,7 @@ class PerceptionArgs:
             cv2.setNumThreads(1)
 
     def camera_spec(self, notes: list[str]) -> CameraSpec:
-        """The camera that takes the images; notes get what a user should know of it."""
+        """Return the camera that takes the images; a warning about it is added to the notes."""
         from pixel2catch.camera.camera_file import CameraFile
 
         if self.camera is None:
@@ -78,12 +72,12 @@ class PerceptionArgs:
     def make_segmenter(
         self, *, is_live: bool = False, say: Callable[[str], None] | None = None
     ) -> "Segmenter":
-        """What finds the object's pixels, for a recording or for a live camera.
+        """Return what finds the object's pixels, for a recording or for a live camera.
 
-        What SAM 2 costs on this device is said as soon as it is measured.
+        The time that SAM 2 needs for an image is measured and reported.
 
         Raises:
-            InvalidValueError: If it needs what is not given, or is too slow for a camera.
+            InvalidValueError: An option is missing, or it is too slow for a camera.
         """
         if self.segmenter in ("sam2", "sam2+background"):
             return self._make_sam2(is_live, say)
@@ -113,7 +107,7 @@ class PerceptionArgs:
         if is_live or say is not None:
             took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)
             cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {size} px on {self.device}"
-            if is_live and took > LONGEST_LOOK:
+            if is_live and took > LONGEST_IMAGE_TIME:
                 raise _too_slow(cost)
             if say is not None:
                 use = "fast enough for a camera" if took < CONTROL_DT else "a camera gives one every 33 ms"
@@ -126,29 +120,22 @@ class PerceptionArgs:
         return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT if is_live else None)
 
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
-        """What points the object out: what a person gave, and after a loss its colour, then its flight.
+        """Return what points the object out: first --box, and after a loss its colour, then its flight.
 
         Raises:
-            InvalidValueError: If box and point are given, or one of them or the region is not on the image.
+            InvalidValueError: The box or the region is not on the image.
         """
-        from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
+        from pixel2catch.perception.segmenter import BoxPrompt
         from pixel2catch.perception.tracker import Prompter
 
-        if self.box and self.point:
-            raise InvalidValueError("give the object's box or a point on it, not both.")
-        prompt = None
-        if self.box:
-            prompt = BoxPrompt(box=_on_image("box", self.box, camera))
-        if self.point:
-            corners = _on_image("point", (*self.point, camera.width, camera.height), camera)
-            prompt = PointPrompt(center=corners[:2])
+        prompt = self.box and BoxPrompt(box=_on_image("box", self.box, camera))
         region = self.region and _on_image("region", self.region, camera)
         return Prompter(prompt, colors=self._colors(), region=region)
 
     def _colors(self) -> "ColorRange | None":
         from pixel2catch.perception.segmenter import ColorRange
 
-        return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
+        return self.color and ColorRange(hue=self.color)
 
 
 def _too_slow(cost: str) -> InvalidValueError:
@@ -159,7 +146,7 @@ def _too_slow(cost: str) -> InvalidValueError:
 
 
 def _on_image(name: str, box: Edges, camera: CameraSpec) -> Edges:
-    """The box, if it is one and on the image."""
+    """The box; InvalidValueError if it is not on the image."""
     xmin, ymin, xmax, ymax = box
     if 0.0 <= xmin < xmax <= camera.width and 0.0 <= ymin < ymax <= camera.height:
         return box

@@ -22,7 +22,7 @@ from pixel2catch.perception.regions import (
     regions,
     window_of,
 )
-from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion, Prompt
+from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
 
@@ -167,9 +167,9 @@ class Foreground:
         """Set the object's pixels in the last image: they are not learned, however long it stands still."""
         self._kept = None if mask is None else grown(self._steadied(mask), GAP)
 
-    def reveal(self, motion: ImageMotion, prompt: Prompt) -> ImageMotion:
+    def reveal(self, motion: ImageMotion, prompt: BoxPrompt) -> ImageMotion:
         """Return the motion in the last image, unknown in a person's box whose object was background."""
-        if not isinstance(prompt, BoxPrompt) or prompt.is_guess:
+        if prompt.is_guess:
             return motion
         inside, maybe = prompted(prompt.box, motion.image)
         if motion.moving[inside].sum() >= LEAST_MOVING * inside.sum():

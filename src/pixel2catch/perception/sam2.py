@@ -30,8 +30,6 @@ from pixel2catch.installation import install_command, requirements
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ImageMotion,
-    PointPrompt,
-    Prompt,
     Segmentation,
     Segmenter,
     check_image,
@@ -95,9 +93,7 @@ compiled on its own. Source: ours: timings are steady after 20."""
 
 OBJECT = 0  #: Index of the only object of a session.
 
-BOX_LABELS, POINT_LABELS = (2, 3), (1,)
-"""Labels of the points of a prompt: two corners; a point on the object. Source: the model's prompt
-encoder."""
+BOX_LABELS = (2, 3)  #: Labels of the two corners of a box. Source: the model's prompt encoder.
 
 
 class Sam2Segmenter(Segmenter):
@@ -155,7 +151,7 @@ class Sam2Segmenter(Segmenter):
         """Side of the square that the model gets [px]."""
         return cast("int", self._model.image_size)
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.start`. Each session has one prompt, because the model keeps all prompts."""
         self._check(image)
         height, width, _ = image.shape
@@ -170,7 +166,7 @@ class Sam2Segmenter(Segmenter):
         self._session = Sam2VideoInferenceSession(**where, dtype=self._model.dtype)
         self._frame_idx = 0
         index = self._session.obj_id_to_idx(OBJECT)
-        points, labels = _points(prompt)
+        points, labels = _corners(prompt)
         scale = torch.tensor([self.image_size / width, self.image_size / height])
         # The model takes coordinates of pixel centres.
         inputs = {"point_coords": points * scale - 0.5, "point_labels": labels}
@@ -282,13 +278,10 @@ def mask_of_logits(
     return F.interpolate(logits.float(), (height, width), mode="bilinear", align_corners=False)[0, 0] > 0.0
 
 
-def _points(prompt: Prompt) -> tuple[Float[Tensor, "1 1 num_points 2"], Tensor]:
-    """Points of a prompt [px], and their labels."""
-    if isinstance(prompt, PointPrompt):
-        points, labels = (prompt.center,), POINT_LABELS
-    else:
-        points, labels = (prompt.box[:2], prompt.box[2:]), BOX_LABELS
-    return torch.tensor([[points]], dtype=torch.float32), torch.tensor([[labels]], dtype=torch.int32)
+def _corners(prompt: BoxPrompt) -> tuple[Float[Tensor, "1 1 2 2"], Tensor]:
+    """Corners of a prompt [px], and their labels."""
+    corners = torch.tensor([[[prompt.box[:2], prompt.box[2:]]]], dtype=torch.float32)
+    return corners, torch.tensor([[BOX_LABELS]], dtype=torch.int32)
 
 
 def load_sam2(

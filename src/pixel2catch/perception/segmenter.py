@@ -28,7 +28,7 @@ class ImageMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class BoxPrompt:
-    """The object fills this box."""
+    """Which of the things in an image is the object: the one that fills this box."""
 
     box: Edges
     is_guess: bool = False  #: Whether it was found by its flight alone.
@@ -38,16 +38,6 @@ class BoxPrompt:
         """Middle of the box [px]."""
         xmin, ymin, xmax, ymax = self.box
         return 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PointPrompt:
-    """The object covers this point (u, v), in continuous image coordinates [px]."""
-
-    center: tuple[float, float]
-
-
-Prompt = BoxPrompt | PointPrompt  #: Which of the things in an image is the object.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +69,7 @@ class Segmenter(ABC):
         self.limits = limits
 
     @abstractmethod
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         """Start to follow the object of a prompt, and discard the object before.
 
         Args:
@@ -258,7 +248,7 @@ class ColorThreshold(Segmenter):
         self._colors = colors
         self._track: ImageTrack | None = None
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         self._track = ImageTrack(center=prompt.center, limits=self.limits)
         return self.track(image)

@@ -16,7 +16,6 @@ from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ImageMotion,
     ImageTrack,
-    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -59,11 +58,9 @@ class LastPlace(ImageTrack):
     box: Edges  #: Its box there [px].
 
     @classmethod
-    def of(cls, prompt: Prompt, limits: PlausibilityCfg) -> "LastPlace":
+    def of(cls, prompt: BoxPrompt, limits: PlausibilityCfg) -> "LastPlace":
         """Where a prompt says."""
-        u, v = prompt.center
-        box = prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v)
-        return cls(center=(u, v), box=box, limits=limits)
+        return cls(center=prompt.center, box=prompt.box, limits=limits)
 
     def after(self, blob: Blob | None) -> "LastPlace":
         """The place after the next image, in which it is this region, or none."""
@@ -105,7 +102,7 @@ class SideBySide(Segmenter):
         super().set_limits(limits)
         self._background.set_limits(limits)
 
-    def start(self, image: Pixels, prompt: Prompt, motion: ImageMotion | None = None) -> Segmentation:
+    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
@@ -136,7 +133,7 @@ class SideBySide(Segmenter):
         self._background.reset()
         self._last = None
 
-    def _tell(self, image: Pixels, prompt: Prompt) -> None:
+    def _tell(self, image: Pixels, prompt: BoxPrompt) -> None:
         """Have SAM 2 begin anew after what it does now, which nobody waits for any more."""
         self._cancel()
         self._work = self._thread.submit(self._sam2.start, self._kept(image), prompt)

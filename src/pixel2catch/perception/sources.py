@@ -1,7 +1,7 @@
-"""Where images come from: a video, a bag of ROS 2 or a camera, all as ticks of the control clock.
+"""Where images come from, a video, a ROS 2 bag or a camera, and how they are scaled to the policies' size.
 
-A recording is played on the clock of its stamps. Of a live camera one image waits, the newest, and one that
-stalls blocks nobody.
+All sources give ticks of the control clock. A recording is played on the clock of its stamps. Of a camera
+only the newest image is kept, and a camera that stalls does not block the caller.
 """
 
 import threading
@@ -16,29 +16,28 @@ import av
 import cv2
 import numpy as np
 from av.error import FFmpegError
+from jaxtyping import UInt8
 
-from pixel2catch.camera.image import Image
+from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.image_fit import ImageFit, Size
-from pixel2catch.perception.rosbag_images import bag_frames
+from pixel2catch.perception.bag_images import bag_images
 from pixel2catch.ros2.bags import BAG_SUFFIXES
 from pixel2catch.ros2.messages import MOST_PIXELS
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 PHASE = 0.5
-"""Control steps from the first image to the first tick. Source: ours; half a step, so that no jitter of a
-camera of 30 Hz makes a tick miss its image."""
+"""Control steps from the first image to the first tick. Source: ours; with half a step, the jitter of a
+camera of 30 Hz makes no tick miss its image."""
 
-LONGEST_PAUSE = 150
-"""Ticks without a new image that a pause in a recording makes at most: 5 s. Source: ours."""
+LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
 FIRST_IMAGE_TIMEOUT = 5.0
 """Time in which a camera must give its first image [s]. Source: ours; webcams need up to two."""
 
-LONGEST_STALL = 10.0  #: Time without a new image after which a camera is taken to be gone [s]. Source: ours.
+LONGEST_STALL = 10.0  #: Time without a new image after which a camera counts as unplugged [s]. Source: ours.
 
 RETRY, POLL = 0.01, 0.002
-"""Time between attempts to read a camera that gives nothing, and between looks for a new image [s]."""
+"""Time between attempts to read a camera without an image, and between checks for a new image [s]."""
 
 DEVICES = Path("/dev")
 
@@ -47,15 +46,101 @@ OPTIONS = {
     "protocol_whitelist": "file",
     "max_pixels": str(MOST_PIXELS),
 }
-"""Of FFmpeg: kinds of video, none of which names other files, and pixels of an image."""
+"""Options of FFmpeg: formats, none of which refers to other files, and the largest number of pixels."""
+
+SAME_SHAPE = 0.02
+"""Largest relative difference of the aspect ratios of a camera file and of the images. Source: ours: rounding
+to whole pixels."""
+
+Size = tuple[int, int]  #: Width and height [px].
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageFit:
+    """Scales images of one size to another, equally along both axes, with a black frame."""
+
+    own: Size  #: Of the images as they are.
+    size: Size  #: Of the scaled images with their frame.
+
+    @property
+    def changes(self) -> bool:
+        """Whether the two sizes differ."""
+        return self.own != self.size
+
+    @property
+    def _inner(self) -> Size:
+        """Size of the scaled image in the frame."""
+        scale = min(self.size[0] / self.own[0], self.size[1] / self.own[1])
+        return round(scale * self.own[0]), round(scale * self.own[1])
+
+    @property
+    def _factors(self) -> tuple[float, float]:
+        return self._inner[0] / self.own[0], self._inner[1] / self.own[1]
+
+    @property
+    def _corner(self) -> Size:
+        """Column and row of the first pixel of the scaled image in the frame."""
+        return (self.size[0] - self._inner[0]) // 2, (self.size[1] - self._inner[1]) // 2
+
+    def image(self, image: Pixels) -> UInt8[np.ndarray, "rows columns 3"]:
+        """Return the scaled image; an image of an unexpected size is returned as it is."""
+        if not self.changes or (image.shape[1], image.shape[0]) != self.own:
+            return image
+        method = cv2.INTER_AREA if self._factors[0] < 1.0 else cv2.INTER_LINEAR
+        inner = cv2.resize(image, self._inner, interpolation=method)
+        (left, top), (width, height) = self._corner, self._inner
+        right, bottom = self.size[0] - left - width, self.size[1] - top - height
+        return cv2.copyMakeBorder(inner, top, bottom, left, right, cv2.BORDER_CONSTANT)
+
+    def point(self, point: tuple[float, float]) -> tuple[float, float]:
+        """Return a point of an image in the scaled image."""
+        (fx, fy), (left, top) = self._factors, self._corner
+        return fx * point[0] + left, fy * point[1] + top
+
+    def box(self, box: Edges) -> Edges:
+        """Return a box of an image in the scaled image."""
+        return *self.point(box[:2]), *self.point(box[2:])
+
+    def camera(self, camera: CameraSpec) -> CameraSpec:
+        """Return the camera of the scaled images, given the camera of the images."""
+        (fx, fy), (cx, cy) = self._factors, self.point((camera.cx, camera.cy))
+        width, height = self.size
+        return replace(camera, width=width, height=height, fx=fx * camera.fx, fy=fy * camera.fy, cx=cx, cy=cy)
+
+
+def camera_for(own: Size, calibrated: CameraSpec | None) -> tuple[ImageFit, CameraSpec]:
+    """Return how images of a size are scaled to the policies' size, and the camera of the scaled images.
+
+    Images of a calibrated camera are not scaled if they are no larger than that.
+
+    Args:
+        own: Size of the images.
+        calibrated: The camera that took them; None if it is unknown.
+
+    Raises:
+        PerceptionError: The calibrated camera's images have another aspect ratio.
+    """
+    usual = (RGB_CAMERA.width, RGB_CAMERA.height)
+    fit = ImageFit(own=own, size=usual)
+    if calibrated is None:
+        return fit, RGB_CAMERA
+    size = (calibrated.width, calibrated.height)
+    if abs(own[0] * size[1] / (own[1] * size[0]) - 1.0) > SAME_SHAPE:
+        raise PerceptionError(
+            f"the images have {own[0]} by {own[1]} px, those of the camera file {size[0]} by {size[1]}, "
+            "another shape: calibrate the camera at the size of the images, or leave --camera out."
+        )
+    if own == size and own[0] <= usual[0] and own[1] <= usual[1]:
+        return ImageFit(own=own, size=own), calibrated
+    return fit, fit.camera(ImageFit(own=size, size=own).camera(calibrated))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tick:
-    """One control step: the newest image, be it the same as before, and the time by the stamps' clock [s]."""
+    """One control step: the newest image, which may be that of the step before."""
 
     image: Image
-    now: float
+    now: float  #: The time, by the clock of the stamps [s].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,28 +149,27 @@ class SourceCfg:
 
     name: str  #: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
     topic: str | None = None  #: The topic of a bag's images; None for the only one.
-    joint_states: str = "/joint_states"  #: The topic of a bag's joint states.
-    joints: tuple[str, ...] = ()  #: Of the robot, in joint order; none if they are not asked for.
+    joints: tuple[str, ...] = ()  #: Names in the bag's joint states, in joint order; empty to read none.
 
 
 def ticks_of(cfg: SourceCfg, notes: list[str], fit: ImageFit | None = None) -> Generator[Tick, None, None]:
-    """Yield what a controller would get in every control step; notes get what is wrong but no reason to end.
+    """Yield the newest image of every control step; the images of a recording may be scaled.
 
-    The images of a recording may be made to fit another size; a camera is asked for the right one.
+    Problems that do not end the stream are added to the notes.
 
     Raises:
-        PerceptionError: If there is no such source, or no image in it; the message says what to do.
+        PerceptionError: There is no such source, or it has no image.
     """
     if is_camera(cfg.name):
         return live_ticks(open_camera(cfg.name), notes)
-    frames = file_frames(cfg, notes)
+    images = file_images(cfg, notes)
     if fit is not None:
-        frames = (replace(frame, pixels=fit.image(frame.pixels)) for frame in frames)
-    return on_control_clock(frames, notes)
+        images = (replace(image, pixels=fit.image(image.pixels)) for image in images)
+    return on_control_clock(images, notes)
 
 
-def file_frames(cfg: SourceCfg, notes: list[str]) -> Iterator[Image]:
-    """Yield the images of a recording, each once.
+def file_images(cfg: SourceCfg, notes: list[str]) -> Iterator[Image]:
+    """Yield the images of a recording.
 
     Raises:
         PerceptionError: As `ticks_of`.
@@ -97,37 +181,37 @@ def file_frames(cfg: SourceCfg, notes: list[str]) -> Iterator[Image]:
             "/dev/videoN."
         )
     if path.suffix in BAG_SUFFIXES or path.is_dir():
-        return bag_frames(path, cfg.topic, cfg.joint_states, cfg.joints, notes)
-    return video_frames(path, notes)
+        return bag_images(path, cfg.topic, cfg.joints, notes)
+    return video_images(path, notes)
 
 
 def image_size(cfg: SourceCfg) -> Size | None:
-    """Return width and height of the first image of a recording [px]; None of a camera.
+    """Return width and height of the first image of a recording [px]; None for a camera.
 
     Raises:
         PerceptionError: As `ticks_of`, or there is no image.
     """
     if is_camera(cfg.name):
         return None
-    first = next(iter(file_frames(cfg, [])), None)
+    first = next(iter(file_images(cfg, [])), None)
     if first is None:
         raise PerceptionError(f"{cfg.name} has no images.")
     return first.pixels.shape[1], first.pixels.shape[0]
 
 
-def on_control_clock(frames: Iterable[Image], notes: list[str]) -> Generator[Tick, None, None]:
-    """Yield a tick in every control step of a recording; of several new images it has the newest.
+def on_control_clock(images: Iterable[Image], notes: list[str]) -> Generator[Tick, None, None]:
+    """Yield a tick in every control step of a recording, with its newest image.
 
-    The frames come in the order of the recording; notes get what is wrong with their stamps.
+    The images come in the order of the recording. Problems with their stamps are added to the notes.
     """
     newest, num_older, start = None, 0, 0.0
     tick = 0
-    for frame in frames:
-        if newest is not None and not frame.stamp > newest.stamp:
+    for image in images:
+        if newest is not None and not image.stamp > newest.stamp:
             num_older += 1
             continue
-        start = frame.stamp if newest is None else start
-        due = max(int((frame.stamp - start) / CONTROL_DT + 1.0 - PHASE), 0)
+        start = image.stamp if newest is None else start
+        due = max(int((image.stamp - start) / CONTROL_DT + 1.0 - PHASE), 0)
         if due - tick > LONGEST_PAUSE:
             pause, played = (steps * CONTROL_DT for steps in (due - tick, tick))
             notes.append(f"{pause:.1f} s without an image after {played:.1f} s.")
@@ -135,22 +219,22 @@ def on_control_clock(frames: Iterable[Image], notes: list[str]) -> Generator[Tic
         while newest is not None and tick < due:
             yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
             tick += 1
-        newest = frame
+        newest = image
     if newest is not None:
         yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
     if num_older:
         notes.append(f"images no newer than those before them, passed over: {num_older}.")
 
 
-def video_frames(path: Path, notes: list[str]) -> Iterator[Image]:
-    """Yield the images of a video file with their own stamps; a damaged file ends where notes get to know.
+def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
+    """Yield the images of a video file with their stamps, rotated as a player shows them.
 
-    They are upright as a player shows them, such as those of a telephone that was held upright.
+    A damaged file ends at the damage, with a note.
 
     Raises:
-        PerceptionError: If this is no video, or none of its images can be read.
+        PerceptionError: It is no video, or its first image cannot be read.
     """
-    num_frames, stamp = 0, 0.0
+    num_images, stamp = 0, 0.0
     try:
         with av.open(str(path), options=OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
@@ -160,12 +244,12 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[Image]:
                 stamp = float(frame.time) if frame.time is not None else stamp + period
                 turned = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
                 yield Image(pixels=np.ascontiguousarray(turned), stamp=stamp)
-                num_frames += 1
+                num_images += 1
     except (FFmpegError, ValueError, OverflowError) as error:
         reason = getattr(error, "strerror", error)
-        if not num_frames:
+        if not num_images:
             raise PerceptionError(f"{path} cannot be read as a video: {reason}.") from error
-        notes.append(f"the video is damaged after {num_frames} images: {reason}.")
+        notes.append(f"the video is damaged after {num_images} images: {reason}.")
 
 
 def is_camera(source: str) -> bool:
@@ -174,12 +258,12 @@ def is_camera(source: str) -> bool:
 
 
 def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCapture:
-    """Open a camera, by its number or device, and ask it for the policies' size of image and 30 a second.
+    """Open a camera by its number or device, and set the policies' image size and 30 images a second.
 
     Raises:
-        PerceptionError: If there is no such camera, or another program has it.
+        PerceptionError: There is no such camera, or another program uses it.
     """
-    level = cv2.utils.logging.getLogLevel()  # the error below says what OpenCV would print
+    level = cv2.utils.logging.getLogLevel()  # the error below replaces what OpenCV would print
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         capture = cv2.VideoCapture(int(source) if source.isdecimal() else source, cv2.CAP_V4L2)
@@ -199,13 +283,13 @@ def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCaptur
 
 
 class CameraReader:
-    """Reads a camera in a thread of its own and keeps the newest image; use it as a context manager.
+    """Reads a camera in a thread and keeps the newest image; use it as a context manager.
 
-    The stamp of an image is the time of its arrival, of `time.monotonic`. The camera is closed at the end.
+    The stamp of an image is its arrival, by `time.monotonic`. The camera is closed at the end.
     """
 
     def __init__(self, capture: cv2.VideoCapture) -> None:
-        """Begin to read."""
+        """Start to read."""
         self._capture = capture
         self._newest: Image | None = None
         self._has_image, self._is_over = threading.Event(), threading.Event()
@@ -216,7 +300,7 @@ class CameraReader:
         """Wait for the first image.
 
         Raises:
-            PerceptionError: If none comes.
+            PerceptionError: None comes.
         """
         if not self._has_image.wait(FIRST_IMAGE_TIMEOUT):
             raise PerceptionError(
@@ -226,7 +310,7 @@ class CameraReader:
         return self.newest()
 
     def newest(self) -> Image:
-        """Return the newest image; there is one."""
+        """Return the newest image; call `first` before."""
         assert self._newest is not None
         return self._newest
 
@@ -235,7 +319,7 @@ class CameraReader:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Stop reading; the thread closes the camera, even if that must wait for it."""
+        """Stop reading; the thread closes the camera, even if it must wait for the last image."""
         self._is_over.set()
         self._thread.join(timeout=1.0)
 
@@ -254,41 +338,41 @@ class CameraReader:
 def live_ticks(
     capture: cv2.VideoCapture, notes: list[str], longest_stall: float = LONGEST_STALL
 ) -> Generator[Tick, None, None]:
-    """Yield a tick in every control step, until the camera is gone; a step that is late is left out.
+    """Yield a tick in every control step of an open camera, and close it at the end.
 
-    The open camera is closed at the end. It is taken to be gone after the longest stall without a new image
-    [s]; notes get why it ended.
+    A control step that the caller misses is left out. The stream ends, with a note, after the longest stall
+    without a new image [s].
 
     Raises:
-        PerceptionError: If no first image comes.
+        PerceptionError: No first image comes.
     """
     with CameraReader(capture) as reader:
         start, step = reader.first().stamp, 0
         while True:
-            frame, now = reader.newest(), time.monotonic()
-            if now - frame.stamp > longest_stall:
+            image, now = reader.newest(), time.monotonic()
+            if now - image.stamp > longest_stall:
                 notes.append(f"the camera gave no image for {longest_stall:g} s: ended. Is it unplugged?")
                 return
-            yield Tick(image=frame, now=now)
+            yield Tick(image=image, now=now)
             step = max(step + 1, ceil((time.monotonic() - start) / CONTROL_DT))
             time.sleep(max(start + step * CONTROL_DT - time.monotonic(), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraReport:
-    """What a camera delivers: images of a size [px], so many a second, with a longest pause [s]."""
+    """What a camera delivers."""
 
-    width: int
-    height: int
-    rate: float
-    pause: float
+    width: int  #: Of its images [px].
+    height: int  #: Of its images [px].
+    rate: float  #: Images a second.
+    pause: float  #: Longest time between two images [s].
 
 
 def measure_camera(capture: cv2.VideoCapture, seconds: float) -> CameraReport:
-    """Watch an open camera, which is closed at the end, for a time after its first image [s].
+    """Measure an open camera for a time after its first image [s], and close it.
 
     Raises:
-        PerceptionError: If no first image comes.
+        PerceptionError: No first image comes.
     """
     with CameraReader(capture) as reader:
         stamps = [reader.first().stamp]

@@ -19,7 +19,6 @@ from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ColorRange,
     ImageMotion,
-    Prompt,
     Segmentation,
     Segmenter,
     check_image,
@@ -54,7 +53,11 @@ class Prompter:
     """
 
     def __init__(
-        self, prompt: Prompt | None = None, *, colors: ColorRange | None = None, region: Edges | None = None
+        self,
+        prompt: BoxPrompt | None = None,
+        *,
+        colors: ColorRange | None = None,
+        region: Edges | None = None,
     ) -> None:
         """Start before the first throw.
 
@@ -72,11 +75,11 @@ class Prompter:
         self._given = self._usual
         self._recent: deque[list[Blob]] = deque(maxlen=MOST_IMAGES)  # the newest image first
 
-    def give(self, prompt: Prompt) -> None:
+    def give(self, prompt: BoxPrompt) -> None:
         """Point the object out in the next image, once."""
         self._given = prompt
 
-    def look(self, image: Pixels, motion: ImageMotion | None = None) -> Prompt | None:
+    def look(self, image: Pixels, motion: ImageMotion | None = None) -> BoxPrompt | None:
         """Return where the object is in the newest image, or None.
 
         Args:

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
+from pixel2catch.perception.bag_images import first_camera_info
 from pixel2catch.perception.calibration.target import Board, View, read_image
-from pixel2catch.perception.rosbag_images import first_camera_info
 from pixel2catch.ros2.bags import is_bag
 from pixel2catch.scene.constants import PIXEL_CENTER
 

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-NUM_STATES = 1000  #: Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz.
+JOINT_STATES = "/joint_states"  #: Topic of the joint states of all robots.
+NUM_STATES = 1000  #: Joint states that are kept until an image of their time arrives: 2 s at 500 Hz.
 
 
 def first_camera_info(path: Path, topic: str | None) -> Any:
     """Return the first CameraInfo of a topic; None for the only topic.
 
     Raises:
-        PerceptionError: If the bag cannot be read, or has no such topic.
+        PerceptionError: The bag cannot be read, or has no such topic.
     """
     with opened_bag(path) as reader:
         infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
@@ -46,34 +47,38 @@ def first_camera_info(path: Path, topic: str | None) -> Any:
         return next(decoded(reader, [each for each in infos if each.topic == chosen[0]])).content
 
 
-def bag_frames(
-    path: Path, topic: str | None, joint_states: str, joints: Sequence[str], notes: list[str]
-) -> Iterator[Image]:
-    """Yield the images of a topic, with the joint positions of their time if all joints were recorded.
+def bag_images(path: Path, topic: str | None, joints: Sequence[str], notes: list[str]) -> Iterator[Image]:
+    """Yield the images of a topic, with the joint positions of their time.
 
-    The stamp is that of the header, or the time of recording where it has none. No topic is the only one with
-    images; that of the joint states may be missing, and no joints are asked for where no names are given.
-    Notes get how many images could not be decoded, and why.
+    The stamp is that of the header, or the time of recording without one. Damaged images are left out, with
+    a note.
+
+    Args:
+        path: The bag.
+        topic: Of the images; None for the only one.
+        joints: Names in `JOINT_STATES`, in joint order. Images have no positions if it is empty, or before
+            the first position of every joint.
+        notes: Get the number of damaged images.
 
     Raises:
-        PerceptionError: If the bag cannot be read, has no such topic, or images of another encoding.
+        PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
     with opened_bag(path) as reader:
         images = _image_connections(path, reader.connections, topic)
-        wanted = (joint_states, JOINT_STATE)
+        wanted = (JOINT_STATES, JOINT_STATE)
         states = [each for each in reader.connections if (each.topic, each.msgtype) == wanted]
         positions, num_damaged, reason = _JointPositions(joints), 0, ""
         for message in decoded(reader, [*images, *states]):
             stamp = (message.stamp or message.received) / 1e9
             if message.type == JOINT_STATE:
-                positions.learn(message.content, stamp)
+                positions.add(message.content, stamp)
                 continue
-            image = _image(message)
-            if image is None:
+            pixels = _pixels(message)
+            if pixels is None:
                 num_damaged += 1
                 reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
                 continue
-            yield Image(pixels=image, stamp=stamp, joint_pos=positions.at(stamp))
+            yield Image(pixels=pixels, stamp=stamp, joint_pos=positions.at(stamp))
         if num_damaged:
             notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
@@ -96,7 +101,7 @@ def _image_connections(path: Path, connections: "list[Connection]", topic: str |
 
 
 class _JointPositions:
-    """Where the joints were in the last seconds."""
+    """Joint positions of the last seconds."""
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._joints = joints
@@ -104,21 +109,21 @@ class _JointPositions:
         self._stamps: deque[float] = deque(maxlen=NUM_STATES)
         self._positions: deque[np.ndarray] = deque(maxlen=NUM_STATES)
 
-    def learn(self, message: Any, stamp: float) -> None:
-        """Take over a joint state, which may have some of the joints only."""
+    def add(self, message: Any, stamp: float) -> None:
+        """Add a joint state, which may have some of the joints only."""
         self._known.update(zip(message.name, message.position, strict=False))
         if self._joints and all(name in self._known for name in self._joints):
             self._stamps.append(stamp)
             self._positions.append(np.array([self._known[name] for name in self._joints]))
 
     def at(self, stamp: float) -> np.ndarray | None:
-        """The last positions before a time [rad]; None if there are none."""
+        """Return the last positions up to a time [rad]; None if there are none."""
         index = bisect_right(self._stamps, stamp) - 1
         return self._positions[index] if index >= 0 else None
 
 
-def _image(message: BagMessage) -> Pixels | None:
-    """The image that a message has; None if it is damaged."""
+def _pixels(message: BagMessage) -> Pixels | None:
+    """The pixels of a message; None if it is damaged."""
     content = message.content
     if message.type == COMPRESSED_IMAGE:
         name = content.format.lower()
