@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
-from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
+from pixel2catch.perception.calibration.target import SQUARE, SQUARES, BoardView, CharucoBoard
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.ur5e import ARM
@@ -86,7 +86,7 @@ def hand_views(
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
         pixels = pixels_of(board_in_camera(joint_pos), CORNERS, intrinsics)
-        view = View(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
+        view = BoardView(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
         views.append(HandView(name=f"view{i}", view=view, palm=palm(joint_pos + offsets[i])))
     return views
 
@@ -118,7 +118,7 @@ def troubled_views(
         said = joint_pos + offsets + rng.normal(0, shaking, len(HOME))
         steps = 1e-4 * np.eye(len(HOME))
         rates = np.stack([(palm(said + step) - palm(said - step)) / 2e-4 for step in steps])
-        view = View(points=CORNERS, pixels=pixels)
+        view = BoardView(points=CORNERS, pixels=pixels)
         views.append(HandView(name=f"view{i}", view=view, palm=palm(said), palm_rates=rates))
     return views
 

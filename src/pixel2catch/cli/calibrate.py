@@ -1,25 +1,25 @@
-"""`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
+"""`pixel2catch calibrate`: the camera's pose, its uncertainty, and what it means for a policy."""
 
 import io
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
-from math import degrees, hypot
+from math import degrees
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Within
+from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive
 from pixel2catch.cli.console import results_console, say, saying_changes
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, write_atomically
+from pixel2catch.files import write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -28,26 +28,26 @@ if TYPE_CHECKING:
     from pixel2catch.camera.image import Image
     from pixel2catch.perception.calibration.capture import Capture
     from pixel2catch.perception.calibration.comparison import Comparison
-    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
+    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
     from pixel2catch.robots.workcell import WorkcellSpec
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
-STEP = 1e-4  #: Angle by which joints are turned to see how the palm moves [rad].
+STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
 NUM_THROWS = 200  #: Throws whose paths are compared.
 
 LARGEST_RMS = 1.5
-"""Errors above this have a cause that can be found [px]. Source: ours; corners of sharp images are found
-within a few tenths of a pixel, and errors of 1 mrad in each of the arm's joints make another 0.3 px."""
+"""Error above which the cause can be found [px]. Source: ours; corners of sharp images are found within a few
+tenths of a pixel, and errors of 1 mrad in each of the arm's joints make another 0.3 px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
     """Find the camera's pose from images of a printed board in the hand, and compare it with the policies'.
 
-    First print the board (--print-marker) and fix it to the hand, rigidly; where does not matter. Then move
-    the arm to 15 poses or more: with --live images and positions of the joints are taken as you go, and you
-    are told what to show next; or take an image at each, and write down its name and the joints' positions.
+    First print the board (--print-marker) and fix it rigidly to the hand, anywhere. Then move the arm to 15
+    poses or more. With --live, images and joint positions are taken on the way, and texts ask for the next
+    pose. Without it, take an image at each pose, and write a table of their names and the joint positions.
     """
 
     #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
@@ -55,34 +55,24 @@ class Calibrate:
     #: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in the first
     #: hand.
     workcell: str = "ur5e_allegro"
-    #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json of before, or
+    #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, an earlier camera.json, or
     #: a folder with 10 or more images of the printed board.
     intrinsics: Path | None = None
-    out: Annotated[Path, OutputFile(is_new=True)] = Path(
-        "camera.json"
-    )  #: Where to write the camera; nothing is overwritten.
-    #: Take the images first, from the camera of --profile or from --source, and then calibrate; Ctrl-C ends
-    #: the taking.
+    #: New file for the camera.
+    out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
+    #: Take the images first, from the camera of --profile or from --source; Ctrl-C ends this part.
     live: bool = False
-    #: With --live: a rosbag2 with images and joint states, or a video or camera (number, /dev/videoN), which
-    #: give a lens only.
+    #: With --live: a rosbag2 with images and joint states. A video or camera (number, /dev/videoN) gives a
+    #: lens only.
     source: str | None = None
-    image_topic: str | None = None  #: With --source: topic of the images in a rosbag. Default: the only one.
-    num_views: Annotated[int, Within(6, 200)] = 15  #: With --live: images that are wanted.
-    capture: NewFolder = Path("views")  #: With --live: new folder for images, views.csv and coverage.svg.
-    link: Network = field(default_factory=Network)  #: With --live: how the robot is reached.
-    print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = (
-        None  #: Only write the board to print, a .png or .pdf of A4.
-    )
+    capture: NewFolder = Path("views")  #: With --live: new folder for images and views.csv.
+    link: Network = field(default_factory=Network)  #: With --live: the network of the robot.
+    #: Only write the board to print, a .png or .pdf of A4.
+    print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = None
     square: Positive = 0.06  #: Edge of a square of the board, measured on paper [m].
-    #: Columns and rows of inner corners, if the images of --intrinsics show a chessboard.
-    chessboard: tuple[int, int] | None = None
     rectified: bool = False  #: The images are rectified (image_rect): the projection matrix is the lens.
-    topic: str | None = None  #: Topic of the CameraInfo in a rosbag. Default: the only one.
-    #: Pose of the board in the hand frame at the palm's centre, if it is known: x y z [m] and quaternion w x
-    #: y z. Default: found from the images, too.
-    board_pose: tuple[float, float, float, float, float, float, float] | None = None
-    json: bool = False  #: Print the result as one JSON object.
+    #: Topic in a rosbag: of the images in --source, else of the CameraInfo. Default: the only one.
+    topic: str | None = None
 
     def run(self) -> None:
         """Print the board, or find the camera and write it."""
@@ -97,11 +87,11 @@ class Calibrate:
             self._calibrate()
 
     def _take(self) -> "Calibrate | None":
-        """Take the images; return what is to be done with them, or None if there is no pose in them.
+        """Take the images; return the calibration with them, or None without joint positions.
 
         Without --intrinsics, the lens is found from the same images.
         """
-        from pixel2catch.perception.calibration.capture import PICTURE, TABLE, Capture
+        from pixel2catch.perception.calibration.capture import TABLE, Capture
         from pixel2catch.perception.calibration.target import CharucoBoard
         from pixel2catch.workcells import find_workcell
 
@@ -110,15 +100,12 @@ class Calibrate:
         joints = workcell.joint_names[workcell.palms[0].carriers]
         matrix = np.array(RGB_CAMERA.matrix) if lens is None else lens.matrix
         notes: list[str] = []
-        with self._frames(joints, notes) as (frames, has_joints):
-            capture = Capture(
-                self.capture, CharucoBoard(self.square), matrix, joints if has_joints else (), self.num_views
-            )
-            self._look_at(capture, frames, workcell)
-        capture.draw()
+        with self._images(joints, notes) as (images, has_joints):
+            capture = Capture(self.capture, CharucoBoard(self.square), matrix, joints if has_joints else ())
+            _capture_all(capture, images, workcell)
         for note in notes:
             say(note)
-        say(f"wrote {self.capture}: {len(capture.taken)} images, {TABLE}, and what they cover, {PICTURE}")
+        say(f"wrote {self.capture}: {len(capture.taken)} images and {TABLE}")
         lens_folder = self.intrinsics or self.capture
         if not has_joints:
             found = self._lens(lens_folder)
@@ -127,50 +114,26 @@ class Calibrate:
         return replace(self, views=self.capture / TABLE, intrinsics=lens_folder)
 
     @contextmanager
-    def _frames(
+    def _images(
         self, joints: tuple[str, ...], notes: list[str]
     ) -> "Iterator[tuple[Iterator[Image | None], bool]]":
-        """The images of the source, and whether they come with positions of joints."""
-        from pixel2catch.perception.calibration.capture import topic_frames
+        """The images of the source, and whether they come with joint positions."""
+        from pixel2catch.perception.calibration.capture import topic_images
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.ros2.bags import is_bag
 
         profile = self.link.robot.load()
         if self.source is None:
             with needs_extra("deployment"), self.link.join("pixel2catch_calibrate") as (transport, _):
-                yield topic_frames(transport, profile, joints), True
+                yield topic_images(transport, profile, joints), True
             return
         theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
         names = tuple(theirs.get(joint, joint) for joint in joints)
-        source = SourceCfg(name=self.source, topic=self.image_topic, joints=names)
+        source = SourceCfg(name=self.source, topic=self.topic, joints=names)
         with closing(ticks_of(source, notes)) as ticks:
-            frames = (tick.image for tick in ticks)
-            new = (next(same) for _, same in groupby(frames, key=attrgetter("stamp")))
+            images = (tick.image for tick in ticks)
+            new = (next(same) for _, same in groupby(images, key=attrgetter("stamp")))
             yield new, is_bag(Path(self.source))
-
-    def _look_at(
-        self, capture: "Capture", frames: "Iterator[Image | None]", workcell: "WorkcellSpec"
-    ) -> None:
-        """Look at images until all that is wanted is there, or Ctrl-C; say what changes."""
-        import torch
-        from scipy.spatial.transform import Rotation
-
-        from pixel2catch.robots.geometry import first_chain
-
-        chain, hear = first_chain(workcell), saying_changes()
-        with StopRequest() as stop:
-            for frame in frames:
-                if stop.is_set:
-                    break
-                palm, words = None, "no image: does the camera's driver run, on this network?"
-                if frame is not None:
-                    if frame.joint_pos is not None:
-                        links = chain.link_poses(torch.from_numpy(frame.joint_pos)[None])
-                        palm = Rotation.from_matrix(links[0, -1, :3, :3].numpy())
-                    words = capture.look(frame, palm)
-                hear(words)
-                if capture.is_done:
-                    break
 
     def _calibrate(self) -> None:
         from pixel2catch.mdp.throws import ThrowCfg, sample_paths
@@ -183,31 +146,20 @@ class Calibrate:
                 "or --print-marker FILE.png to begin with."
             )
         intrinsics = self._lens(self.intrinsics)
-        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, self._board())
+        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics)
         paths = sample_paths(ThrowCfg(), NUM_THROWS).reshape(-1, 3).numpy()
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
-        _print_result(result, intrinsics, comparison, as_json=self.json)
+        _print_result(result, intrinsics, comparison)
         say(f"wrote {self.out}")
 
-    def _board(self) -> "Pose | None":
-        """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
-        from pixel2catch.robots.poses import pose_matrix
-
-        if self.board_pose is None:
-            return None
-        pos, quat = self.board_pose[:3], self.board_pose[3:]
-        if abs(hypot(*quat) - 1.0) > 1e-3:
-            raise InvalidValueError(f"{quat} is no unit quaternion (w, x, y, z); divide it by its norm.")
-        return pose_matrix(pos, quat)
-
     def _lens(self, path: Path) -> "Intrinsics":
-        """The lens; InvalidValueError if it is of images of another size than the policies'."""
+        """The lens; InvalidValueError if its images have another size than the policies'."""
         from pixel2catch.perception.calibration.intrinsics import read_intrinsics
-        from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
+        from pixel2catch.perception.calibration.target import CharucoBoard
 
-        board = Chessboard(self.chessboard) if self.chessboard else CharucoBoard(self.square)
-        lens = read_intrinsics(path, board, self.topic, is_rectified=self.rectified)
+        topic = None if self.source else self.topic
+        lens = read_intrinsics(path, CharucoBoard(self.square), topic, is_rectified=self.rectified)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
         if lens.size != wanted:
             raise InvalidValueError(
@@ -258,6 +210,29 @@ class Calibrate:
         return views
 
 
+def _capture_all(capture: "Capture", images: "Iterator[Image | None]", workcell: "WorkcellSpec") -> None:
+    """Process images until all wanted views are taken, or Ctrl-C; print each change of the text."""
+    import torch
+    from scipy.spatial.transform import Rotation
+
+    from pixel2catch.robots.geometry import first_chain
+
+    chain, hear = first_chain(workcell), saying_changes()
+    with StopRequest() as stop:
+        for image in images:
+            if stop.is_set:
+                break
+            palm, words = None, "no image: does the camera's driver run, on this network?"
+            if image is not None:
+                if image.joint_pos is not None:
+                    links = chain.link_poses(torch.from_numpy(image.joint_pos)[None])
+                    palm = Rotation.from_matrix(links[0, -1, :3, :3].numpy())
+                words = capture.look(image, palm)
+            hear(words)
+            if capture.is_done:
+                break
+
+
 def _print_board(path: Path) -> None:
     from pixel2catch.perception.calibration.target import sheet
 
@@ -267,20 +242,8 @@ def _print_board(path: Path) -> None:
     say(f"wrote {path}: print it at 100 %, then measure a square for --square")
 
 
-def _print_result(
-    result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison", *, as_json: bool
-) -> None:
+def _print_result(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> None:
     """Print the errors of the images, the camera, and what to do."""
-    if as_json:
-        content: dict[str, Any] = {
-            "rms": result.rms,
-            "lens_rms": intrinsics.rms,
-            "square_ratio": result.square_ratio,
-            "camera": asdict(result.file),
-        }
-        content |= {"views": [asdict(view) for view in result.views], "comparison": asdict(comparison)}
-        print(json_text(content | {"board": result.board}), end="")
-        return
     table = Table("image", "RMS [px]", "used", title="seen and computed corners")
     for view in sorted(result.views, key=lambda view: -view.rms):
         table.add_row(Text(view.name), f"{view.rms:.2f}", "yes" if view.is_used else "left out")
@@ -306,9 +269,9 @@ def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Com
     if intrinsics.rms is not None:
         yield f"Reprojection error of the lens: {intrinsics.rms:.2f} px RMS."
     if result.rms > LARGEST_RMS:
-        yield "That is a lot: are --square and the lens right, the board rigid, the arm at rest each time?"
+        yield "That is a lot: check --square and the lens, the board's fixing, and that the arm stood still."
     yield (
         f"Thrown objects are seen {comparison.mean:.1f} px from where the policies' camera sees them, at "
-        f"most {comparison.largest:.1f} px; the calibration leaves {comparison.uncertainty:.1f} px open."
+        f"most {comparison.largest:.1f} px; the calibration is uncertain by {comparison.uncertainty:.1f} px."
     )
     yield from advice(comparison)

@@ -1,4 +1,4 @@
-"""How far a calibrated camera is from the one that a policy was trained with, in pixels, and what to do."""
+"""How far a calibrated camera is from the one that a policy was trained with [px], and what to do."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
-NUM_DRAWS = 100  #: Cameras that are drawn to see what the uncertainty does.
+NUM_DRAWS = 100  #: Cameras that are drawn to estimate the effect of the uncertainty.
 
 LARGEST_LENS_ERROR = 1.0
-"""What a lens may move a pixel until its images are better rectified [px]. Source: ours, a fifth of the noise
-that a policy is trained with."""
+"""Displacement by the lens from which images should be rectified [px]. Source: ours, a fifth of the noise in
+training."""
 
-LARGEST_UNSEEN = 0.02  #: Share of the paths that may be out of the image. Source: ours.
+LARGEST_UNSEEN = 0.02  #: Largest share of the paths out of the image. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,16 +31,16 @@ class Comparison:
     mean: float  #: Mean distance between the two places [px].
     largest: float  #: Largest distance [px].
     unseen: float  #: Share of the points that are out of the calibrated camera's image.
-    lens: float  #: Largest distance that is the lens's distortion alone [px].
-    uncertainty: float  #: Root mean square distance that the calibration leaves open [px].
-    move: Vec3  #: What would bring the camera to the policy's place, world frame [m].
-    turn: Vec3  #: What would then turn it to the policy's, about its own axes: right, down, forward [rad].
+    lens: float  #: Largest distance by the lens's distortion alone [px].
+    uncertainty: float  #: Root mean square distance by the uncertainty of the calibration [px].
+    move: Vec3  #: Translation from the camera to the policy's, world frame [m].
+    turn: Vec3  #: Rotation that then turns it to the policy's, about its own right, down, forward [rad].
 
 
 def compare(
     calibrated: CameraFile, policy: CameraSpec, points: Float[np.ndarray, "num_points 3"]
 ) -> Comparison:
-    """Compare a laboratory's camera with a policy's of the same image size, where objects fly [m]."""
+    """Compare a laboratory's camera with a policy's of the same image size, at points of flights [m]."""
     wanted, in_view = _pixels(policy, points)
     points, wanted = points[in_view], wanted[in_view]
     straight, is_seen = _pixels(calibrated.camera, points)
@@ -49,19 +49,20 @@ def compare(
     drawn = calibrated.sample(NUM_DRAWS, torch.Generator().manual_seed(0))
     everywhere = torch.from_numpy(points).float().expand(NUM_DRAWS, -1, -1)
     spread = drawn.pixels(everywhere)[0].numpy() - straight
+    move = np.array(policy.pos) - np.array(calibrated.camera.pos)
     return Comparison(
         mean=float(distance.mean()),
         largest=float(distance.max()),
         unseen=1.0 - float(is_seen.mean()),
         lens=float(np.linalg.norm(bent, axis=-1).max()),
         uncertainty=float(np.sqrt((spread**2).sum(-1).mean())),
-        move=_vector(np.array(policy.pos) - np.array(calibrated.camera.pos)),
+        move=_vector(move),
         turn=_vector((_rotation(calibrated.camera).inv() * _rotation(policy)).as_rotvec()),
     )
 
 
 def advice(comparison: Comparison) -> Iterator[str]:
-    """What to do, sentence by sentence."""
+    """Yield what to do, sentence by sentence."""
     noise = SensingCfg().corner_noise
     if comparison.unseen > LARGEST_UNSEEN:
         yield f"{100 * comparison.unseen:.0f} % of the paths that the policy would see are out of the image."
@@ -77,11 +78,11 @@ def advice(comparison: Comparison) -> Iterator[str]:
         yield f"That is within the noise of {noise:g} px on each edge that policies are trained for."
     if comparison.lens > LARGEST_LENS_ERROR:
         yield (
-            f"The lens moves pixels by up to {comparison.lens:.1f} px, and policies know a pinhole: give "
+            f"The lens moves pixels by up to {comparison.lens:.1f} px, and policies expect a pinhole: give "
             "them rectified images (image_proc's image_rect), and calibrate with --rectified."
         )
     if comparison.uncertainty > noise:
-        yield "The calibration leaves more open than that noise: add images, nearer and turned differently."
+        yield "The calibration is less certain than that noise: add images, nearer and turned differently."
     else:
         yield "To train with this camera, draw it anew in every episode within its uncertainty."
 
@@ -93,7 +94,7 @@ def _pixels(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
-    """What distortion does to the places of points in the image [px]."""
+    """Displacement of points in the image by the distortion [px]."""
     if not any(calibrated.distortion):
         return np.zeros((len(points), 2))
     camera = calibrated.camera

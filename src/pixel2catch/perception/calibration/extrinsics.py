@@ -1,16 +1,15 @@
-"""Where the camera stands: from images of a board in the hand at several poses of the palm.
+"""The camera's pose, from images of a board in the hand at several poses of the palm.
 
-With the palm's pose A from the robot's joints, a corner c of the board is at A Y c in the world, Y being the
-board's pose in the hand, and the camera with the pose X sees it at X⁻¹ A Y c. X and Y are chosen for the
-smallest distances between seen and computed pixels, of all corners in all images at once. The camera stands
-where the policies look for it: in the world frame, as the robot's kinematics has it.
+With the palm's pose A from the robot's joints, a corner c of the board is at A Y c in the world, where Y is
+the board's pose in the hand. A camera with the pose X sees it at X⁻¹ A Y c. X and Y minimise the distances
+between seen and computed pixels, of all corners in all images at once. The world frame is that of the robot's
+kinematics, as for the policies.
 
-The first guess is in closed form (A X = Z B of robotics): with B the board in the camera, A Y = X B in every
-image. Some wrong images do not disturb it.
+The first guess is in closed form (A X = Z B of robotics): with B the board's pose in the camera, A Y = X B in
+every image. It tolerates some wrong images.
 
-What all images have in common is fitted, too, as far as they tell it: the size of the squares, which the
-arm's own motion measures, and constant errors of its joints. What they leave open of that, and what the lens
-leaves open, is a part of the stated uncertainty.
+The size of the squares and constant errors of the joints are the same in all images. They are fitted as far
+as the images determine them. What they and the lens leave uncertain is part of the stated uncertainty.
 """
 
 from collections.abc import Sequence
@@ -26,26 +25,28 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
-from pixel2catch.perception.calibration.target import View
+from pixel2catch.perception.calibration.target import BoardView
 from pixel2catch.scene.constants import CameraSpec
 
 Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 Common = Float[np.ndarray, " num_common"]
-"""What images have in common: relative error of the square's edge, and of each joint a constant one [rad]."""
+"""What all images share: relative error of the square's edge, and a constant error of each joint [rad]."""
 
-NUM_DRAWS = 40
-"""First guesses from a few images each: where a third of the images is wrong, 12 are from right ones only."""
+NUM_POSES = 12  #: Parameters of the poses of camera and board.
 
-LEAST_DEPTH = 1e-3  #: A point nearer to the camera's plane, or behind it, is taken to be there [m].
-MIN_VIEWS = 6  #: Images that a pose takes. Source: ours; three would do without errors.
+NUM_DRAWS, NUM_DRAWN = 40, 3
+"""First guesses, and images of each. Source: ours; with a third of the images wrong, 12 use right ones
+only."""
+
+LEAST_DEPTH = 1e-3  #: Nearer points, and points behind the camera, get this distance from its plane [m].
+MIN_VIEWS = 6  #: Fewest images for a pose. Source: ours; three would do without errors.
 
 OUTLIER_FACTOR = 3.0
-"""An image is left out if its error is more than so many times the median of all. Source: ours."""
+"""An image is left out if its error is larger than this multiple of the median. Source: ours."""
 
 ERRORS_USED, ERRORS_WRONG = 1.0, 5.0
-"""Below the one an image is used, above the other it is left out, whatever the others are [px]. Source: ours;
-the corners of a sharp image are found within a few tenths of a pixel, and 3 mrad of error in each of the
-arm's joints make 1 px."""
+"""Images with a smaller error are always used, those with a larger one never [px]. Source: ours; the corners
+of a sharp image are found within a few tenths of a pixel, and errors of 3 mrad in each joint make 1 px."""
 
 JOINT_ERROR = 1e-3  #: Standard deviation of a constant error of each joint [rad]. Source: release.
 
@@ -53,56 +54,56 @@ SQUARE_ERROR = 0.005
 """Standard deviation of the edge of a square as measured, relative. Source: ours, 0.3 mm of 60."""
 
 LARGEST_SQUARE_ERROR = 0.03
-"""Relative error of the edge of a square from which nothing is calibrated. Source: ours, six times what a
-ruler may be off; 3 % move the camera by 14 mm."""
+"""Largest relative error of the edge of a square. Source: ours, six times that of a ruler; 3 % move the
+camera by 14 mm."""
 
-SURE = 3.0  #: Standard deviations from which an error of the square is one. Source: ours.
+SURE = 3.0  #: Standard deviations from which an error of the square is significant. Source: ours.
 
 FOCAL_ERROR = 0.002
-"""Standard deviation of the focal length where nobody states one, relative. Source: ours; what 20 images of a
-board leave open."""
+"""Standard deviation of the focal length if the lens states none, relative. Source: ours; of a lens from 20
+images of a board."""
 
-LEAST_NOISE = 0.05  #: Corners are never found better [px]. Source: ours.
-ROBUST_SCALE = 1.0  #: Residuals far above this count less in the first fit [px].
+LEAST_NOISE = 0.05  #: Smallest assumed error of corners [px]. Source: ours.
+ROBUST_SCALE = 1.0  #: Residuals far above this have less weight in the first fit [px].
 
 LARGEST_CONDITION = 1e3
-"""Condition of the Jacobian above which a direction of the camera is not told. Source: ours; turning about
-one axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the workspace give 50."""
+"""Condition of the Jacobian above which images do not determine the pose. Source: ours; turning about one
+axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the workspace give 50."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class HandView:
     """One image of the board in the hand."""
 
     name: str  #: Name of the image, for messages.
-    view: View  #: The corners in it.
-    palm: Pose  #: Pose of the hand's frame at the palm in the world, by the robot's joints.
-    #: How the pose changes with each joint [1/rad]; without, errors of joints are not thought of.
+    view: BoardView  #: The corners in it.
+    palm: Pose  #: Pose of the palm in the world, by the robot's joints.
+    #: Derivative of the pose by each joint [1/rad]; empty to assume joints without errors.
     palm_rates: Float[np.ndarray, "num_joints 4 4"] = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewError:
-    """How well an image fits: distance of seen and computed corners [px]; was it fitted, or left out?"""
+    """Error of one image."""
 
-    name: str
-    rms: float
-    is_used: bool
+    name: str  #: Name of the image.
+    rms: float  #: Root mean square distance of seen and computed corners [px].
+    is_used: bool  #: Whether the fit uses it.
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """A camera and the evidence for it."""
 
-    file: CameraFile  #: The camera, and how well it is known.
+    file: CameraFile  #: The camera and its uncertainty.
     board: Pose  #: Pose of the board in the hand's frame at the palm.
     views: tuple[ViewError, ...]  #: The error of each image.
-    #: Edge of the squares by the arm's motion over what was said of it, and its standard deviation.
+    #: Edge of the squares by the arm's motion over the given edge, and its standard deviation.
     square_ratio: tuple[float, float]
     rms: float  #: Root mean square distance of seen and computed corners in the images used [px].
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Corners:
     """The corners of some images in one array."""
 
@@ -110,18 +111,18 @@ class _Corners:
     pixels: Float[np.ndarray, "num_points 2"]  #: Where a pinhole would see them [px].
     owner: Int[np.ndarray, " num_points"]  #: Number of each corner's image.
     palms: Float[np.ndarray, "num_views 4 4"]  #: Pose of the palm in the world in every image.
-    palm_rates: Float[np.ndarray, "num_views num_joints 4 4"]  #: Its change with each joint [1/rad].
+    palm_rates: Float[np.ndarray, "num_views num_joints 4 4"]  #: Its derivative by each joint [1/rad].
     matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
 
-    def of(self, is_meant: np.ndarray) -> "_Corners":
-        """The corners of some of the images."""
-        rows = is_meant[self.owner]
+    def of(self, is_used: np.ndarray) -> "_Corners":
+        """Return the corners of some of the images."""
+        rows = is_used[self.owner]
         return replace(self, points=self.points[rows], pixels=self.pixels[rows], owner=self.owner[rows])
 
     def errors(
         self, camera: Pose, board: Pose, common: Common | None = None
     ) -> Float[np.ndarray, "num_points 2"]:
-        """Computed minus seen pixels [px]."""
+        """Return computed minus seen pixels [px]."""
         common = np.zeros(1 + self.palm_rates.shape[1]) if common is None else common
         palms = self.palms + np.einsum("j,njkl->nkl", common[1:], self.palm_rates)
         palms = palms[self.owner]
@@ -132,34 +133,34 @@ class _Corners:
         return rays * self.matrix.diagonal()[:2] + self.matrix[:2, 2] - self.pixels
 
     def rms(self, camera: Pose, board: Pose, common: Common | None = None) -> Float[np.ndarray, " num_views"]:
-        """Root mean square distance of seen and computed corners in each image [px]."""
+        """Return the root mean square distance of seen and computed corners in each image [px]."""
         squares = np.bincount(self.owner, (self.errors(camera, board, common) ** 2).sum(-1))
         return np.sqrt(squares / np.bincount(self.owner))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Fit:
-    """The poses of camera and board with the smallest errors, and what was fitted beside them.
+    """The poses of camera and board with the smallest errors, and the common parameters.
 
-    The columns of the Jacobian are position and turn of the camera, and then of the board if it was free, and
-    what is common to all images, if that was fitted. For each of the latter a row follows those of the
-    corners: how far it is from what was expected, in pixels.
+    The columns of the Jacobian are position and turn of the camera, then of the board, then the common
+    parameters if they were fitted. For each of these a row follows those of the corners: its weighted
+    distance from 0 [px].
     """
 
     camera: Pose
     board: Pose
     common: Common
-    residuals: Float[np.ndarray, " rows"]  #: Computed minus seen pixels, and the rows of what is common [px].
+    #: Computed minus seen pixels, and the rows of the common ones [px].
+    residuals: Float[np.ndarray, " rows"]
     jacobian: Float[np.ndarray, "rows parameters"]
-    num_poses: int  #: Columns of poses.
 
 
-def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | None = None) -> Calibration:
-    """Find the camera; the pose of the board in the hand's frame at the palm is found, too, or given.
+def calibrate(views: Sequence[HandView], intrinsics: Intrinsics) -> Calibration:
+    """Find the camera's pose, and the board's in the hand.
 
     Raises:
-        PerceptionError: If images are too few, contradict each other, or do not tell the pose; or if the
-            squares are of another size than was said.
+        PerceptionError: There are too few images, they contradict each other or do not determine the pose, or
+            the squares have another size than given.
     """
     _require_enough(len(views), "images show the board in the hand")
     corners = _Corners(
@@ -170,15 +171,14 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | N
         palm_rates=np.stack([view.palm_rates for view in views]),
         matrix=intrinsics.matrix,
     )
-    is_free = board is None
-    rough = _fit(corners, *_first_guess(corners, board), is_board_free=is_free, loss="cauchy")
+    rough = _fit(corners, *_first_guess(corners), loss="cauchy")
     rms = corners.rms(rough.camera, rough.board)
     is_used = rms <= np.clip(OUTLIER_FACTOR * np.median(rms), ERRORS_USED, ERRORS_WRONG)
     _require_enough(
         int(is_used.sum()), "images agree with each other (are the rows of the table those of the images?)"
     )
     used = corners.of(is_used)
-    poses = _fit(used, rough.camera, rough.board, is_board_free=is_free, loss="linear")
+    poses = _fit(used, rough.camera, rough.board)
     _require_turns(poses)
     square_ratio = _square_ratio(used, poses)
     fit = _fit_with_common(used, poses, SQUARE_ERROR)
@@ -210,11 +210,10 @@ def _require_enough(number: int, what: str) -> None:
         )
 
 
-def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
+def _first_guess(corners: _Corners) -> tuple[Pose, Pose]:
     """Poses of the camera in the world and of the board in the hand.
 
-    Of guesses from three images each, or from one if the board's pose is known, the one with the smallest
-    median error over all images.
+    Of guesses from three images each, the one with the smallest median error over all images.
     """
     boards: dict[int, Pose] = {}
     for i in range(len(corners.palms)):
@@ -223,27 +222,24 @@ def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
         is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], *lens, flags=cv2.SOLVEPNP_IPPE)
         if is_found:
             boards[i] = _pose(cv2.Rodrigues(turn)[0], pos.ravel())
-    num_drawn = 3 if board is None else 1
-    if len(boards) < num_drawn:
-        raise PerceptionError("no image tells where the board is: take images nearer and sharper.")
+    if len(boards) < NUM_DRAWN:
+        raise PerceptionError("the board's pose is found in too few images: take them nearer and sharper.")
     rng = np.random.default_rng(0)
     guesses = []
     for _ in range(NUM_DRAWS):
-        few = rng.choice(list(boards), num_drawn, replace=False)
-        guess = _solve([corners.palms[i] for i in few], [boards[i] for i in few], board)
+        few = rng.choice(list(boards), NUM_DRAWN, replace=False)
+        guess = _solve([corners.palms[i] for i in few], [boards[i] for i in few])
         guesses.append((float(np.median(corners.rms(*guess))), guess))
     return min(guesses, key=lambda guess: guess[0])[1]
 
 
-def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) -> tuple[Pose, Pose]:
+def _solve(palms: Sequence[Pose], boards: Sequence[Pose]) -> tuple[Pose, Pose]:
     """Camera X and board Y from some images: A Y = X B, first the rotations, then the positions.
 
     The rotations are the singular vector of the smallest singular value of (1 ⊗ A) vec Y - (Bᵀ ⊗ 1) vec X,
-    which is zero for exact ones; they are brought to the nearest rotations. OpenCV 5.0 has no binding of its
+    which is zero for exact ones, replaced by the nearest rotations. OpenCV 5.0 has no binding of its
     `calibrateRobotWorldHandEye`.
     """
-    if board is not None:
-        return palms[0] @ board @ np.linalg.inv(boards[0]), board
     one = np.eye(3)
     rows = [
         np.hstack((np.kron(one, palm[:3, :3]), -np.kron(seen[:3, :3].T, one)))
@@ -259,63 +255,53 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) ->
 
 
 def _fit(
-    corners: _Corners,
-    camera: Pose,
-    board: Pose,
-    *,
-    is_board_free: bool,
-    loss: str,
-    weights: Common | None = None,
+    corners: _Corners, camera: Pose, board: Pose, weights: Common | None = None, loss: str = "linear"
 ) -> _Fit:
-    """Minimise the errors, from poses that are about right.
+    """Minimise the errors, from approximate poses.
 
-    With weights, what is common to all images is fitted, too: each is expected to be 0, and costs so many
-    pixels per unit if it is not.
+    With weights, the common parameters are fitted, too: each is expected to be 0, with this weight [px per
+    unit].
     """
     weights = np.zeros(0) if weights is None else weights
-    num_poses = 12 if is_board_free else 6
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        common = step[num_poses:] if len(weights) else None
-        errors = corners.errors(_moved(camera, step[:6]), _moved(board, step[6:num_poses]), common)
-        return np.concatenate((errors.ravel(), weights * step[num_poses:]))
+        common = step[NUM_POSES:] if len(weights) else None
+        errors = corners.errors(_moved(camera, step[:6]), _moved(board, step[6:NUM_POSES]), common)
+        return np.concatenate((errors.ravel(), weights * step[NUM_POSES:]))
 
-    start = np.zeros(num_poses + len(weights))
+    start = np.zeros(NUM_POSES + len(weights))
     best = least_squares(residuals, start, loss=loss, f_scale=ROBUST_SCALE, x_scale="jac")
     return _Fit(
         camera=_moved(camera, best.x[:6]),
-        board=_moved(board, best.x[6:num_poses]),
-        common=best.x[num_poses:],
+        board=_moved(board, best.x[6:NUM_POSES]),
+        common=best.x[NUM_POSES:],
         residuals=residuals(best.x),
         jacobian=best.jac,
-        num_poses=num_poses,
     )
 
 
 def _fit_with_common(corners: _Corners, poses: _Fit, square_error: float) -> _Fit:
-    """Fit what is common to all images beside the poses; the square is known that well, or not at all: ∞.
+    """Fit the common parameters, too, with this standard deviation of the square; infinite if unknown.
 
-    Where corners of an image err together, images tell less than their corners do one by one: as much less as
-    the poses scatter more than corners alone would make them.
+    Corners of one image err together. The noise is therefore scaled up by the ratio of the scatter of the
+    poses to the scatter that independent corners would cause.
     """
-    spare = max(len(poses.residuals) - poses.num_poses, 1)
+    spare = max(len(poses.residuals) - NUM_POSES, 1)
     noise = max(float(np.linalg.norm(poses.residuals)) / np.sqrt(spare), LEAST_NOISE)
     alone = noise**2 * np.diagonal(np.linalg.inv(poses.jacobian.T @ poses.jacobian))
     noise *= max(np.sqrt(float(np.median(_deviations(poses, corners.owner) ** 2 / alone))), 1.0)
     stds = np.array([square_error, *(JOINT_ERROR,) * corners.palm_rates.shape[1]])
-    is_free = poses.num_poses == 12
-    start = (poses.camera, poses.board)
-    return _fit(corners, *start, is_board_free=is_free, loss="linear", weights=noise / stds)
+    return _fit(corners, poses.camera, poses.board, noise / stds)
 
 
 def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
-    """Edge of the squares by the arm's motion over what was said, and its standard deviation.
+    """Edge of the squares by the arm's motion over the given edge, and its standard deviation.
 
     Raises:
-        PerceptionError: If it is surely another one.
+        PerceptionError: The given edge is significantly wrong.
     """
     fit = _fit_with_common(corners, poses, np.inf)
-    error, std = float(fit.common[0]), float(_deviations(fit, corners.owner)[poses.num_poses])
+    error, std = float(fit.common[0]), float(_deviations(fit, corners.owner)[NUM_POSES])
     if abs(error) > max(LARGEST_SQUARE_ERROR, SURE * std):
         raise PerceptionError(
             f"by the arm's motion the squares are {1.0 + error:.3f} ± {std:.3f} times as large as --square "
@@ -326,14 +312,12 @@ def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
 
 
 def _moved(pose: Pose, step: np.ndarray) -> Pose:
-    """A pose moved [m] and turned about its own origin [rad], along the axes it is given in; none stays."""
-    if not len(step):
-        return pose
+    """A pose, translated [m] and turned about its own origin [rad], along the axes of its reference frame."""
     return _pose(Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + step[:3])
 
 
 def _require_turns(poses: _Fit) -> None:
-    """Refuse images that do not tell the pose."""
+    """Refuse images that do not determine the pose."""
     if np.linalg.cond(poses.jacobian / np.linalg.norm(poses.jacobian, axis=0)) > LARGEST_CONDITION:
         raise PerceptionError(
             "the images do not tell where the camera stands, because the hand turned about one axis only; "
@@ -342,7 +326,7 @@ def _require_turns(poses: _Fit) -> None:
 
 
 def _covariance(fit: _Fit, corners: _Corners, intrinsics: Intrinsics) -> np.ndarray:
-    """Covariance (6, 6) of the camera's pose: of the images, and of what they have in common."""
+    """Covariance (6, 6) of the camera's pose: of the images, of the common parameters, of the lens."""
     gain = np.linalg.pinv(fit.jacobian)
     num_common = len(fit.common)
     weights = np.diagonal(fit.jacobian[-num_common:, -num_common:])
@@ -360,12 +344,11 @@ def _deviations(fit: _Fit, owner: np.ndarray) -> np.ndarray:
 
 
 def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
-    """Covariance of all parameters, from what leaving out each image changes.
+    """Covariance of all parameters, from the changes when each image is left out.
 
-    All corners of an image share its blur and the arm's error, so it is images that are independent, not
-    corners. An image tells at most as much as a pose, and the poses of two are needed: of few images it is
-    enlarged, so that a normal distribution has the variance of Student's t with as many degrees of freedom
-    as there are more.
+    Images are independent, corners of one image are not: they share its blur and the arm's error. Two images
+    determine the poses. For few images the covariance is enlarged, so that a normal distribution has the
+    variance of Student's t with the remaining degrees of freedom.
     """
     numbers, num_common = np.unique(owner), len(fit.residuals) - 2 * len(owner)
     rows = np.concatenate((np.repeat(owner, 2), np.full(num_common, -1)))
@@ -378,7 +361,6 @@ def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
 
 
 def _camera_file(pose: np.ndarray, covariance: np.ndarray, intrinsics: Intrinsics) -> CameraFile:
-    """The camera as plain numbers."""
     width, height = intrinsics.size
     (fx, _, cx), (_, fy, cy), _ = intrinsics.matrix.tolist()
     quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)

@@ -1,4 +1,4 @@
-"""The camera's lens: from ROS, from a file, or from images of a board.
+"""The camera's lens: from ROS, from a file, or from images of the printed board.
 
 ROS and OpenCV call the middle of the first pixel (0, 0), this project (0.5, 0.5): what is read is moved.
 """
@@ -17,29 +17,29 @@ from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.perception.bag_images import first_camera_info
-from pixel2catch.perception.calibration.target import Board, View, read_image
+from pixel2catch.perception.calibration.target import BoardView, CharucoBoard, read_image
 from pixel2catch.ros2.bags import is_bag
 from pixel2catch.scene.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
-"""Lens models of ROS that are OpenCV's; no name stands for no distortion."""
+"""Lens models of ROS that OpenCV has; an empty name is no distortion."""
 
-MIN_VIEWS = 10  #: Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10.
+MIN_VIEWS = 10  #: Fewest images of the board for a lens. Source: OpenCV's tutorial.
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Intrinsics:
     """A lens: a pinhole and its distortion."""
 
     size: tuple[int, int]  #: Width and height of the image [px].
     matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
-    distortion: tuple[float, ...] = ()  #: As in OpenCV; none if the images are rectified.
+    distortion: tuple[float, ...] = ()  #: As in OpenCV; empty for rectified images.
     focal_std: float | None = None  #: Standard deviation, relative to the focal length; None if unknown.
     rms: float | None = None  #: RMS distance of seen and computed corners [px]; None if not measured here.
 
     def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:
-        """Where the pinhole would see what the lens sees at these places [px]."""
+        """Return where a pinhole would see what the lens sees at these places [px]."""
         if not any(self.distortion):
             return pixels
         lens = np.array(self.distortion)
@@ -47,18 +47,21 @@ class Intrinsics:
 
 
 def read_intrinsics(
-    path: Path, board: Board, topic: str | None = None, *, is_rectified: bool = False
+    path: Path, board: CharucoBoard, topic: str | None = None, *, is_rectified: bool = False
 ) -> Intrinsics:
-    """Read or compute a lens; what the path is chooses how.
+    """Read or compute a lens.
 
-    It is a file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo on a
-    topic, which may be left out if it is the only one, or a folder with images of the board. Where the images
-    to come are rectified, the projection matrix is the lens.
+    Args:
+        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
+            folder with images of the board.
+        board: The board in these images.
+        topic: Of the CameraInfo; None for the only one.
+        is_rectified: Whether images are rectified; then the projection matrix is the lens.
 
     Raises:
-        PerceptionError: If it cannot be read, is of a lens that is not OpenCV's, or too few images show the
+        PerceptionError: It cannot be read, OpenCV does not have this lens model, or too few images show the
             board.
-        InvalidValueError: If a camera file is damaged.
+        InvalidValueError: A camera file is damaged.
     """
     if path.suffix == ".json":
         known = CameraFile.load(path)
@@ -81,14 +84,14 @@ def read_intrinsics(
     )
 
 
-def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
-    """Compute a lens from images of a board.
+def intrinsics_of_images(folder: Path, board: CharucoBoard) -> Intrinsics:
+    """Compute a lens from images of the board.
 
     Raises:
-        PerceptionError: If too few images show it, or their sizes differ.
+        PerceptionError: Too few images show it, or their sizes differ.
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    sizes, views = set[tuple[int, int]](), list[View]()
+    sizes, views = set[tuple[int, int]](), list[BoardView]()
     for image in map(read_image, paths):
         sizes.add((image.shape[1], image.shape[0]))
         if view := board.find(image):
@@ -96,14 +99,14 @@ def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
     if len(views) < MIN_VIEWS:
         raise PerceptionError(
             f"{folder}: {len(views)} of {len(paths)} images show the whole board; {MIN_VIEWS} are needed. "
-            "Hold it nearer and in the light; check --chessboard, which counts inner corners."
+            "Hold it nearer and in the light."
         )
     if len(sizes) > 1:
         raise PerceptionError(f"{folder}: images of sizes {sorted(sizes)}; keep those of one resolution.")
     return intrinsics_of_views(views, sizes.pop())
 
 
-def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrinsics:
+def intrinsics_of_views(views: Sequence[BoardView], size: tuple[int, int]) -> Intrinsics:
     """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images of a size [px]."""
     rms, matrix, lens, _, _, deviations, *_ = cv2.calibrateCameraExtended(
         [view.points.astype(np.float32) for view in views],
@@ -123,7 +126,7 @@ def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrins
 
 
 def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
-    """What a CameraInfo of ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
+    """The lens of a CameraInfo of ROS, in this project's image coordinates."""
     if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
         raise PerceptionError(
             f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "
@@ -141,7 +144,7 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
 
 
 def _of_yaml(path: Path) -> SimpleNamespace:
-    """What a file of `camera_calibration` says, by the names of a CameraInfo."""
+    """The content of a file of `camera_calibration`, by the names of a CameraInfo."""
     names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
     fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}."
     with reading("file of camera_calibration", path, fix, PerceptionError):
