@@ -17,7 +17,7 @@ from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.fit import LATENCY_UNIT, SERVO_PARAMETERS, Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.recording import Trajectory
-from pixel2catch.identification.rehearsal import RecorderCfg, simulated_recordings, unlike_nominal
+from pixel2catch.identification.rehearsal import Recorder, simulated_recordings, unlike_nominal
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 FREE = SERVO_PARAMETERS
@@ -65,7 +65,7 @@ def main() -> None:
 def standard_scores(seed: int, truth_hz: float) -> np.ndarray:
     """Errors over standard errors, joint by joint."""
     truth = unlike_nominal(np.random.default_rng(seed), JointDynamics.nominal(JOINTS))
-    cfg = RecorderCfg(physics_hz=truth_hz)
+    cfg = Recorder(physics_dt=1.0 / truth_hz)
     recordings = simulated_recordings([excitation(seed)], truth, cfg, np.random.default_rng((seed, 1)))
     fit = fit_dynamics(recordings, JointDynamics.nominal(JOINTS), FitCfg(free=FREE))
     return errors(fit, truth) / np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))

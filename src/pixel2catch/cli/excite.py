@@ -76,10 +76,10 @@ class Excite:
     def _rehearse(self, folder: Path, trajectories: "list[Trajectory]", dynamics: "JointDynamics") -> None:
         from numpy.random import default_rng
 
-        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+        from pixel2catch.identification.rehearsal import rehearse, unlike_nominal
 
         truth = dynamics if self.dynamics else unlike_nominal(default_rng(self.seed), dynamics)
-        rehearse(folder, trajectories, truth, RecorderCfg(), self.seed)
+        rehearse(folder, trajectories, truth, self.seed)
 
     def _numbered(self) -> list[Path]:
         """Return the files, one for each trajectory; none without --out."""

@@ -7,14 +7,12 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import mujoco
 import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
-from pixel2catch.checks import Above, Share, Within, require_valid
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
 from pixel2catch.identification.simulation import (
@@ -31,8 +29,7 @@ from pixel2catch.scene.scene import SceneCfg, build_spec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
-MIN_PHYSICS_HZ = 120.0  # least physics rate [Hz]. Source: paper, the rate of a training.
-Turn = Annotated[float, Above(0.0, STALLED_TURN)]  # length of a turn of a loop [s]
+PERIOD = 0.008  # turn of a loop [s] (ours, a UR e-series controller's fourth cycle)
 
 LIMIT_TOLERANCE = 0.005
 """Tolerated excess of a position limit [rad]. Source: ours; in the start pose two joints are at their limits,
@@ -42,25 +39,16 @@ HORIZON = 0.1  # largest distance that is measured [m]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecorderCfg:
+class Recorder:
     """Two independent loops: one sends commands, one records measurements."""
 
-    #: standard deviation of a measured position [rad]. Default: a UR's encoders.
-    noise: Annotated[float, Within(0.0, 1.0)] = 2e-4
-    stall: Share = 0.05  #: share of each loop's turns that take 40 ms
-    send_period: Turn = 0.008  #: turn of the loop that sends targets [s]
-    read_period: Turn = 0.008  #: turn of the loop that reads positions [s]
-    #: clock of the measurements minus that of the commands [s]; in positions it looks like latency
-    clock_offset: float = 0.0
-    #: physics rate [Hz]; a fit with the same rate finds the truth best
-    physics_hz: Annotated[float, Within(MIN_PHYSICS_HZ)] = 1.0 / FIT_DT
-
-    def __post_init__(self) -> None:
-        """Refuse what no recorder does."""
-        require_valid(self)
+    noise: float = 2e-4  #: standard deviation of a measured position [rad]. Default: a UR's encoders.
+    stall: float = 0.05  #: share of each loop's turns that take 40 ms
+    read_period: float = PERIOD  #: turn of the loop that records positions [s]
+    physics_dt: float = FIT_DT  #: time step of the simulation [s]; a fit with the same finds the truth best
 
 
-PERFECT = RecorderCfg(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise
+PERFECT = Recorder(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise
 
 
 def turns_of_a_loop(
@@ -73,26 +61,26 @@ def turns_of_a_loop(
 
 
 def simulated_recordings(
-    trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, rng: Generator
+    trajectories: Sequence[Trajectory], truth: JointDynamics, recorder: Recorder, rng: Generator
 ) -> list[Recording]:
     """Return recordings of a simulated robot that follows trajectories, each from its start pose."""
-    blanks = [_blank(trajectory, cfg, rng) for trajectory in trajectories]
-    motion = RecordedMotion(blanks, 1.0 / cfg.physics_hz)
+    blanks = [_blank(trajectory, recorder, rng) for trajectory in trajectories]
+    motion = RecordedMotion(blanks, recorder.physics_dt)
     (simulated,) = motion.simulate([truth])
     recordings = []
     for blank, path in zip(blanks, motion.split(simulated), strict=True):
         q = np.concatenate((blank.q[~is_settled(blank)], path))
-        noise = cfg.noise * rng.standard_normal(q.shape)
-        recordings.append(dataclasses.replace(blank, q=q + noise, t_meas=blank.t_meas + cfg.clock_offset))
+        noise = recorder.noise * rng.standard_normal(q.shape)
+        recordings.append(dataclasses.replace(blank, q=q + noise))
     return recordings
 
 
-def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recording:
+def _blank(trajectory: Trajectory, recorder: Recorder, rng: Generator) -> Recording:
     """Return commands and times of a recording, with the positions of the start pose."""
-    t_cmd = turns_of_a_loop(rng, trajectory.duration, cfg.send_period, cfg.stall)
+    t_cmd = turns_of_a_loop(rng, trajectory.duration, PERIOD, recorder.stall)
     t_cmd = np.append(t_cmd, trajectory.duration)
-    start = rng.uniform(0.0, cfg.read_period)
-    t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, cfg.read_period, cfg.stall)
+    start = rng.uniform(0.0, recorder.read_period)
+    t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, recorder.read_period, recorder.stall)
     return Recording(
         workcell=trajectory.workcell,
         joints=trajectory.joints,
@@ -103,11 +91,9 @@ def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recordin
     )
 
 
-def rehearse(
-    folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, seed: int
-) -> None:
+def rehearse(folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, seed: int) -> None:
     """Write recordings of a simulated robot, recording-1.npz and so on, and its dynamics file truth.json."""
-    recordings = simulated_recordings(trajectories, truth, cfg, np.random.default_rng((seed, 1)))
+    recordings = simulated_recordings(trajectories, truth, Recorder(), np.random.default_rng((seed, 1)))
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
         recording.save(folder / f"recording-{number}.npz")
