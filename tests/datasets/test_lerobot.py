@@ -110,18 +110,6 @@ def test_images_come_at_the_times_of_their_steps(folder: Path) -> None:
         assert np.abs(frame.to_ndarray(format="rgb24").mean(axis=(0, 1)) - color).max() < 8
 
 
-def test_without_images(tmp_path: Path) -> None:
-    with DatasetWriter(tmp_path / "out", UR5E_ALLEGRO) as writer:
-        writer.add(step(1.0, done=True))
-        writer.end_episode("Catch it.")
-    info = json.loads((tmp_path / "out/meta/info.json").read_text())
-    assert (info["video_path"], IMAGES in info["features"]) == (None, False)
-    assert not (tmp_path / "out/videos").exists()
-
-
 def test_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no episode to write"), DatasetWriter(tmp_path, UR5E_ALLEGRO):
         pass
-    (tmp_path / "there").write_text("mine")
-    with pytest.raises(InvalidValueError, match="not an empty folder"):
-        DatasetWriter(tmp_path, UR5E_ALLEGRO)

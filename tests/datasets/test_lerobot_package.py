@@ -15,8 +15,6 @@ import pytest
 from test_recordings import NUM_JOINTS, RUNNING, record
 
 from pixel2catch.cli.main import main
-from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.renderer import find_gl_backend
 
 PYTHON = os.environ.get("LEROBOT_PYTHON", "")
 pytestmark = [
@@ -49,37 +47,3 @@ def test_a_recording(tmp_path: Path) -> None:
     assert found["mean"] == pytest.approx([100.0 + np.mean(RUNNING)] * NUM_JOINTS)
     assert found["image_mean"] == [3, 1, 1]
     assert set(found["tasks"]) == {"Catch the thrown object."}
-
-
-def test_drawn_throws(tmp_path: Path) -> None:
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
-    out = tmp_path / "out"
-    args = ["--throws", "2", "--objects", "cube_s", "--images", "--out", str(out)]
-    assert main(["export", "--format", "lerobot", *args]) == 0
-    found = judged(out)
-    assert found["num_episodes"] == 2
-    assert found["image_shape"] == [3, 480, 640]
-    assert set(found["tasks"]) == {"Catch the thrown object: cube_s."}
-    assert sum(found["done"]) == 2
-
-
-def test_a_rehearsal(tmp_path: Path) -> None:
-    recording, out = tmp_path / "bag", tmp_path / "out"
-    args = [
-        "--lockstep",
-        "--plain",
-        "--throws",
-        "2",
-        "--record",
-        str(recording),
-        "--out",
-        str(tmp_path / "log"),
-    ]
-    assert main(["rehearse", *args]) == 0
-    assert main(["export", str(recording), "--format", "lerobot", "--out", str(out)]) == 0
-    found = judged(out)
-    assert (found["num_episodes"], sum(found["done"])) == (2, 2)
-    assert found["image_shape"] == [3, 480, 640]

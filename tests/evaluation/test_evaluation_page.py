@@ -56,18 +56,3 @@ def test_the_command_writes_a_page_that_needs_nothing_else(
     assert text.count("data:image/png") == 2
     strips = re.findall(r"<figcaption>(?:missed|caught)[^<]*throws?</figcaption><img [^>]*image/webp", text)
     assert text.count("data:image/webp") == len(strips) > 0
-
-
-ENDINGS = {"evaluate": ".html", "play": ".mp4", "catch": ".mp4"}
-
-
-@pytest.mark.parametrize("command", [("evaluate", "--html"), ("play", "--out"), ("catch", "--video")])
-def test_a_file_that_cannot_be_written_is_refused_at_once(
-    command: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    (tmp_path / "file").touch()
-    for name, words in (("x.nonsense", "end the file's name in ."), ("file/x", "")):
-        file = tmp_path / name
-        assert main([*command, str(file if file.suffix else file.with_suffix(ENDINGS[command[0]]))]) == 2
-        assert words in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -63,12 +63,6 @@ def test_intervals_and_p_values_are_those_of_scipy():
             assert found["p_value"] == pytest.approx(test.pvalue)
 
 
-def test_wilson_interval_stays_within_bounds():
-    """0 of n reaches up to z² / (n + z²), and n of n is its mirror image."""
-    assert wilson_interval(0, 100) == (0.0, pytest.approx(3.8415 / 103.8415, abs=1e-5))
-    assert wilson_interval(100, 100) == (pytest.approx(100 / 103.8415, abs=1e-5), 1.0)
-
-
 def test_metrics_by_hand():
     result = metrics(five_trials(), NAMES)
     assert result["trials"] == 5

@@ -27,7 +27,6 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import PROPOSED
-from pixel2catch.scene.objects import SEEN
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PALM = (0.434, 0.133, 1.391)
@@ -130,28 +129,10 @@ def test_success_after_the_end_of_the_trial_does_not_count():
     assert (trials.record.steps <= TRIAL_STEPS).all()
 
 
-def test_a_policy_of_zeros_catches_nothing():
-    class Zeros:
-        def reset(self, is_ended: Tensor | None = None) -> None:
-            pass
-
-        def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
-            num_envs = len(observations["arm"])
-            return {"arm": torch.zeros(num_envs, 6), "hand": torch.zeros(num_envs, 13)}
-
-    cfg = EvaluationCfg(objects=SEEN, num_envs=32, trials=1)
-    trials = evaluate(Zeros(), PROPOSED, cfg)
-    assert trials.record.is_success.float().mean() < 0.1
-
-
 def test_the_same_seed_gives_the_same_result():
-    cfg = EvaluationCfg(objects=SEEN, num_envs=4, trials=1, seed=7)
+    cfg = EvaluationCfg(objects=("cube_s", "sphere_l"), num_envs=2, trials=1, seed=7)
     first, second = (assess(Grasp(closes_at=30), PROPOSED, cfg) for _ in range(2))
-    other = assess(Grasp(closes_at=30), PROPOSED, replace(cfg, seed=8))
-    for result in (first, second, other):
-        del result["seconds"]
-    assert first == second
-    assert first["max_joint_speed"] != other["max_joint_speed"]
+    assert first | {"seconds": 0} == second | {"seconds": 0}
 
 
 def test_an_action_that_is_nan_is_reported_at_the_end_of_a_round():
@@ -216,10 +197,3 @@ def test_shake_accelerates_the_palm():
     peaks = acceleration.norm(dim=-1).amax(dim=0)
     assert peaks.min() > 3.0
     assert peaks.max() < 7.0
-
-
-def test_nothing_to_evaluate_is_an_error():
-    with pytest.raises(InvalidValueError, match="num_envs"):
-        EvaluationCfg(objects=SEEN, num_envs=0)
-    with pytest.raises(InvalidValueError, match="trials"):
-        EvaluationCfg(objects=SEEN, trials=0)

@@ -163,10 +163,10 @@ def test_rounds_have_the_throws_of_the_whole(
     )
     made.run()
     printed = capsys.readouterr()
-    assert "2 rounds of 2 throws to do: about" in printed.err
+    assert "2 of 2: untrained-mujoco-0-round-1 done" in printed.err
     made.run()
     again = capsys.readouterr()
-    assert ("to do" in again.err, again.out) == (False, printed.out)
+    assert ("done" in again.err, again.out) == (False, printed.out)
     names = {"cells", "table.md", "table.csv", "orders.csv", "table.json", "heatmap.png", "page.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
     (row,) = read_rows(tmp_path / "table.json")

@@ -25,10 +25,10 @@ class Export:
     deployment, as a data set of LeRobot (format 3.0).
     """
 
-    #: Folder of a policy or of its training run, or a shipped name; with --format lerobot also what `deploy
-    #: --record` or `rehearse --record` wrote. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, or a shipped name; with --format lerobot also a recording of
+    #: `deploy --record` or `rehearse --record`. Default: catch_alone+fit.
     source: Positional[Path | None] = None
-    format: Literal["onnx", "lerobot"] = "onnx"  #: What is written.
+    format: Literal["onnx", "lerobot"] = "onnx"  #: Format of the output.
     #: The file, or the data set's new folder. Default: the source's name in the working directory.
     out: Path | None = None
     #: For throws: what is thrown: seen, unseen, real, sizes, or names of objects. Default: seen.
@@ -41,7 +41,7 @@ class Export:
     robot: Robot = field(default_factory=Robot)  #: For a recording: the robot of then.
 
     def run(self) -> None:
-        """Write it."""
+        """Write the file or the data set."""
         source = self.source or Path(DEFAULT_POLICY)
         name = source.resolve().parent.name if source.name == "policy" else source.stem
         if self.format == "onnx" and (self.objects or self.images or self.throws != Export.throws):
@@ -57,11 +57,11 @@ class Export:
         from pixel2catch.policy.onnx_policy import SUFFIX, OnnxPolicy, largest_difference, to_onnx
 
         if out.suffix != SUFFIX:
-            raise InvalidValueError(f"'{out}' must end in {SUFFIX}, by which other commands know it.")
+            raise InvalidValueError(f"out is '{out}'; end the name in {SUFFIX}.")
         prepare("cpu")
         policy, _ = load_policy(self.source)
         if not isinstance(policy, Policy):
-            raise InvalidValueError(f"'{self.source}' is an ONNX file already; copy it.")
+            raise InvalidValueError(f"'{self.source}' is an ONNX file; copy it.")
         require_free_file(out)
         data = to_onnx(policy)
         write_atomically({out: data})

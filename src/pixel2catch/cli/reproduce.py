@@ -216,7 +216,7 @@ class Reproduce:
                 name=run.name,
                 kind=TRAINING,
                 work=partial(train_run, experiment, run.method, folder.run(run), self._preset),
-                is_done=lambda: folder.is_trained(run),
+                is_done=lambda: folder.summary(run) is not None,
             ),
             *(
                 Cell(

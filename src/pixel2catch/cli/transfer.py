@@ -10,7 +10,6 @@ from pixel2catch.checks import Count, NotEmpty, ResultsFolder, Seed, Within
 from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.progress import duration
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
@@ -48,7 +47,6 @@ class Transfer:
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.report import as_markdown, write_report
         from pixel2catch.evaluation.transfer import (
-            estimated_seconds,
             order_rows,
             rounds_of,
             throw_metrics,
@@ -66,11 +64,8 @@ class Transfer:
         policies = find_policies(self.policies or (policy_folder(None),))
         results = plan_results(policies, settings, self.out)
         rounds = rounds_of(results, whole.trials)
-        cfg = replace(whole, trials=1)
-        grid = Grid(policy_cells(rounds, cfg, throw_metrics, is_alone=self.jobs == 1))
-        if missing := [each for each in rounds if each.read() is None]:
-            left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
-            say(f"{len(missing)} rounds of {cfg.num_envs} throws to do: about {left}")
+        cells = policy_cells(rounds, replace(whole, trials=1), throw_metrics, is_alone=self.jobs == 1)
+        grid = Grid(cells)
         run_grid(grid, cpu_slots(self.jobs, "cpu", (), self.out), "transfer")
         if rows := transfer_rows(results, whole.trials):
             orders = list(order_rows(rows))

@@ -1,4 +1,4 @@
-"""How right the boxes of a video are: while the object is held, in flight, near the hand."""
+"""Errors of the boxes of a video: while the object is held, in flight, near the hand."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,34 +20,32 @@ GOOD = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """What became of one image."""
+    """The score of one image."""
 
     phase: Phase  #: Of the throw.
-    is_visible: bool  #: Whether there was enough of the object to see.
+    is_visible: bool  #: Whether enough of the object is visible.
     is_seen: bool  #: Whether a box was found in this image.
-    #: Of the worst edge of the box that the policy gets, be it new or held [px]; no number where the object
-    #: is not visible.
-    error: float
-    is_apart: bool  #: Whether that box and the object have no point in common.
+    error: float  #: Error of the worst edge of the policy's box, new or held [px]; NaN if not visible.
+    is_apart: bool  #: Whether that box and the object do not overlap.
 
     @property
     def is_good(self) -> bool:
-        """Whether the object was found where it is."""
+        """Whether the box was found and is accurate."""
         return self.is_seen and self.error <= GOOD
 
     @property
     def is_false(self) -> bool:
-        """Whether a box was found, but none of the object."""
+        """Whether the box that was found is not of the object."""
         return self.is_seen and self.is_apart
 
 
 def score(truth: Truth, seen: Box) -> Score:
-    """Compare what was seen in an image with the truth."""
+    """Compare the box of an image with the truth."""
     return score_box(truth, seen.edges, is_seen=seen.verdict is Verdict.SEEN)
 
 
 def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
-    """Compare a box with the truth; it is an older one where nothing was seen."""
+    """Compare a box with the truth; `is_seen` is false for a box of an earlier image."""
     if truth.box is None:
         return Score(phase=truth.phase, is_visible=False, is_seen=is_seen, error=float("nan"), is_apart=True)
     error = max(abs(edge - true) for edge, true in zip(box, truth.box, strict=True))
@@ -58,14 +56,14 @@ def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
 def scored(
     sightings: Iterable[Sighting], labels: Labels, fit: ImageFit, begin: float, scores: list[Score]
 ) -> Iterator[Sighting]:
-    """Yield sightings as they come, and add a score for each labelled image that was looked at.
+    """Yield sightings, and add a score for each labelled image.
 
     Args:
-        sightings: Of a video.
-        labels: Of that video, in its own pixels.
-        fit: How its images were made to fit; errors are in pixels of the images that were looked at.
+        sightings: Sightings of a video.
+        labels: Labels of that video, in its own pixels.
+        fit: How its images were scaled; errors are in pixels of the scaled images.
         begin: When the object was pointed out [s since the first image]; earlier images do not count.
-        scores: What is added to.
+        scores: Gets the scores.
     """
     for sighting in sightings:
         label = labels.at(sighting.tick.image.stamp)
@@ -77,7 +75,7 @@ def scored(
 
 
 def summary(scores: Iterable[Score]) -> dict[str, dict[str, Any]]:
-    """Rates and errors [px] in every phase, over the images in which the object is visible."""
+    """Return rates and errors [px] in every phase, over the images in which the object is visible."""
     rows = list(scores)
     return {phase: _summary([each for each in rows if each.phase == phase]) for phase in PHASES}
 
@@ -105,7 +103,7 @@ def _summary(rows: list[Score]) -> dict[str, Any]:
 
 
 def _reacquisitions(visible: list[Score]) -> dict[str, Any]:
-    """How often the object was lost while it was visible, and how many images that took, where it ended."""
+    """Return how often the visible object was lost, and the median number of images until it was found."""
     losses = [
         i for i, (before, now) in enumerate(pairwise(visible), start=1) if before.is_good and not now.is_good
     ]
@@ -115,10 +113,10 @@ def _reacquisitions(visible: list[Score]) -> dict[str, Any]:
 
 
 def reacquisition(scores: Sequence[Score], first: int) -> int | None:
-    """Images until the object is found where it is, 0 if at once; None if it is not found before the end.
+    """Return the number of images until the object is found; None if it is not found before the end.
 
     Args:
-        scores: Of a film.
-        first: The first image in which the object is back.
+        scores: Scores of a film.
+        first: The first image in which the object is visible again.
     """
     return next((i - first for i in range(first, len(scores)) if scores[i].is_good), None)

@@ -98,12 +98,9 @@ class ComparisonFolder:
         return self.run(run) / "metrics.csv"
 
     def summary(self, run: Run) -> Json | None:
-        """Return how a training ended, or nothing before its end."""
-        return _read(self.run(run) / "summary.json")
-
-    def is_trained(self, run: Run) -> bool:
-        """Return whether a training is finished."""
-        return (self.summary(run) or {}).get("status") == "finished"
+        """Return how a training ended, or nothing as long as it is not finished."""
+        summary = _read(self.run(run) / "summary.json") or {}
+        return summary if summary.get("status") == "finished" else None
 
     def result(self, run: Run, group: str) -> Metrics | None:
         """Return the metrics of a policy on a set of objects; nothing if absent or of another policy."""
@@ -200,7 +197,7 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
     sections = [
         Section(title="Results", text=RATES_NOTE, rows=rates),
         Section(title="Holds and contact", text=QUALITY_NOTE, rows=quality_table(results)),
-        Section(title="Trainings", text=TRAININGS_NOTE, rows=trainings_table(trainings)),
+        Section(title="Trainings", text=TRAININGS_NOTE, rows=[_training_line(row) for row in trainings]),
         Section(title="Sessions", rows=_sessions(folder.sessions())),
         Section(title="Configuration", rows=configuration),
     ]
@@ -253,8 +250,7 @@ def object_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
 def training_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
     """Yield a row for every finished training."""
     for run in plan.runs():
-        summary = folder.summary(run)
-        if summary is not None and folder.is_trained(run):
+        if summary := folder.summary(run):
             row = {name: summary[name] for name in ("transitions", "seconds")}
             yield {"method": run.method, "seed": run.seed} | row
 
@@ -329,22 +325,13 @@ def quality_table(rows: Sequence[Row]) -> list[Cells]:
     ]
 
 
-def trainings_table(rows: Sequence[Row]) -> list[Cells]:
-    """Return length and duration of the finished trainings of each method."""
-    lines = []
-    for method in dict.fromkeys(row["method"] for row in rows):
-        own = [row for row in rows if row["method"] == method]
-        mean, deviation = mean_and_deviation([row["seconds"] / 60 for row in own])
-        spread = DASH if deviation is None else f"{deviation:.1f}"
-        lines.append(
-            {
-                "method": method,
-                "seeds": str(len(own)),
-                "transitions of a seed": f"{max(row['transitions'] for row in own):,}",
-                "duration of a seed [min]": f"{mean:.1f} ± {spread}",
-            }
-        )
-    return lines
+def _training_line(row: Row) -> Cells:
+    return {
+        "method": row["method"],
+        "seed": str(row["seed"]),
+        "transitions": f"{row['transitions']:,}",
+        "duration [min]": f"{row['seconds'] / 60:.1f}",
+    }
 
 
 def _sessions(sessions: Sequence[Json]) -> list[Cells]:

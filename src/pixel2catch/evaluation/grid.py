@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pixel2catch.errors import Pixel2CatchError, StudyError
-from pixel2catch.evaluation.slots import Slot
+from pixel2catch.evaluation.slots import Slot, error_of
 from pixel2catch.files import read_json_object
 from pixel2catch.interruption import StopRequest
 
@@ -96,7 +96,7 @@ class Grid:
                     if not self._running:
                         break
                     time.sleep(min(slot.poll_seconds for slot in slots))
-                    self._end_cells(slots)
+                    self._end_cells()
             finally:
                 self._stop_cells(slots)
                 watch()
@@ -126,11 +126,11 @@ class Grid:
                 log = (logs / f"{cell.name}.log").absolute() if logs and not slot.is_here else None
                 self._running[number] = cell, slot.submit(compute, cell.work, slot.device, log)
 
-    def _end_cells(self, slots: Sequence[Slot]) -> None:
+    def _end_cells(self) -> None:
         for number, (cell, task) in list(self._running.items()):
             if task.done():
                 del self._running[number]
-                error = slots[number].error_of(task)
+                error = error_of(task)
                 is_done = error is None and cell.is_done()
                 self.status[cell.name] = Status.DONE if is_done else Status.FAILED
                 if not is_done:

@@ -18,18 +18,19 @@ from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import known_workcell
 
 PHYSICS_HZ = 600.0
-"""Physics rate of evaluations. Source: ours, five times the paper's rate of training.
+"""Physics rate of evaluations [Hz]. Source: ours, five times the paper's rate of training.
 
-At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees the contact, and a policy
-must not live by that; at 600 Hz it is 8 mm at the most.
+An object of 4.5 m/s moves 38 mm in a physics step at 120 Hz, and 8 mm at 600 Hz, before its contact is found.
 """
 
 
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy, Method]:
-    """Read a policy and see that it fits this code; it may have a camera of its own, see `task_of`.
+    """Read a policy and its method, and check that it fits this code.
 
-    The folder is the policy's or the run folder around it; or it is the policy's ONNX file, or the name of a
-    shipped policy; the shipped default policy if absent.
+    Args:
+        folder: Folder of a policy or of its run, an ONNX file, or the name of a shipped policy. Default:
+            the shipped default policy. Its camera may differ from the release's, see `task_of`.
+        device: Where it computes.
 
     Raises:
         PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
@@ -46,13 +47,13 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy,
 
 
 def fingerprint(folder: Path | None) -> str:
-    """SHA-256 of the networks of the policy that `load_policy` reads, to tell of which policy a result is."""
+    """Return the SHA-256 of the networks of a policy, by which results name it."""
     found = policy_folder(folder)
     return sha256(found / WEIGHTS_FILE if found.is_dir() else found)
 
 
 def sha256(file: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
@@ -62,9 +63,14 @@ def task_of(
     dynamics: Path | None = None,
     camera: Path | None = None,
 ) -> CatchEnvCfg:
-    """The task, with finer physics than in training, and the hand and camera the policy was trained with.
+    """Return the paper's task with the robot and the camera that a policy was trained with.
 
-    Files may say otherwise: the dynamics are nominal without one, whatever the policy was trained with.
+    Args:
+        policy: The policy.
+        physics_hz: Physics rate [Hz].
+        dynamics: Dynamics file of the robot. Default: the nominal robot, also for a policy that was trained
+            with such a file.
+        camera: Camera file, in place of the policy's camera.
 
     Raises:
         InvalidValueError: If the rate does not divide a control step into whole physics steps, or a file
@@ -75,7 +81,7 @@ def task_of(
 
 
 def camera_remark(policy: LoadedPolicy, task: CatchEnvCfg) -> Iterator[str]:
-    """What is to be said of the camera, where it is not that of the release alone."""
+    """Yield a remark on the camera if it is not the release's."""
     trained = _camera_of(policy)
     if task.sensing.camera.camera != trained:
         yield "the policy was trained for another camera: this is what the change does to it"

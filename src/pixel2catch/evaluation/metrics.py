@@ -1,4 +1,4 @@
-"""What a set of trials amounts to: rates with their intervals, failure modes, contact quality."""
+"""Metrics of trials: rates with their intervals, failure modes, quality of contacts."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -24,9 +24,9 @@ Z_95 = NormalDist().inv_cdf(0.975)
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a rate, of one trial or more. Source: Wilson 1927, the score interval.
+    """Return the 95 % interval of a rate over at least one trial. Source: Wilson 1927, the score interval.
 
-    Written out, as importing scipy.stats would be a fifth of the time of a small evaluation.
+    It is written out because importing scipy.stats is slow.
     """
     square = Z_95**2
     middle = (successes + square / 2) / (trials + square)
@@ -35,15 +35,15 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def rate(name: str, count: int, trials: int) -> Metrics:
-    """A rate by its name, and its interval."""
+    """Return a rate by its name, and its interval."""
     return {name: count / trials, f"{name}_interval": list(wilson_interval(count, trials))}
 
 
 def paired_difference(home: str, other: str) -> Metrics:
-    """What happened in the same trials twice, as texts of 0 and 1: the second rate minus the first.
+    """Return the difference of two rates over the same trials, given as texts of 0 and 1: other minus home.
 
-    The interval is Agresti and Min's (2005, Statistics in Medicine 24, 729: half a trial more in each of the
-    four cells), the p value McNemar's exact one.
+    The interval is that of Agresti and Min (2005, Statistics in Medicine 24, 729: half a trial more in each
+    of the four cells), the p value that of McNemar's exact test.
     """
     pairs = list(zip(home, other, strict=True))
     lost, won, n = pairs.count(("1", "0")), pairs.count(("0", "1")), len(pairs) + 2
@@ -60,7 +60,7 @@ def paired_difference(home: str, other: str) -> Metrics:
 
 
 def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
-    """How often what a rate counts happened in how many trials, over several metrics."""
+    """Return the number of events of a rate, and of trials, over several metrics."""
     trials = sum(each["trials"] for each in rates)
     return sum(round(each[name] * each["trials"]) for each in rates), trials
 
@@ -91,9 +91,11 @@ def assess(
 
 
 def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
-    """Metrics of all trials by name, and the rates of each object under `objects`.
+    """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
-    Names of objects are by row of the object table.
+    Args:
+        trials: The trials.
+        object_names: Names of the objects by row of the object table. Default: all objects.
 
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.
@@ -118,7 +120,7 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
 
 
 def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
-    """Rates over some of the trials, each with its interval, and the palms in reach of what is held."""
+    """Return rates over some of the trials with intervals, and the mean number of palms at held objects."""
     record, num_trials = trials.record, int(rows.sum())
     events = {
         "tracking_rate": record.is_tracked,
@@ -142,7 +144,7 @@ def _maxima(record: EpisodeRecord) -> dict[str, float]:
 
 
 def _rest(record: EpisodeRecord) -> dict[str, float | None]:
-    """How gently and how firmly successes hold; nothing where there was none."""
+    """Return speed, torque and deceleration of the holds; None without a success."""
     caught = record.is_success
     decelerations = record.peak_deceleration[caught].tolist()
     return {
@@ -153,6 +155,6 @@ def _rest(record: EpisodeRecord) -> dict[str, float | None]:
 
 
 def _mean(sums: Tensor, counts: Tensor) -> float | None:
-    """All sums over all counts; nothing where nothing was counted."""
+    """Return all sums divided by all counts; None if the counts are 0."""
     total = int(counts.sum())
     return float(sums.double().sum()) / total if total else None

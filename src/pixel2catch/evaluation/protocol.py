@@ -1,10 +1,9 @@
 """The protocol of an evaluation: rounds of throws with all noise and randomisation, and a test of every hold.
 
-In a round there is a throw in every environment. Reaching and success count within the first 3.0 s, exactly
-as in training. After a success the policy decides nothing any more: the arm is told to stay where it is
-measured, the hand repeats its last action. For one second at least two parts of the hand must touch the
-object at every control step; then the arm shakes for half a second, and if the object is still at the palm,
-the hold is verified.
+A round has one throw in every environment. Reaching and success count within the first 3.0 s, as in training.
+After a success the policy stops: the arm holds its measured position, the hand repeats its last action. For
+one second at least two parts of the hand must touch the object at every control step. Then the arm shakes for
+half a second. If the object is still at the palm, the hold is verified.
 
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
@@ -42,17 +41,13 @@ LEAST_PARTS = 2  #: Parts of the hand (palm, fingers) that must touch a held obj
 SHAKE_FREQUENCY = 3.0  #: Frequency of the shake [Hz]: one and a half periods. Source: ours.
 
 SHAKE_LEAD = (0.058, 0.058)
-"""How far the shake puts an arm joint's target from its position [rad]: pan moves the palm sideways, lift up
-and down.
-
-Source: ours. Measured in simulation from the start pose, over the randomised gains: the palm's peak
-acceleration is 4.9 m/s² (3.9 to 6.8) without action noise and 9 m/s² (6 to 17) with it.
-"""
+"""Distance of the arm joints' targets from their positions in the shake [rad]: pan moves the palm sideways,
+lift up and down. Source: ours, a peak acceleration of the palm of about 5 m/s² without action noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationCfg:
-    """What is thrown at a policy."""
+    """The throws of an evaluation."""
 
     objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
     num_envs: Count = 100  #: Throws in a round. Source: paper.
@@ -63,11 +58,11 @@ class EvaluationCfg:
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
 
     def __post_init__(self) -> None:
-        """Refuse an evaluation of nothing."""
+        """Check the ranges of the fields."""
         require_valid(self)
 
     def make_env(self, method: Method) -> CatchEnv:
-        """The environments: episodes end by the loss of the object or by robots that hit each other alone."""
+        """Return environments whose episodes end only when the object is lost or robots hit each other."""
         endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, rest_steps=ROUND_STEPS, ends_on_robot_contact=True)
         task = replace(self.task, objects=self.objects, episode=endings)
         return CatchEnv(task, method, num_envs=self.num_envs, device=self.device, seed=self.seed)
@@ -75,37 +70,37 @@ class EvaluationCfg:
 
 @runtime_checkable
 class Actor(Protocol):
-    """What chooses actions: a `Policy`, or anything else with its `act` and `reset`."""
+    """A `Policy`, or anything else with its `act` and `reset`."""
 
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the action of every agent in [-1, 1]."""
         ...
 
     def reset(self, is_ended: Tensor | None = None) -> None:
-        """Forget what was seen: where an episode ended, or everywhere."""
+        """Clear the memory of the environments whose episode ended, or of all."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """What happened in trials, tests of the hold included, and which held the object to their end."""
+    """The records of trials, tests of the hold included, and whether each hold is verified."""
 
     record: EpisodeRecord
     is_verified: Bool[Tensor, " num_trials"]
 
     @classmethod
     def concatenate(cls, several: "list[Trials]") -> "Trials":
-        """All of several rounds, on the host."""
+        """Return the trials of several rounds, on the host."""
         return mapped(lambda *rounds: torch.cat(rounds).cpu(), *several)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoundState:
-    """How far each trial of a round is."""
+    """The state of each trial of a round."""
 
-    record: EpisodeRecord  #: What happened in the trial.
-    is_running: Bool[Tensor, " num_envs"]  #: Whether it is not decided yet.
-    is_testing: Bool[Tensor, " num_envs"]  #: Whether there was a success, which is being tested.
+    record: EpisodeRecord  #: Events of the trial.
+    is_running: Bool[Tensor, " num_envs"]  #: Whether the trial is undecided.
+    is_testing: Bool[Tensor, " num_envs"]  #: Whether the hold is being tested.
     test_steps: Int[Tensor, " num_envs"]  #: Control steps of the test so far.
     #: Whether enough parts touched the object at every step of the hold test so far.
     is_firm: Bool[Tensor, " num_envs"]
@@ -115,7 +110,7 @@ class RoundState:
     def chosen(
         self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """The policy's action, or in a test the arms' rest or shake and the hands' last action."""
+        """Return the policy's action; in a test, the arms' hold or shake and the hands' last action."""
         parts, commands = list[Tensor](), commands_of(workcell)
         for group in workcell.groups:
             joints = workcell.columns(group.name)
@@ -126,7 +121,7 @@ class RoundState:
         return select(self.is_testing, torch.cat(parts, dim=-1), action)
 
     def advanced(self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int) -> "RoundState":
-        """The state after a control step with these actions; its number counts from 1 in the round."""
+        """Return the state after a control step with these actions; numbers count from 1 in the round."""
         is_counted = self.is_running if number <= TRIAL_STEPS else self.is_testing
         record = select(is_counted, step.record, self.record)
         test_steps = self.test_steps + self.is_testing.long()
@@ -157,12 +152,18 @@ def evaluate(
     env: CatchEnv | None = None,
     is_seeded: bool = False,
 ) -> Trials:
-    """Evaluate a policy of a method, in environments of its own or in those of `cfg.make_env`; close them.
+    """Evaluate a policy.
 
-    After every round `on_round` is called with its trials, and `on_throws`, if given, with its throws, which
-    are only recorded for it; after every control step `on_share` with the share of all rounds that is done.
-    If it is seeded, each round has the seed after that of the one before: then all policies get the same
-    throws. Else rounds end when every hold is decided, and the throws of the second depend on the policy.
+    Args:
+        actor: The policy.
+        method: Its method.
+        cfg: The throws.
+        on_round: Called with the trials of every round.
+        on_share: Called after every control step with the share of all rounds that is done.
+        on_throws: Called with the recorded throws of every round; without it, none is recorded.
+        env: Environments, which are closed at the end. Default: those of `cfg.make_env`.
+        is_seeded: Whether each round has its own seed, one after the other, so that all policies get the same
+            throws. Otherwise the throws of later rounds depend on when the holds of earlier ones are decided.
     """
     env, rounds = env or cfg.make_env(method), []
     try:
@@ -188,28 +189,28 @@ def evaluate(
 
 
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:
-    """Play one round and keep what every environment went through; arguments as of `evaluate`."""
+    """Return the recorded throws of one round; arguments as of `evaluate`."""
     throws: list[RecordedThrow] = []
     evaluate(actor, method, replace(cfg, trials=1), on_throws=throws.extend)
     return throws
 
 
 class ThrowRecorder:
-    """Keeps what every environment goes through in a round."""
+    """Records the throws of a round."""
 
     def __init__(self, env: CatchEnv) -> None:
-        """Watch environments before a round."""
+        """Prepare to record the environments."""
         self._names = env.world.objects.names
         self._state = tuple(env.world.simulation.bind(name) for name in ("qpos", "qvel"))
         self._rows: list[tuple[Tensor, ...]] = []
 
     def watch(self, step: Step, state: RoundState) -> None:
-        """Keep a control step."""
+        """Record a control step."""
         seen = (*self._state, step.measurement.box, state.is_running, state.is_testing)
         self._rows.append(tuple(values.cpu().clone() for values in seen))
 
     def throws(self, trials: Trials) -> list[RecordedThrow]:
-        """All throws of the round, each to its decision."""
+        """Return all throws of the round, each until its decision."""
         record = trials.record
         failures = [FAILURES[i] for i in failure(record).tolist()]
         ends = zip(record.is_success.tolist(), trials.is_verified.tolist(), failures, strict=True)
@@ -234,9 +235,10 @@ class ThrowRecorder:
 def run_round(
     env: CatchEnv, actor: Actor, watch: Callable[[Step, RoundState], None] = lambda *_: None
 ) -> Trials:
-    """Throw once in every environment; environments that have decided their trial are stepped on and ignored.
+    """Throw once in every environment, and return the trials.
 
-    After every control step `watch` is called; it must copy what it keeps, the next step overwrites it.
+    After every control step `watch` is called; it must copy what it keeps, because the next step overwrites
+    it. Environments whose trial is decided are stepped and ignored.
     """
     state = _round_start(env)
     for step, state in round_steps(env, actor):
@@ -246,7 +248,7 @@ def run_round(
 
 
 def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
-    """The control steps of a round, one after the other; the next overwrites what one returned."""
+    """Yield the control steps of a round; each step overwrites what the one before yielded."""
     observation = env.reset()
     actor.reset()
     state = _round_start(env)
@@ -266,7 +268,7 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
 def shake_action(
     test_steps: Int[Tensor, " num_envs"], commands: Sequence[JointCommand]
 ) -> Float[Tensor, "num_envs num_joints"]:
-    """An arm's action after that many steps of the test: 0 in the hold test, then a sine."""
+    """Return an arm's action after so many steps of the test: 0 in the hold test, then a sine."""
     time = (test_steps - HOLD_TEST_STEPS + 0.5) * CONTROL_DT
     wave = torch.where(time > 0.0, torch.sin(2.0 * pi * SHAKE_FREQUENCY * time), 0.0)
     amplitude = [lead / command.scale for lead, command in zip(SHAKE_LEAD, commands, strict=False)]

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from submitit import AutoExecutor
 
 CLUSTER = "slurm"  #: The kind of cluster, by its name in submitit.
-GRACE_SECONDS = 120.0  #: Longest time for a cell to end in order [s]. Source: ours, one rollout.
+GRACE_SECONDS = 120.0  #: Longest time for a stopped cell to save its work [s]. Source: ours, one rollout.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-ONE_THREAD: dict[str, str] = dict.fromkeys(THREADS, "1")
-"""Environment variables that give the libraries of a process one thread each."""
-
+ONE_THREAD: dict[str, str] = dict.fromkeys(THREADS, "1")  #: Variables that give libraries one thread each.
 MPS_CONTROL = "nvidia-cuda-mps-control"
 MPS_SECONDS = 20.0  #: Longest time for the MPS daemon to answer [s].
+
+Call = Callable[..., str | None]  #: A function that returns the text of an error or nothing.
 
 
 class Slot(ABC):
@@ -45,16 +45,12 @@ class Slot(ABC):
         self.kind, self.device = kind, device
 
     @abstractmethod
-    def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
-        """Call a function that returns the text of an error or nothing; return a task with `done()`."""
-
-    @abstractmethod
-    def error_of(self, task: Any) -> str | None:
-        """Return the text of the error of a task that has ended, or nothing."""
+    def submit(self, function: Call, *args: Any) -> Any:
+        """Call a function; return a task with `done` and `result`."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Ask the running cell to end in order; `close` waits for its end."""
+        """Ask the running cell to end in order."""
 
     @abstractmethod
     def close(self) -> None:
@@ -68,15 +64,11 @@ class ThisProcess(Slot):
     is_here, poll_seconds = True, 0.0
     on_share: Callable[[float], None] | None = None  #: Called with the share of a cell that is done.
 
-    def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
+    def submit(self, function: Call, *args: Any) -> Any:
         """Call the function and wait for it."""
         future = Future[str | None]()
         future.set_result(function(*args, *([self.on_share] if self.on_share else [])))
         return future
-
-    def error_of(self, task: "Future[str | None]") -> str | None:
-        """Return the text of its error, or nothing."""
-        return task.result()
 
     def stop(self) -> None:
         """Do nothing: no cell runs between two calls."""
@@ -87,38 +79,28 @@ class ThisProcess(Slot):
 
 @final
 class Worker(Slot):
-    """Computes cells in a process of its own, in a session of its own: Ctrl-C reaches this process alone."""
+    """Computes cells in a process and a session of its own: Ctrl-C reaches this process alone."""
 
     def __init__(
         self, kind: str, device: str, environment: Mapping[str, str] | None = None, *, is_reused: bool = True
     ) -> None:
         """Start no process yet; it gets `environment` too. Without reuse each cell has its own process."""
         super().__init__(kind, device)
-        self._environment, self._is_reused = environment or {}, is_reused
+        self._environment, self._is_reused, self._is_stopped = environment or {}, is_reused, False
         self._pool: ProcessPoolExecutor | None = None
+        self._processes = set[BaseProcess]()
         self._task: Future[str | None] | None = None
-        self._processes, self._is_stopped = set[BaseProcess](), False
 
-    def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
-        """Call the function in the process, which is started if there is none."""
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin)
+    def submit(self, function: Call, *args: Any) -> Any:
+        """Call the function in the process; start one if there is none that can be used."""
+        if self._task and (self._task.exception() or not self._is_reused):
+            self.close()
+        self._pool = self._pool or ProcessPoolExecutor(1, get_context("spawn"), _begin)
         before = set(active_children())
         with _environment(self._environment):
             self._task = self._pool.submit(function, *args)
         self._processes |= set(active_children()) - before
         return self._task
-
-    def error_of(self, task: "Future[str | None]") -> str | None:
-        """Return the text of its error, also if the process was ended from outside."""
-        try:
-            error = task.result()
-        except BrokenProcessPool:
-            error = "its process was ended from outside; if memory was short, compute fewer cells at once"
-            self.close()
-        if not self._is_reused:
-            self.close()
-        return error
 
     def stop(self) -> None:
         """Terminate the process, which may first save its work."""
@@ -127,13 +109,13 @@ class Worker(Slot):
             process.terminate()
 
     def close(self) -> None:
-        """End the process; kill one that takes too long after it was stopped."""
+        """End the process; kill it if it takes too long after it was stopped."""
         if self._is_stopped and self._task and wait([self._task], GRACE_SECONDS).not_done:
             for process in self._processes:
                 process.kill()
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
-        self._pool, self._processes = None, set()
+        self._pool, self._task, self._processes = None, None, set()
 
 
 @final
@@ -148,25 +130,15 @@ class ClusterJob(Slot):
         self._executor, self._deadline = executor, 0.0
         self._job: Any = None
 
-    def submit(self, function: Callable[..., str | None], *args: Any) -> Any:
+    def submit(self, function: Call, *args: Any) -> Any:
         """Submit the call; it is unpickled after files of the user's own are imported."""
         self._job = self._executor.submit(_call, pickle.dumps((function, args)))
         return self._job
 
-    def error_of(self, task: Any) -> str | None:
-        """Return the text of the error of the call or of the job."""
-        error = task.exception()
-        if error is None:
-            return task.result()
-        lines = [line for line in str(error).splitlines() if line.strip("- ")]
-        reason = next((line for line in reversed(lines) if "Error: " in line), lines[0] if lines else "")
-        return f"job {task.job_id} was ended: {reason}; see {task.paths.stderr}"
-
     def stop(self) -> None:
         """Cancel the job: the cluster terminates it, and kills it some time later."""
-        if self._job is not None and not self._job.done():
-            self._job.cancel(check=False)
-            self._deadline = time.monotonic() + GRACE_SECONDS
+        self._job.cancel(check=False)
+        self._deadline = time.monotonic() + GRACE_SECONDS
 
     def close(self) -> None:
         """Wait for the end of a cancelled job."""
@@ -174,15 +146,26 @@ class ClusterJob(Slot):
             time.sleep(self.poll_seconds)
 
 
+def error_of(task: Any) -> str | None:
+    """Return the text of the error of a task that has ended, or nothing."""
+    try:
+        return task.result()
+    except BrokenProcessPool:
+        return "its process was ended from outside; if memory was short, compute fewer cells at once"
+    except Exception as error:  # of submitit: the job's output, whose last line names the error
+        lines = [line for line in str(error).splitlines() if line.strip("- ")]
+        return next((line for line in reversed(lines) if "Error: " in line), lines[0] if lines else "")
+
+
 def cluster_executor(asked: tuple[str, ...], folder: Path) -> "AutoExecutor | None":
     """Return the executor for jobs of a cluster, or nothing if nothing is asked of one.
 
     Args:
         asked: What every job asks for, as NAME=VALUE with names of submitit, such as timeout_min=240.
-        folder: Folder of the study, shared by all nodes; submitit's files lie in its folder `jobs`.
+        folder: Folder of the study, shared by all nodes; submitit's files are in its folder `jobs`.
 
     Raises:
-        StudyError: If there is no cluster, submitit is missing, or a name or value is invalid.
+        StudyError: There is no cluster, submitit is missing, or a name or value is invalid.
     """
     if not asked:
         return None
@@ -215,13 +198,13 @@ def _call(payload: bytes) -> str | None:
 @contextlib.contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables for a process that is started within."""
-    before = {name: os.environ.get(name) for name in variables}
+    before = dict(os.environ)
     os.environ.update(variables)
     try:
         yield
     finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @contextlib.contextmanager
@@ -236,26 +219,25 @@ def shared_gpus() -> Iterator[dict[str, str]]:
         return
     with tempfile.TemporaryDirectory(prefix="pixel2catch-mps-") as folder:
         variables = {"CUDA_MPS_PIPE_DIRECTORY": folder, "CUDA_MPS_LOG_DIRECTORY": folder}
-        is_running = _control_mps(["-d"], "", variables)
+
+        def control(arguments: list[str], command: str) -> bool:
+            try:
+                subprocess.run(
+                    [MPS_CONTROL, *arguments],
+                    input=command,
+                    env=os.environ | variables,
+                    capture_output=True,
+                    text=True,
+                    timeout=MPS_SECONDS,
+                    check=True,
+                )
+            except (OSError, subprocess.SubprocessError):
+                return False
+            return True
+
+        is_running = control(["-d"], "")
         try:
             yield variables if is_running else {}
         finally:
             if is_running:
-                _control_mps([], "quit\n", variables)
-
-
-def _control_mps(arguments: list[str], command: str, variables: dict[str, str]) -> bool:
-    """Run the daemon's control program, and return whether it succeeded."""
-    try:
-        subprocess.run(
-            [MPS_CONTROL, *arguments],
-            input=command,
-            env=os.environ | variables,
-            capture_output=True,
-            text=True,
-            timeout=MPS_SECONDS,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return False
-    return True
+                control([], "quit\n")

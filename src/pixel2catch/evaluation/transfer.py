@@ -1,6 +1,5 @@
 """Transfer of policies to other physics engines: engines by restitutions, the same throws in all."""
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from math import comb
@@ -8,8 +7,8 @@ from math import comb
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.grid import Json
 from pixel2catch.evaluation.metrics import Metrics, metrics, paired_difference, pooled_counts, rate
-from pixel2catch.evaluation.policy_cells import PolicyResult, evaluation_of
-from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
+from pixel2catch.evaluation.policy_cells import PolicyResult
+from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import Cells, Row, Section, percent
 from pixel2catch.evaluation.result_tables import RATES
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
@@ -23,8 +22,6 @@ PAIRED = {
     "verified_hold_rate": "is_verified",
 }
 """Rates that are compared throw by throw, with the name of the event of each throw."""
-
-PROBE_STEPS = 3  #: Control steps from which the duration of a cell is estimated. Source: ours.
 
 REAL_ORDER = (
     f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
@@ -90,30 +87,6 @@ def pooled(contents: Sequence[Json]) -> Json:
         for name in parts[0]["failures"]
     }
     return found | {"max_penetration": max(part["max_penetration"] for part in parts)}
-
-
-def estimated_seconds(results: Sequence[PolicyResult], cfg: EvaluationCfg) -> float:
-    """Return the duration of results one after the other [s], estimated from a few steps of each engine."""
-    engines = [each.setting.axis.name for each in results]
-    seconds = {
-        engine: _step_seconds(results[engines.index(engine)], cfg) for engine in dict.fromkeys(engines)
-    }
-    return ROUND_STEPS * cfg.trials * sum(seconds[engine] for engine in engines)
-
-
-def _step_seconds(result: PolicyResult, cfg: EvaluationCfg) -> float:
-    """Return the duration of a control step of a result [s]."""
-    policy, method, evaluation = evaluation_of(result, cfg, cfg.device)
-    env = evaluation.make_env(method)
-    try:
-        steps = round_steps(env, policy)
-        next(steps)
-        begin = time.perf_counter()
-        for _ in range(PROBE_STEPS):
-            next(steps)
-        return (time.perf_counter() - begin) / PROBE_STEPS
-    finally:
-        env.close()
 
 
 def transfer_rows(results: Sequence[PolicyResult], num_rounds: int) -> list[Row]:

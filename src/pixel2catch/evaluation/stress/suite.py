@@ -1,10 +1,10 @@
-"""What the real world does and the training does not: the axes of disturbances, with their sources.
+"""Disturbances of the real world that the paper's training lacks, as axes of levels with their sources.
 
-Kinds and strengths are data: each level is a pure function from a task to a task. The values were chosen from
-the sources before any result was seen, and are not tuned. A step is a control step of 33 ms.
+Each level is a pure function from a task to a task. The values come from the sources and are not tuned to any
+result. A step is a control step of 33 ms.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import radians
 from typing import Any
@@ -14,7 +14,7 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.own_files import catalogue
 
-Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
+Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: Returns a changed task; it can be pickled.
 AIR_DENSITY = 1.2  #: At 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded.
 
 CAMERA_POSITION_SOURCE = (
@@ -64,10 +64,12 @@ HUMAN_SOURCE = (
     "hip and chest, 2 to 3 m away"
 )
 REALITY_SOURCE = (
-    "a careful laboratory: the smallest level of each axis, a third of a blur streak of bias, and what "
-    "cannot be avoided: air, spin, unknown mass. Throws are those of training: the thrower practises"
+    "a careful laboratory: the smallest level of each axis, a third of a blur streak of bias, and air, spin "
+    "and unknown mass, which cannot be avoided. Throws are those of training"
 )
 SIZE_SOURCE = "ours: the two scales of the training objects differ by 1.12 to 1.2"
+LOW_SOURCE = "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training"
+HIGH_SOURCE = "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m"
 NEAR_SOURCE = "ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training"
 SHAKE_SOURCE = "ours: a laboratory table on legs under an arm's jerks; 1.6 to 1.8 m/s² at the base"
 TOGETHER_SOURCE = "levels of the axes above"
@@ -75,24 +77,24 @@ TOGETHER_SOURCE = "levels of the axes above"
 
 @dataclass(frozen=True)
 class FieldChange:
-    """Sets fields of parts of a task, one part after the other: `(part, {field: value})`."""
+    """Sets fields of parts of a task, given as `(part, {field: value})`."""
 
     steps: tuple[tuple[str, Mapping[str, Any]], ...] = ()
 
     def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
-        """The task with these fields."""
+        """Return the task with these fields."""
         for name, values in self.steps:
             cfg = replace(cfg, **{name: replace(getattr(cfg, name), **values)})
         return cfg
 
 
 def part(name: str, **values: Any) -> FieldChange:
-    """Set fields of one part of the task, such as its `sensing`."""
+    """Return a change of fields of one part of the task, such as its `sensing`."""
     return FieldChange(((name, values),))
 
 
 def together(*changes: FieldChange) -> FieldChange:
-    """Several changes, one after the other."""
+    """Return several changes as one."""
     return FieldChange(tuple(step for change in changes for step in change.steps))
 
 
@@ -100,9 +102,9 @@ def together(*changes: FieldChange) -> FieldChange:
 class Level:
     """One strength of a disturbance."""
 
-    label: str  #: What the tables call it, without the unit.
-    change: Change  #: What it does to the task.
-    source: str  #: Where the number comes from.
+    label: str  #: Its name in tables, without the unit.
+    change: Change  #: Its change of the task.
+    source: str  #: Source of the number.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,7 @@ class Axis:
 
     @property
     def settings(self) -> "tuple[Setting, ...]":
-        """One for each level."""
+        """One setting for each level."""
         return tuple(Setting(axis=self, level=level) for level in self.levels)
 
 
@@ -133,17 +135,9 @@ class Setting:
 
     @property
     def title(self) -> str:
-        """What people read."""
+        """Name in tables."""
         space = "" if self.axis.unit == "°" else " "
         return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
-
-
-def _latency(steps: float) -> FieldChange:
-    return part("sensing", latency_steps=(steps, steps))
-
-
-def _delay(steps: float) -> FieldChange:
-    return part("randomization", command_delay=(steps, steps))
 
 
 def _gains(percent: float) -> FieldChange:
@@ -151,9 +145,19 @@ def _gains(percent: float) -> FieldChange:
     return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
 
 
-def _mass(lightest: float, heaviest: float) -> FieldChange:
-    """Masses [g] of objects that weigh 30 g."""
-    return part("randomization", mass_scale=(lightest / 30.0, heaviest / 30.0))
+def _mass(grams: float) -> FieldChange:
+    """Set the mass [g] of objects that weigh 30 g."""
+    return part("randomization", mass_scale=(grams / 30.0, grams / 30.0))
+
+
+def _timing(latency: float | None = None, delay: float | None = None) -> FieldChange:
+    """Set the latency of the camera, the delay of commands, or both [control steps]."""
+    changes = []
+    if latency is not None:
+        changes.append(part("sensing", latency_steps=(latency, latency)))
+    if delay is not None:
+        changes.append(part("randomization", command_delay=(delay, delay)))
+    return together(*changes)
 
 
 AIR = part("randomization", air_density=AIR_DENSITY)
@@ -166,11 +170,10 @@ HUMAN = part(
     speed_deviation=0.05,
     angle_deviation=radians(2.5),
 )
-
+SPIN = part("throws", spin=10.0)
 CAMERA_MOUNT = part("sensing", camera_offset=0.02, camera_turn=radians(1.0), focal_error=0.02)
 DETECTOR = part("sensing", box_bias=5.0, drop_rate=0.15, latency_steps=(2, 4))
-FLIGHT = together(AIR, HUMAN, part("throws", spin=10.0))
-REALITY = "reality"  #: Label of the level that has something of everything.
+REALITY = "reality"  #: Label of the level with a little of all disturbances.
 
 EVERYTHING = together(
     part(
@@ -183,15 +186,14 @@ EVERYTHING = together(
         latency_steps=(1, 3),
     ),
     _gains(30),
-    part("randomization", command_delay=(0, 1)),
-    _mass(15, 60),
+    part("randomization", command_delay=(0, 1), mass_scale=(0.5, 2.0)),
     AIR,
-    part("throws", spin=10.0),
+    SPIN,
 )
 
 
-def _axis(name: str, unit: str, *levels: Level | tuple[Level, ...]) -> Axis:
-    flat = (each if isinstance(each, tuple) else (each,) for each in levels)
+def _axis(name: str, unit: str, *levels: Level | Sequence[Level]) -> Axis:
+    flat = (each if isinstance(each, Sequence) else (each,) for each in levels)
     return Axis(name=name, unit=unit, levels=tuple(level for several in flat for level in several))
 
 
@@ -200,16 +202,16 @@ def _level(label: str, change: Change, source: str) -> Level:
 
 
 def _levels(
-    values: Iterable[float], change: Callable[[float], Change], source: str, label: str = "{:g}"
-) -> tuple[Level, ...]:
-    return tuple(_level(label.format(value), change(value), source) for value in values)
+    values: Sequence[float], change: Callable[[float], Change], source: str, label: str = "{:g}"
+) -> list[Level]:
+    return [_level(label.format(value), change(value), source) for value in values]
 
 
 def _sensing(
-    source: str, field: str, values: Sequence[float], scale: float = 1.0, unit: str = ""
-) -> tuple[Level, ...]:
-    """A level for every value of a field of the sensors, in the unit of the labels times `scale`."""
-    return _levels(values, lambda value: part("sensing", **{field: value * scale}), source, "{:g}" + unit)
+    source: str, field: str, values: Sequence[float], scale: float = 1.0, label: str = "{:g}"
+) -> list[Level]:
+    """Return a level for every value of a field of the sensors, which is the label's times `scale`."""
+    return _levels(values, lambda value: part("sensing", **{field: value * scale}), source, label)
 
 
 def _shake(millimetres: float, frequency: float) -> Level:
@@ -227,31 +229,31 @@ _ALL = (
     _axis("edge_noise", "px", _level("10", part("sensing", edge_noise=5.0), EDGE_SOURCE)),
     _axis("drops", "%", _sensing(DROPS_SOURCE, "drop_rate", (5, 15, 30), 1e-2)),
     _axis("blackout", "steps", _sensing(BLACKOUT_SOURCE, "blackout_steps", (3, 6))),
-    _axis("latency", "steps", _levels((0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5), _latency, LATENCY_SOURCE)),
+    _axis("latency", "steps", _levels((0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5), _timing, LATENCY_SOURCE)),
     _axis(
         "clock_error",
         "",
-        _sensing(CLOCK_SOURCE, "clock_error", (10, 20, 40), 1e-3, " ms"),
+        _sensing(CLOCK_SOURCE, "clock_error", (10, 20, 40), 1e-3, "{:g} ms"),
         _level("no stamps", part("sensing", unstamped=1.0), CLOCK_SOURCE),
     ),
     _axis("gains", "%", _levels((30, 50), _gains, GAINS_SOURCE, "±{}")),
     _axis(
         "command_delay",
         "",
-        _level("1 step", _delay(1), DELAY_SOURCE),
-        _level("2 steps", _delay(2), DELAY_SOURCE),
+        _level("1 step", _timing(delay=1), DELAY_SOURCE),
+        _level("2 steps", _timing(delay=2), DELAY_SOURCE),
     ),
     _axis(
         "latency_and_delay",
         "steps",
-        _level("2.5 and 0.5", together(_latency(2.5), _delay(0.5)), LATENCY_AND_DELAY_SOURCE),
-        _level("3 and 1", together(_latency(3), _delay(1)), LATENCY_AND_DELAY_SOURCE),
+        _level("2.5 and 0.5", _timing(2.5, 0.5), LATENCY_AND_DELAY_SOURCE),
+        _level("3 and 1", _timing(3, 1), LATENCY_AND_DELAY_SOURCE),
     ),
     _axis(
         "mass",
         "g",
-        _level("15", _mass(15, 15), "foam; the lower end of the training"),
-        _level("60", _mass(60, 60), "a tennis ball is 56.0 to 59.4 g (ITF rules)"),
+        _level("15", _mass(15), "foam; the lower end of the training"),
+        _level("60", _mass(60), "a tennis ball is 56.0 to 59.4 g (ITF rules)"),
     ),
     _axis(
         "restitution",
@@ -264,23 +266,17 @@ _ALL = (
     _axis(
         "spin",
         "rad/s",
-        _level("10", part("throws", spin=10.0), "a hand at 4.5 m/s that turns about the elbow, 0.45 m away"),
+        _level("10", SPIN, "a hand at 4.5 m/s that turns about the elbow, 0.45 m away"),
         _level("25", part("throws", spin=25.0), "ours: with a flick of the wrist, four turns a second"),
     ),
-    _axis(
-        "air", "", *(_level(f"{mass} g", together(AIR, _mass(mass, mass)), AIR_SOURCE) for mass in (30, 15))
-    ),
+    _axis("air", "", _levels((30, 15), lambda mass: together(AIR, _mass(mass)), AIR_SOURCE, "{:g} g")),
     _axis(
         "throws",
         "",
         _level("near", part("throws", release_x=(1.0, 1.9)), NEAR_SOURCE),
         _level("far", part("throws", release_x=(2.9, 3.5)), "ours: released 2.9 to 3.5 m away"),
-        _level(
-            "low", part("throws", peak_z=(1.3, 1.6)), "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training"
-        ),
-        _level(
-            "high", part("throws", peak_z=(1.9, 2.3)), "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m"
-        ),
+        _level("low", part("throws", peak_z=(1.3, 1.6)), LOW_SOURCE),
+        _level("high", part("throws", peak_z=(1.9, 2.3)), HIGH_SOURCE),
         _level("human", HUMAN, HUMAN_SOURCE),
     ),
     _axis("shake", "", _shake(5, 3), _shake(10, 2)),
@@ -289,17 +285,17 @@ _ALL = (
         "",
         _level("camera mount", CAMERA_MOUNT, TOGETHER_SOURCE),
         _level("detector", DETECTOR, TOGETHER_SOURCE),
-        _level("flight", FLIGHT, TOGETHER_SOURCE),
+        _level("flight", together(AIR, HUMAN, SPIN), TOGETHER_SOURCE),
         _level(REALITY, EVERYTHING, REALITY_SOURCE),
     ),
 )
 
 AXES: dict[str, Axis] = catalogue(Axis, {axis.name: axis for axis in _ALL})
-"""All axes by name, in the order of the tables; those of files of one's own last."""
+"""All axes by name, in the order of the tables; those of the user's own files last."""
 
 
 def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:
-    """All levels of the named axes, in the order of the tables; of every axis if none is named.
+    """Return all levels of the named axes, in the order of the tables; without names, of every axis.
 
     Raises:
         UnknownNameError: If there is no such axis.

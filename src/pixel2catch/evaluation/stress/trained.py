@@ -1,7 +1,7 @@
-"""Whether a policy was trained on what a setting of the suite does, or meets that for the first time.
+"""Whether the training of a policy covered a setting of the suite, from the ranges of its task alone.
 
-Decided from the ranges of its task alone: every episode of the setting must be one that the training could
-have drawn, as far as the setting differs from the nominal task.
+Every episode of the setting must be one that the training could draw, in all fields in which the setting
+differs from the nominal task.
 """
 
 from dataclasses import fields, is_dataclass
@@ -12,20 +12,20 @@ from pixel2catch.evaluation.stress.suite import Change
 from pixel2catch.workcells import find_workcell
 
 PARTS = ("scene", "throws", "randomization", "sensing", "shake")
-"""Parts of a task that are compared; a setting that changes anything else is not trained on."""
+"""Parts of a task that are compared; a setting that changes another part is not trained on."""
 
 GRIDS = {"latency_steps": "latency_grid", "command_delay": "command_delay_grid"}
-"""Ranges of which only some values are drawn, and the field with the distance of these: 0 draws any."""
+"""Ranges with the field that holds the distance of their values; with 0 any value is drawn."""
 
 BOUNDS = ("spin", "corner_noise", "edge_noise", "initial_joint_noise")
-"""The largest of what is drawn from 0: a smaller bound draws nothing new."""
+"""Fields that are the upper end of a range from 0."""
 
-SHARES = ("unstamped",)  #: Shares of episodes in which something happens: that it can is what counts.
+SHARES = ("unstamped",)  #: Shares of episodes in which an event happens; any share above 0 covers others.
 TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
 
 
 def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
-    """Whether all that a setting makes of the nominal task lies within the training's, or a variant of it."""
+    """Return whether a change of the nominal task is within the training's task or one of its variants."""
     nominal = CatchEnvCfg()
     changed = change(nominal)
     others = [field.name for field in fields(nominal) if field.name not in PARTS]
@@ -40,7 +40,7 @@ def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
 
 
 def _is_within(nominal: Any, changed: Any, trained: Any) -> bool:
-    """Whether the fields of a part that differ from the nominal ones lie within the trained ones."""
+    """Return whether the fields of a part that differ from the nominal ones are within the trained ones."""
     return all(
         _is_field_within(field.name, changed, trained)
         for field in fields(nominal)
@@ -50,7 +50,7 @@ def _is_within(nominal: Any, changed: Any, trained: Any) -> bool:
 
 
 def _is_field_within(name: str, changed: Any, trained: Any) -> bool:
-    """Whether all that one field of a part draws can be drawn in training."""
+    """Return whether training can draw all values of one field of a part."""
     inner, outer = getattr(changed, name), getattr(trained, name)
     if name in GRIDS:
         return _is_drawn(inner, getattr(changed, GRIDS[name]), outer, getattr(trained, GRIDS[name]))
@@ -62,7 +62,7 @@ def _is_field_within(name: str, changed: Any, trained: Any) -> bool:
 
 
 def _is_inside(inner: Any, outer: Any) -> bool:
-    """Whether numbers, ranges, or structures of these lie within others; anything else must be the same."""
+    """Return whether numbers, ranges or structures of these are within others; other values must be equal."""
     if (drawn := _as_range(inner)) and (known := _as_range(outer)):
         return known[0] - TOLERANCE <= drawn[0] and drawn[1] <= known[1] + TOLERANCE
     if isinstance(inner, tuple) and isinstance(outer, tuple) and len(inner) == len(outer):
@@ -75,7 +75,7 @@ def _is_inside(inner: Any, outer: Any) -> bool:
 def _is_drawn(
     inner: tuple[float, float], inner_grid: float, outer: tuple[float, float], outer_grid: float
 ) -> bool:
-    """Whether all values of one delay are values of another one [control steps]."""
+    """Return whether all values of one delay are values of another one [control steps]."""
     if not _is_inside(inner, outer):
         return False
     if not outer_grid and outer[0] < outer[1]:
@@ -89,14 +89,14 @@ def _is_drawn(
 
 
 def _values(limits: tuple[float, float], grid: float) -> list[float]:
-    """All values that a delay on a grid can have, as `mdp.randomization.sample_delay` draws them."""
+    """Return all values of a delay on a grid, as `mdp.randomization.sample_delay` draws them."""
     first, last = limits
     count = int((last - first) / grid + 1e-6) + 1 if grid else 1
     return [first + number * grid for number in range(count)]
 
 
 def _as_range(value: Any) -> tuple[float, float] | None:
-    """A number, or a range of numbers, as a range; nothing for anything else."""
+    """Return a number or a range of numbers as a range; nothing for other values."""
     ends: Any = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
     is_range = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
     return ends if is_range else None
