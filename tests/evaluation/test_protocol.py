@@ -70,7 +70,7 @@ class Flicker:
         }
 
 
-NEVER = 10 * ROUND_STEPS
+NEVER = 6 * ROUND_STEPS
 
 
 def over_the_palm(hover_steps: int) -> EvaluationCfg:
@@ -84,7 +84,7 @@ def over_the_palm(hover_steps: int) -> EvaluationCfg:
         aim_y=(y - 1e-3, y + 1e-3),
         aim_z=(z - 0.01, z - 0.01),
         peak_z=(z, z),
-        clearance=0.0,
+        clearance=0.01,
         hover_steps=(hover_steps, hover_steps),
     )
     task = CatchEnvCfg(throws=throws, randomization=RandomizationCfg(initial_joint_noise=0.0))
