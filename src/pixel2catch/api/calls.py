@@ -1,16 +1,11 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import ceil
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 
-import torch
-
-from pixel2catch import WAITS_IN_A_LOOP
+from pixel2catch.api.threads import let_torch_sleep
 from pixel2catch.api.training import run
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.catch_env import CatchEnv
@@ -30,9 +25,6 @@ from pixel2catch.policy import LoadedPolicy, Policy, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, select_objects
 from pixel2catch.workcells import find_workcell
-
-MOST_SLEEPERS = 16  #: With many more cores than threads there is no need for any. Source: ours.
-_SLEEPERS: list[Thread] = []
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
 
@@ -183,29 +175,6 @@ def train(
     experiment = replace(experiment, train=replace(experiment.train, **options))
     found = _method(method, experiment.env)
     return run(experiment, found, Path(out), resume=resume, preset=name, inputs=inputs)
-
-
-def let_torch_sleep() -> None:
-    """Let PyTorch's CPU threads sleep while they have no work, also where PyTorch was imported first.
-
-    OMP_WAIT_POLICY, which `pixel2catch` sets, is read when PyTorch is loaded. If it was loaded before, its
-    idle threads wait in a loop and take the cores from physics. GNU OpenMP ends that loop at once while a
-    process has more threads than cores: sleeping threads that each own a team of threads exceed that number.
-    """
-    threads, cores = torch.get_num_threads(), len(os.sched_getaffinity(0))
-    count = ceil(cores / max(threads - 1, 1))
-    if WAITS_IN_A_LOOP and threads > 1 and count <= MOST_SLEEPERS and not _SLEEPERS:
-        for _ in range(count):
-            is_started = Event()
-            _SLEEPERS.append(Thread(target=_sleep, args=(is_started,), daemon=True))
-            _SLEEPERS[-1].start()
-            is_started.wait()
-
-
-def _sleep(is_started: Event) -> None:
-    torch.ones(2**18).exp()  # large enough for all threads
-    is_started.set()
-    Event().wait()
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
