@@ -235,16 +235,6 @@ def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.Mon
         torch.testing.assert_close(tensor, outcomes[1][1][name])
 
 
-def test_exploration_is_recorded_unclipped(mappo: Mappo) -> None:
-    roll_out(mappo, ReachingEnv(SMALL))
-    actions = mappo.rollout["arm"].actions
-    assert actions.abs().max() > 1.0
-    means = actions.mean((0, 1))
-    normal = Normal(0.0, 1.0)
-    recorded = mappo.rollout["arm"].log_prob
-    assert (recorded - normal.log_prob(actions - means).sum(-1)).abs().mean() < 0.3
-
-
 def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
     roll_out(mappo, ReachingEnv(SMALL))
     mappo.update(0.0)
@@ -257,16 +247,6 @@ def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
             policy.network(agent)(observations, torch.zeros(100, 0))[0], mappo.networks[agent].policy(scaled)
         )
         assert scaled.abs().max() == 5.0
-
-
-def test_linear_learning_rate(mappo: Mappo) -> None:
-    rates = []
-    for progress in (0.0, 0.5, 1.0, 1.1):
-        roll_out(mappo, ReachingEnv(SMALL))
-        metrics = mappo.update(progress)
-        assert metrics["learning_rate/arm"] == metrics["learning_rate/hand"]
-        rates.append(metrics["learning_rate/arm"])
-    assert rates == pytest.approx([1e-3, 5.5e-4, 1e-4, 1e-4])
 
 
 @pytest.mark.parametrize(("target", "changes"), [(10.0, 1.5**4), (1e-9, 1 / 1.5**4)])
@@ -283,20 +263,6 @@ def test_adaptive_learning_rate(target: float, changes: float) -> None:
             roll_out(mappo, ReachingEnv(cfg))
             mappo.update(0.0)
         assert mappo.steps["hand"].learning_rate.item() == pytest.approx(1e-5)
-
-
-def test_state_round_trip_is_exact(mappo: Mappo) -> None:
-    roll_out(mappo, ReachingEnv(SMALL))
-    mappo.update(0.0)
-    other = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
-    other.load_state_dict(copy.deepcopy(mappo.state_dict()))
-    outcomes = []
-    for each in (mappo, other):
-        torch.manual_seed(7)
-        roll_out(each, ReachingEnv(SMALL))
-        each.update(0.5)
-        outcomes.append(each.export().state_dict())
-    assert all(torch.equal(outcomes[0][name], outcomes[1][name]) for name in outcomes[0])
 
 
 def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:

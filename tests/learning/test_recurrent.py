@@ -10,7 +10,7 @@ from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, Statistics, Tau
 from torch import Tensor, nn
 
 from pixel2catch.envs.catch_env import Observation
-from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import gru_rollout
@@ -143,29 +143,6 @@ def test_only_a_memory_learns_what_was_shown_before(tmp_path: Path) -> None:
         policy.reset(step.terminated)
         observation = step.observation
     assert env.statistics.pop()["success_rate"] > 0.97
-
-
-class RestartingEnv(ReachingEnv):
-    """Begins anew after every second rollout, as a resumed training does."""
-
-    def step(self, actions: dict[str, Tensor]) -> Any:
-        step = super().step(actions)
-        if self.num_steps % (2 * SMALL.rollout_steps) == 0:
-            self.generator.manual_seed(SMALL.seed)
-            cut = torch.ones_like(step.truncated)
-            return dataclasses.replace(step, observation=self.reset(), truncated=cut)
-        return step
-
-
-def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
-    one_go = train(RECURRENT, RestartingEnv, CONTRACT, tmp_path / "one_go")
-    half = dataclasses.replace(RECURRENT, transitions=2048, final_learning_rate=5.5e-4)
-    train(half, RestartingEnv, CONTRACT, tmp_path / "halves")
-    with pytest.raises(CheckpointError, match="does not fit this configuration"):
-        train(SMALL, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
-    resumed = train(RECURRENT, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
-    expected, found = (Policy.load(result.policy).state_dict() for result in (one_go, resumed))
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
 
 
 def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:

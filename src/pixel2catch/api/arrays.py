@@ -1,4 +1,4 @@
-"""What the views share: arrays instead of tensors, spaces, and pictures of environments."""
+"""Arrays, spaces and pictures for the views of other libraries."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,20 +27,20 @@ METADATA: Mapping[str, Any] = {
 
 
 def space(size: int, bound: float = np.inf) -> Box:
-    """Vectors of this size, each entry within the bound."""
+    """Return the space of vectors of a size, with entries within a bound."""
     return Box(-bound, bound, (size,), np.float32)
 
 
 def array(values: Tensor) -> ndarray:
-    """The values in memory of their own."""
+    """Copy values into an array."""
     return values.detach().cpu().numpy().copy()
 
 
 def action_tensor(env: CatchEnv, agent: str, action: Any) -> Tensor:
-    """Actions (num_envs, num_joints) of an agent as the environment takes them.
+    """Return actions (num_envs, num_joints) of an agent as a tensor.
 
     Raises:
-        InvalidValueError: If they have another shape, or one is NaN.
+        InvalidValueError: They have another shape.
     """
     values, expected = np.asarray(action, dtype=np.float32), (env.num_envs, env.action_sizes[agent])
     if values.shape != expected:
@@ -50,7 +50,7 @@ def action_tensor(env: CatchEnv, agent: str, action: Any) -> Tensor:
 
 
 def outcome(step: Step) -> dict[str, ndarray]:
-    """What became of the episodes (num_envs,)."""
+    """Return the results of the episodes, (num_envs,)."""
     record = step.record
     return {
         "is_tracked": array(record.is_tracked),
@@ -60,13 +60,13 @@ def outcome(step: Step) -> dict[str, ndarray]:
 
 
 class Pictures:
-    """Draws environments from outside, where the render mode says so."""
+    """Pictures of environments from outside."""
 
     def __init__(self, env: CatchEnv, render_mode: str | None) -> None:
-        """Open nothing yet.
+        """Check the render mode.
 
         Raises:
-            UnknownNameError: If there is no such mode.
+            UnknownNameError: There is no such mode.
         """
         if render_mode not in (None, RENDER_MODE):
             raise UnknownNameError("render mode", render_mode, [RENDER_MODE])
@@ -74,10 +74,10 @@ class Pictures:
         self._renderers: dict[str, Renderer] = {}
 
     def draw(self) -> list[UInt8[ndarray, "height width 3"]] | None:
-        """A picture of each environment, or None without a render mode.
+        """Return a picture of each environment, or None without a render mode.
 
         Raises:
-            DeviceUnavailableError: If nothing can be drawn on this machine.
+            DeviceUnavailableError: Nothing can be drawn on this machine.
         """
         if not self._is_drawing:
             return None

@@ -7,7 +7,6 @@ from typing import Any
 
 from pixel2catch.api.threads import let_torch_sleep
 from pixel2catch.api.training import run
-from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -39,25 +38,21 @@ def make(
     device: str = "cpu",
     seed: int = 0,
 ) -> CatchEnv:
-    """Make environments, which act on tensors; views for other libraries take what is returned.
+    """Make environments that act on tensors; the views for other libraries wrap them.
 
     Args:
         method: A method or its name, such as "single_agent", "catch+fit" or "my_file.py:mine".
         num_envs: How many robots catch side by side.
         task: A task or its name: nominal, wide, ...
-        objects: What is thrown: seen, unseen, real, sizes, names, or objects of one's own. Default: the
-            task's.
+        objects: What is thrown: seen, unseen, real, sizes, names, or your own objects. Default: the task's.
         workcell: The robots, or their name. Default: the task's.
         device: Where to simulate: cpu, cuda, cuda:1, ...
         seed: Seed of everything that is drawn.
 
     Raises:
-        UnknownNameError: If a name is in no catalogue.
-        InvalidValueError: If a value is out of range.
+        UnknownNameError: A name is in no catalogue.
+        InvalidValueError: A value is of another type or out of range.
     """
-    require(Count, "num_envs", num_envs)
-    require(Seed, "seed", seed)
-    require(Device, "device", device)
     _require_named("method", method, Method)
     _require_named("task", task, CatchEnvCfg)
     let_torch_sleep()
@@ -70,10 +65,10 @@ def make(
 
 
 def load_policy(name: str | Path | None = None, device: str = "cpu") -> LoadedPolicy:
-    """Read a policy: a shipped one by its name, or from its folder or its run's; the default one if absent.
+    """Read a policy: a shipped one by its name (default: catch_alone+fit), or from its folder or its run's.
 
     Raises:
-        PolicyMismatchError: If there is none, or it does not fit this code.
+        PolicyMismatchError: There is none, or it does not fit this code.
     """
     return loading.load_policy(None if name is None else Path(name), device)[0]
 
@@ -95,16 +90,16 @@ def evaluate(
     Args:
         policy: A policy, or what `load_policy` takes.
         method: Its method, where neither the package nor the policy's contract defines it.
-        objects: What is thrown: seen, unseen, real, sizes, names of objects, or objects of one's own.
+        objects: What is thrown: seen, unseen, real, sizes, names of objects, or your own objects.
         num_envs: Throws in a round.
         trials: Rounds.
         seed: Seed of everything that is drawn.
         device: Where to simulate.
         physics_hz: Physics steps in a second, a multiple of 30.
-        change: What is different of the task, such as the `change` of a `Level`.
+        change: Changes the task, such as the `change` of a `Level`.
 
     Raises:
-        PolicyMismatchError: If there is no policy, or it does not fit this code.
+        PolicyMismatchError: There is no policy, or it does not fit this code.
     """
     if policy is None or isinstance(policy, str | Path):
         policy = load_policy(policy, device)

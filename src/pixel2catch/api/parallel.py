@@ -26,26 +26,25 @@ Values = dict[str, Any]
 
 
 class CatchParallelEnv:
-    """A single robot that catches; its agents act at the same time.
+    """A single robot; its agents act at the same time.
 
-    A time-out counts as a termination (paper), so nothing is ever truncated. `CatchEnv` begins the next
-    episode in the step that ends one: the observation and the state that come with an end are those of the
-    next episode's start. Every end is a termination, so a learner that follows the API never values them.
+    A time-out counts as a termination (paper), so nothing is ever truncated. With the end of an episode come
+    observation and state of the next one; a learner that follows the API does not use them.
 
     Attributes:
         metadata: Name of the environment, and how it renders.
         possible_agents: Names of all agents.
-        agents: The same during an episode, none after its end.
+        agents: The same during an episode; empty after its end.
         state_space: Space of `state`, the input of the value networks.
     """
 
     metadata: ClassVar[Values] = {**METADATA, "is_parallelizable": True}
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """View an environment, such as `pixel2catch.make("proposed")`.
+        """Wrap an environment, such as `pixel2catch.make("proposed")`.
 
         Raises:
-            InvalidValueError: If there are several.
+            InvalidValueError: There are several.
         """
         if env.num_envs != 1:
             raise InvalidValueError(f"num_envs is {env.num_envs}; it must be 1 for PettingZoo.")
@@ -59,7 +58,7 @@ class CatchParallelEnv:
 
     @property
     def num_agents(self) -> int:
-        """Number of agents that act now."""
+        """Number of agents in the present episode."""
         return len(self.agents)
 
     @property
@@ -69,32 +68,23 @@ class CatchParallelEnv:
 
     @property
     def unwrapped(self) -> "CatchParallelEnv":
-        """The environment itself: nothing is wrapped."""
+        """The environment itself."""
         return self
 
     def observation_space(self, agent: str) -> Box:
-        """Space of an agent's observation.
-
-        Raises:
-            UnknownNameError: If there is no such agent.
-        """
+        """Return the space of an agent's observation."""
         return self._observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> Box:
-        """Space of an agent's actions, [-1, 1] in each.
-
-        Raises:
-            UnknownNameError: If there is no such agent.
-        """
+        """Return the space of an agent's actions, each in [-1, 1]."""
         return self._action_spaces[self._known(agent)]
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Arrays, Values]:
-        """Begin an episode: observation of each agent (size,) float32, and an empty info of each.
+        """Start an episode; return observation (size,) float32 and empty info of each agent.
 
-        Everything is drawn anew from a seed, and goes on without one. `options` are ignored, as the API
-        allows.
+        Without a seed the random generator goes on. `options` are ignored, as the API allows.
         """
         if seed is not None:
             self._env.seed(seed)
@@ -102,14 +92,13 @@ class CatchParallelEnv:
         return self._observe(self._env.reset()), {agent: {} for agent in self.agents}
 
     def step(self, actions: Mapping[str, ndarray]) -> tuple[Arrays, Values, Values, Values, Values]:
-        """Act for one control step; after the end of an episode nothing acts and nothing is returned.
+        """Act for one control step; actions (num_joints,) are clipped to [-1, 1].
 
-        Actions (num_joints,) are in [-1, 1]; what lies outside is clipped. Returned are observations,
-        rewards, terminations, truncations and infos of each agent. The infos of the step that ends an episode
-        hold `is_tracked`, `is_success` and `episode_steps`.
+        Return observations, rewards, terminations, truncations and infos of each agent; all are empty after
+        the end of an episode. The infos of its last step hold `is_tracked`, `is_success` and `episode_steps`.
 
         Raises:
-            InvalidValueError: If an action is missing, of another size, or NaN.
+            InvalidValueError: An action is missing, of another size, or NaN.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
@@ -129,11 +118,11 @@ class CatchParallelEnv:
         )
 
     def state(self) -> ndarray:
-        """Input of the value networks at the last observation (state_size,) float32."""
+        """Return the input of the value networks at the last observation, (state_size,) float32."""
         return self._state.copy()
 
     def render(self) -> ndarray | None:
-        """A picture (height, width, 3) with the render mode "rgb_array", else None."""
+        """Return a picture (height, width, 3) with the render mode "rgb_array", else None."""
         pictures = self._pictures.draw()
         return None if pictures is None else pictures[0]
 
@@ -149,7 +138,6 @@ class CatchParallelEnv:
         return agent
 
     def _action(self, agent: str, actions: Mapping[str, ndarray]) -> Tensor:
-        """An agent's action as the environment takes it (1, num_joints)."""
         if agent not in actions:
             raise InvalidValueError(
                 f"no action for agent '{agent}'; each step needs {', '.join(self.agents)}"
@@ -157,6 +145,5 @@ class CatchParallelEnv:
         return action_tensor(self._env, agent, np.asarray(actions[agent])[None])
 
     def _observe(self, observation: Observation) -> Arrays:
-        """Remember the state and hand out each agent's observation."""
         self._state = array(observation.state)[0]
         return {agent: array(value)[0] for agent, value in observation.policy.items()}

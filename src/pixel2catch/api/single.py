@@ -13,15 +13,15 @@ from pixel2catch.errors import InvalidValueError
 
 
 class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
-    """A robot that catches, with one agent; the only row of a `CatchVectorEnv`."""
+    """A single robot with one agent; the only row of a `CatchVectorEnv`."""
 
     metadata: ClassVar[dict[str, Any]] = dict(METADATA)  # pyright: ignore[reportIncompatibleVariableOverride] (Gymnasium's is a mutable class variable, too)
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """View an environment, such as `pixel2catch.make("single_agent")`.
+        """Wrap an environment, such as `pixel2catch.make("single_agent")`.
 
         Raises:
-            InvalidValueError: If there are several, or its method has several agents.
+            InvalidValueError: There are several environments or agents.
         """
         if env.num_envs != 1:
             raise InvalidValueError(f"num_envs is {env.num_envs}; it must be 1, or take CatchVectorEnv.")
@@ -33,24 +33,24 @@ class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ndarray, dict[str, Any]]:
-        """Begin an episode; what is drawn goes on without a seed. `options` are ignored."""
+        """Start an episode; without a seed the random generator goes on. `options` are ignored."""
         super().reset(seed=seed)
         return self._vector.reset(seed=seed)[0][0], {}
 
     def step(self, action: ndarray) -> tuple[ndarray, float, bool, bool, dict[str, Any]]:
-        """Act for one control step; what lies outside [-1, 1] is clipped.
+        """Act for one control step; the action is clipped to [-1, 1].
 
-        The infos of the step that ends an episode hold `is_tracked`, `is_success` and `episode_steps`.
+        The infos of the last step of an episode hold `is_tracked`, `is_success` and `episode_steps`.
 
         Raises:
-            InvalidValueError: If the action has another shape, or is NaN.
+            InvalidValueError: The action has another shape, or is NaN.
         """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         summary = {name: values[0].item() for name, values in infos.items() if not name.startswith("_")}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), summary
 
     def render(self) -> Any:
-        """A picture (height, width, 3) with the render mode "rgb_array", else None."""
+        """Return a picture (height, width, 3) with the render mode "rgb_array", else None."""
         pictures = self._vector.render()
         return None if pictures is None else pictures[0]
 

@@ -13,10 +13,10 @@ from pixel2catch.errors import InvalidValueError
 
 
 def only_agent(env: CatchEnv) -> str:
-    """Name of the agent of an environment that has one.
+    """Return the name of the only agent of an environment.
 
     Raises:
-        InvalidValueError: If it has several.
+        InvalidValueError: There are several.
     """
     names = [agent.name for agent in env.method.agents]
     if len(names) != 1:
@@ -28,19 +28,19 @@ def only_agent(env: CatchEnv) -> str:
 
 
 class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
-    """Robots that catch side by side, with one agent each.
+    """Robots side by side, with one agent each.
 
-    Where an episode ends, `step` returns the first observation of the next one. The last one of the episode
-    is not kept: every end is a termination (paper), so no learner needs its value.
+    Where an episode ends, `step` returns the first observation of the next one: every end is a termination
+    (paper), so that no learner needs the last observation.
     """
 
     metadata: ClassVar[dict[str, Any]] = {**METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride] (Gymnasium's is a mutable class variable, too)
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """View environments, such as `pixel2catch.make("single_agent", num_envs=64)`.
+        """Wrap environments, such as `pixel2catch.make("single_agent", num_envs=64)`.
 
         Raises:
-            InvalidValueError: If their method has several agents.
+            InvalidValueError: Their method has several agents.
         """
         self._env, self._agent = env, only_agent(env)
         self.num_envs, self.render_mode = env.num_envs, render_mode
@@ -53,20 +53,19 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ndarray, dict[str, Any]]:
-        """Begin an episode everywhere; what is drawn goes on without a seed. `options` are ignored."""
+        """Start all episodes; without a seed the random generator goes on. `options` are ignored."""
         super().reset(seed=seed)
         if seed is not None:
             self._env.seed(seed)
         return array(self._env.reset().policy[self._agent]), {}
 
     def step(self, actions: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray, dict[str, Any]]:
-        """Act for one control step; what lies outside [-1, 1] is clipped.
+        """Act for one control step; actions are clipped to [-1, 1].
 
-        Infos say of the episodes that ended, by the mask of the same name with an underscore, what `outcome`
-        does.
+        Infos hold the entries of `outcome` for episodes that ended; their masks begin with an underscore.
 
         Raises:
-            InvalidValueError: If actions have another shape, or one is NaN.
+            InvalidValueError: Actions have another shape, or one is NaN.
         """
         step = self._env.step({self._agent: action_tensor(self._env, self._agent, actions)})
         ended = array(step.terminated)
@@ -83,7 +82,7 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         )
 
     def render(self) -> tuple[ndarray, ...] | None:
-        """A picture (height, width, 3) of every environment with the render mode "rgb_array", else None."""
+        """Return a picture (height, width, 3) of every environment with the mode "rgb_array", else None."""
         pictures = self._pictures.draw()
         return None if pictures is None else tuple(pictures)
 
