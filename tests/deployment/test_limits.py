@@ -31,12 +31,6 @@ def test_numbers_by_hand():
         assert (limits.lower[joint], limits.upper[joint]) == (JOINTS[joint].lower, JOINTS[joint].upper)
 
 
-def test_identified_latency_and_filter_make_the_lead_longer():
-    slow = NOMINAL.with_values(latency=0.02, filter_gain=300.0, filter_lookahead=0.1)
-    longer = JointLimits.of(UR5E_ALLEGRO, dynamics=slow).lead - JointLimits.of(UR5E_ALLEGRO).lead
-    np.testing.assert_allclose(longer, [0.9 * joint.velocity_limit * 0.12 for joint in JOINTS])
-
-
 def test_half_of_the_speed():
     """Speeds are halved, and with them how far a command leads, and how soon it is as fast."""
     full, half = JointLimits.of(UR5E_ALLEGRO), JointLimits.of(UR5E_ALLEGRO, 0.5)
@@ -101,12 +95,6 @@ def test_a_budget_lowers_the_limits_of_its_part_and_of_no_other():
     assert words == (
         "joints up to 1 rad/s; commands up to 3.58 rad/s, 150 rad/s², 20000 rad/s³; a stop takes 0.05 s"
     )
-
-
-def test_a_budget_above_the_servos_own_limits_changes_nothing():
-    budget = part("hand", ["thumb_joint_0"], speed=100.0, acceleration=1e9, jerk=1e12)
-    for name, value in vars(JointLimits.of(UR5E_ALLEGRO, parts=(budget,))).items():
-        np.testing.assert_array_equal(value, getattr(JointLimits.of(UR5E_ALLEGRO), name), name)
 
 
 @pytest.mark.parametrize(

@@ -60,12 +60,6 @@ def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
         assert recent.tolist() == [*positions[1:], 5.0 if limits is FAST else 9.0]
 
 
-def test_a_jerk_without_a_limit_needs_no_mean():
-    free = replace(LIMITS, jerk=np.full(2, np.inf))
-    assert free.window.tolist() == [1, 1]
-    assert moving_mean(np.zeros(1), 0.3, records(**free.columns).view(np.recarray)[0]) == 0.3
-
-
 @pytest.mark.parametrize("joint", [0, 1])
 def test_no_wish_breaks_a_limit(joint: int):
     """Neither that of a motion, nor that of the commands which are its means."""

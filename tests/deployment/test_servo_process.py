@@ -11,7 +11,7 @@ from wire_lab import shuffled
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
-from pixel2catch.ros2.profile import Profile, StatusTopics
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Fault, LoopEnd, Mode, ServoEnd, flag_names
 from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates
@@ -111,12 +111,6 @@ def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: St
     assert stage.modes == [Mode.IDLE]
 
 
-def test_status_that_the_profile_does_not_name_is_not_watched(ends: tuple[LoopEnd, ServoEnd]):
-    profile = replace(Profile.load("ur5e_allegro_v4"), status=StatusTopics())
-    stage = Stage(profile, ends)
-    stage.play(stage.armed())
-
-
 def test_a_brain_that_is_gone_stops_the_robot_and_ends_the_servo(stage: Stage):
     def script() -> Iterator[None]:
         yield from stage.armed(60)
@@ -167,25 +161,6 @@ def test_a_dry_run_sends_nothing_and_runs(ends: tuple[LoopEnd, ServoEnd]):
     watcher = stage.broker.node(stage.clock)
     assert not any(watcher.num_other_publishers(part.command_topic) for part in stage.lab.profile.robots)
     assert stage.lab.ticks[-1].joint_pos_command[0] > HOME[0] + 0.1
-
-
-def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[LoopEnd, ServoEnd]):
-    stage = Stage(Profile.load("ur5e_allegro_v4"), ends, is_dry_run=True)
-
-    def script() -> Iterator[None]:
-        yield from stage.armed(60)
-        stage.lab.target = HOME + 0.2
-        yield from wait(60)
-        stage.lab.is_held = False
-        yield from wait(30 + STOP_TICKS)
-        assert stage.mode == Mode.STOPPED
-        stage.lab.is_held, stage.lab.target = True, HOME
-        yield from wait(25)  # the switch is heard of
-        yield from stage.armed()
-        raise Cut
-
-    stage.play(script())
-    assert stage.stopped_by == ("dead man",)
 
 
 def test_the_operator_stops_and_goes_on(stage: Stage):
@@ -278,7 +253,7 @@ def test_a_second_operator_stops_the_robot_and_keeps_it_from_being_armed(name: s
     assert "other operator" in found
 
 
-@pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
+@pytest.mark.parametrize("age", [0.3, -10.0])
 def test_a_request_to_arm_that_took_too_long_says_nothing(age: float, stage: Stage):
     topic = stage.lab.profile.operator.arm
     (requests,) = [each.queue for each in stage.node.listeners if each.topic == topic]
@@ -296,7 +271,7 @@ def test_a_request_to_arm_that_took_too_long_says_nothing(age: float, stage: Sta
     stage.play(script())
 
 
-@pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
+@pytest.mark.parametrize("age", [0.3, -10.0])
 def test_a_message_of_the_switch_that_took_too_long_says_nothing(age: float, stage: Stage):
     lab, topic = stage.lab, stage.lab.profile.operator.dead_man
     (switch,) = [each.queue for each in stage.node.listeners if each.topic == topic]

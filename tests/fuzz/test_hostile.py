@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import resource
 import struct
 import tracemalloc
 import zipfile
@@ -15,7 +14,6 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-import torch
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from valid import ARM, KINDS, PIXELS
 
@@ -130,16 +128,6 @@ def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
         tracemalloc.stop()
 
 
-def test_an_image_takes_no_memory_that_its_file_does_not_have():
-    """A part of it says that it has 2 GB."""
-    data = bytearray(cv2.imencode(".png", PIXELS)[1].tobytes())
-    place = data.find(b"IDAT") - 4
-    data[place : place + 4] = b"\x7f\xff\xff\xff"
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    assert messages.unpacked_image(bytes(data)) is None
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 2**10
-
-
 @pytest.mark.parametrize("suffix", [".png", ".bmp"])
 def test_an_image_is_not_unpacked_if_it_is_too_large(suffix: str, tmp_path: Path):
     """Its header says 20,000 x 20,000."""
@@ -209,30 +197,12 @@ def test_an_alias_bomb_is_refused(tmp_path: Path):
         Profile.load(tmp_path / "lab.yaml")
 
 
-def test_a_command_of_a_billion_places_is_refused(tmp_path: Path):
-    file = KINDS["profile"].write(tmp_path)
-    file.write_text(file.read_text().replace("command_size: 6", "command_size: 1000000000"))
-    with pytest.raises(Pixel2CatchError):
-        Profile.load(file)
-
-
 def test_networks_of_a_billion_neurons_take_no_memory(tmp_path: Path):
     file = KINDS["policy"].write(tmp_path)
     for hidden in ([10**9], [8192] * 16):
         file.write_text(json.dumps(json.loads(file.read_text()) | {"hidden": hidden}))
         with pytest.raises(Pixel2CatchError):
             KINDS["policy"].read(file)
-
-
-def test_weights_that_are_no_numbers_are_refused(tmp_path: Path):
-    from pixel2catch.policy import Policy
-
-    file = KINDS["policy"].write(tmp_path)
-    policy = Policy.load(tmp_path)
-    torch.nn.init.constant_(next(policy.parameters()), torch.nan)
-    policy.save(tmp_path)
-    with pytest.raises(Pixel2CatchError):
-        load_policy(file.parent)
 
 
 def test_an_operation_that_is_not_ours_is_refused(tmp_path: Path):
