@@ -12,7 +12,7 @@ from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rendering.film import BAD, LAST_PICTURES, FilmRenderer, tiled, title, write_throws
+from pixel2catch.rendering.film import BAD, LAST_PICTURES, FilmRenderer, tiled, write_throws
 from pixel2catch.rendering.storyboard import (
     FPS,
     SLOW,
@@ -83,15 +83,6 @@ def test_a_film_has_its_pictures_in_order(ending: str, tmp_path: Path):
         with Image.open(path) as file:
             shown = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.all_frames(file)]
     assert [picture.mean() for picture in shown] == pytest.approx([0, 100, 200], abs=4)
-
-
-def test_names_of_objects_in_words():
-    assert [title(name) for name in ("cube_s", "l_block", "cone_l", "star")] == [
-        "small cube",
-        "l block",
-        "large cone",
-        "star",
-    ]
 
 
 def test_pictures_in_rows_by_hand():

@@ -9,7 +9,6 @@ import torch
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
-from pixel2catch.rendering.film import WIDE
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, Viewpoint, find_gl_backend
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -38,14 +37,6 @@ def test_pictures_are_taken_by_the_camera_of_the_scene():
     rows, columns = np.nonzero(mask)
     expected = project(camera, torch.tensor([[OBJECT_START]], dtype=torch.float64))[0][0, 0]
     np.testing.assert_allclose((columns.mean() + 0.5, rows.mean() + 0.5), expected, atol=0.5)
-
-
-@pytest.mark.usefixtures("opengl")
-def test_two_renderers_live_side_by_side():
-    with Renderer(MODEL) as near, Renderer(MODEL, WIDE) as far:
-        first = near.image(MODEL.qpos0)
-        far.image(MODEL.qpos0)
-        assert np.array_equal(near.image(MODEL.qpos0), first)
 
 
 @pytest.mark.usefixtures("opengl")

@@ -13,7 +13,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.lab_node import LabNode
 
@@ -59,19 +59,6 @@ def test_images_come_30_times_a_second_after_the_latency(bench: Bench):
     assert delays.min() >= LATENCY - 1e-6
     assert delays.max() < LATENCY + CYCLE
     assert (bench.camera.num_images, bench.camera.num_late, bench.camera.num_lost) == (29, 0, 0)
-
-
-def test_the_lens_is_that_of_the_camera(bench: Bench):
-    info = PROFILE.camera.info
-    assert info is not None
-    queue = bench.node.subscription(info)
-    bench.cycle(40)
-    reading = messages.read_camera_info(queue.take()[0].data)
-    lens = reading.camera
-    assert (lens.fx, lens.fy, lens.cx, lens.cy) == pytest.approx(
-        (RGB_CAMERA.fx, RGB_CAMERA.fy, RGB_CAMERA.cx, RGB_CAMERA.cy)
-    )
-    assert (lens.width, lens.height, reading.distortion) == (640, 480, ())
 
 
 def test_late_subscribers_learn_the_status_and_all_learn_of_a_stop(bench: Bench):

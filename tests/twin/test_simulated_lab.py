@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -92,15 +91,6 @@ def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: SimulatedLab
     assert lab.outcome == "missed"
     assert 0.8 < lab.time - start < 1.6
     assert num_steps < TRIAL_STEPS
-
-
-def test_there_is_nothing_to_throw_in_an_empty_room(lab: SimulatedLab):
-    assert lab.truth()["box"] is None
-    with pytest.raises(DeploymentError, match="prepare"):
-        lab.throw()
-    lab.prepare(1)
-    wait_until_held(lab)
-    lab.throw()
 
 
 def test_encoders_round_and_repeat_themselves_at_rest(lab: SimulatedLab):

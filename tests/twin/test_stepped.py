@@ -148,7 +148,7 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("milliseconds", [60.0, 100.0])
+@pytest.mark.parametrize("milliseconds", [10.0, 100.0])
 def test_a_rehearsal_with_slow_perception_can_be_repeated(milliseconds: float):
     cfg = replace(SLOW, perception_ms=milliseconds)
     reports = [rehearsed(cfg, knowing_ages(POLICY)) for _ in range(2)]
@@ -185,14 +185,6 @@ def test_what_was_recorded_is_decided_once_more(out: Path, capsys: pytest.Captur
     assert report["num_both"] >= report["num_then"] - 2 > 40
     assert report["arm"]["median"] < 0.02
     assert report["hand"]["median"] < 0.1
-
-
-@pytest.mark.slow
-def test_a_rehearsal_can_be_repeated():
-    reports = [rehearsed(ONE), rehearsed(ONE)]
-    for report in reports:
-        report["deploy"].pop("servo_tick_ms")  # in real time
-    assert reports[0] == reports[1]
 
 
 @pytest.mark.slow

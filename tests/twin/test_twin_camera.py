@@ -76,12 +76,3 @@ def test_an_image_is_lost_while_two_are_in_work():
     assert developed(camera, 1.0) == [(0.0, 0)]
     camera.expose(exposure(0.5))
     assert (len(drawing.begun), camera.num_lost) == (3, 2)
-
-
-def test_what_goes_wrong_in_drawing_is_not_swallowed():
-    drawing = SlowDrawing()
-    camera = CameraDriver(drawing)
-    camera.expose(exposure(0.1))
-    drawing.begun[0].set_exception(OSError("no drawing"))
-    with pytest.raises(OSError, match="no drawing"):
-        list(camera.take(1.0))

@@ -180,16 +180,6 @@ def test_the_switch_falls_with_the_connection(desk: Desk):
     assert desk.taken("dead_man")[-1] is False
 
 
-def test_a_page_beside_a_pedal_has_no_switch():
-    desk = Desk(has_switch=False)
-    with desk.visitor() as visitor:
-        ask(visitor, "press")
-        assert "is no request" in error_of(visitor)
-        assert not desk.page.is_held
-        assert not desk.go_on()["has_switch"]
-    desk.page.close()
-
-
 def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
     for said in ("[]", "1" * 2000, b"\x00"):
         with desk.visitor() as visitor:

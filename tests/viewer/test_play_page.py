@@ -13,7 +13,7 @@ from domains import PATIENCE, free_port
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.config import PageCfg, PlayCfg
-from pixel2catch.viewer.play import PlayPage, rates_text
+from pixel2catch.viewer.play import PlayPage
 
 
 class Visited:
@@ -41,12 +41,6 @@ def visited() -> Iterator[Visited]:
         visited.page.close()
         visited.playing.result(PATIENCE)
         visited.page.free()
-
-
-def test_rates():
-    assert "no throw" in rates_text(0, 0)
-    # Wilson 1927 for 9 of 10: (0.9 + 0.192 ± 1.96 √(0.009 + 0.0096)) / 1.384 = 0.596, 0.982.
-    assert rates_text(9, 10) == "**S.R. 90 %** (60 to 98 %): 9 of 10"
 
 
 def test_a_throw_is_shown_counted_kept_and_shown_again(visited: Visited):

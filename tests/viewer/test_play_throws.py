@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import UnknownNameError
 from pixel2catch.viewer.throws import DISTURBANCES, ThrowOrder, ThrowPlayer, disturbed, released_at
 
 TASK = CatchEnvCfg()
@@ -80,10 +79,3 @@ def test_a_throw_begins_where_it_is_told_to_and_passes_the_robot(thrower: ThrowP
     (low, high), height = TASK.throws.aim_x, TASK.throws.aim_z
     assert low < throwing.path[-1, 0] < high
     assert height[0] < throwing.path[-1, 2] < height[1]
-
-
-def test_unknown_policies_and_objects_are_named(thrower: ThrowPlayer):
-    with pytest.raises(UnknownNameError, match="no_policy"):
-        thrower.task("no_policy")
-    with pytest.raises(UnknownNameError, match="teapot"):
-        thrower.throw(ThrowOrder(policy="catch_alone+fit", objects="teapot", settings=AS_TRAINED), 0)

@@ -7,15 +7,6 @@ from domains import PATIENCE
 from pixel2catch.viewer.stage import Playback
 
 
-def test_slow_motion_takes_longer():
-    playback = Playback()
-    playback.set_speed(0.1)
-    playback.begin()
-    begin = time.monotonic()
-    assert all(playback.wait(0.01) for _ in range(3))
-    assert time.monotonic() - begin > 0.29
-
-
 def test_late_pictures_are_not_made_up_for_without_end():
     playback = Playback()
     playback.begin()

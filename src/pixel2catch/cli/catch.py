@@ -1,4 +1,4 @@
-"""`pixel2catch catch`: what the shipped policy can do, in a few minutes on a CPU. The job of `make catch`."""
+"""`pixel2catch catch`: evaluate the shipped policy in a few minutes on a CPU, as `make catch` does."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,14 +8,14 @@ from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
 from pixel2catch.errors import DeviceUnavailableError
 
-VIDEO_THROWS = 2  #: Throws in the film: drawing them takes about ten seconds each without a GPU.
+VIDEO_THROWS = 2  #: Number of throws in the film.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
-    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short film."""
+    """Evaluate the shipped policy on seen and unseen objects, and write a short film."""
 
-    throws: Count = 300  #: Throws of seen objects, and again as many of unseen ones.
+    throws: Count = 300  #: Number of throws of seen objects, and of unseen objects.
     video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:

@@ -1,4 +1,4 @@
-"""`pixel2catch operate`: an operator's switches and page beside `deploy`."""
+"""`pixel2catch operate`: the operator's switch and page beside `deploy`."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -36,21 +36,21 @@ class Keys:
 class Operate:
     """Hold the dead-man's switch, arm and stop with a pedal, a gamepad or a keyboard (Linux), or on a page.
 
-    While a key of --hold is pressed the robot may move; when it is released, or the device is unplugged, or
-    this command ends, the robot stops. Keys are given by the codes that this command shows when they are
-    pressed. The page shows the camera's image, takes prompts, and stops; without a device its own button is
-    the switch, which falls when its browser loses the focus or the connection. It is no safety device.
+    The robot may move while a key of --hold is pressed. It stops when the key is released, the device is
+    unplugged, or this command ends. This command prints the code of each pressed key. The page shows the
+    camera's image, takes prompts, and stops the robot. Without a device, a button of the page is the switch,
+    released when its browser loses the focus or the connection. The page is no safety device.
     """
 
     #: Input device, such as /dev/input/by-id/usb-...-event-kbd; not needed with --web.
     device: Positional[Path | None] = None
-    keys: Keys = field(default_factory=Keys)  #: What the keys do.
-    web: bool = False  #: Whether to serve a page for the operator.
+    keys: Keys = field(default_factory=Keys)  #: Keys of the device.
+    web: bool = False  #: Serve a page for the operator.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
-    network: Network = field(default_factory=Network)  #: How the deployment is reached.
+    network: Network = field(default_factory=Network)  #: Connection to the deployment.
 
     def run(self) -> None:
-        """Operate until Ctrl-C, and say when something changes."""
+        """Operate until Ctrl-C, and print changes."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, Switches, operate_by_keys
         if self.device is None and not self.web:
@@ -77,7 +77,7 @@ class Operate:
     def _open(
         self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
     ) -> "OperatorPage":
-        """Open the page, whose button is the switch where there is no device."""
+        """Open the page; its button is the switch if there is no device."""
         from pixel2catch.scene.scene import SceneCfg
 
         with needs_extra("viewer"):
@@ -91,16 +91,16 @@ class Operate:
 
 
 def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":
-    """What says when something changes, and makes a page current."""
+    """Return a function that prints changes, and refreshes a page."""
     from pixel2catch.servo.status_words import sentence
 
-    hear = saying_changes()
+    say_change = saying_changes()
 
     def report(presses: "list[Press]", status: dict[str, Any]) -> None:
         for press in presses:
             say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
         if status:
-            hear(sentence(status))
+            say_change(sentence(status))
         if page:
             page.update()
 

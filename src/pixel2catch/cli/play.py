@@ -17,7 +17,7 @@ from pixel2catch.viewer.config import PageCfg
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Write a film of throws: robot and thrower, the catch in slow motion, the robot's camera in a corner."""
+    """Write a film of throws, with the catch in slow motion and the robot's view in a corner."""
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
@@ -26,7 +26,7 @@ class Play:
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: Count = 4  #: Number of throws.
-    seed: Seed = 0  #: Seed of everything that is drawn.
+    seed: Seed = 0  #: Seed of all random numbers.
     web: bool = False  #: Serve a page with throws to play with, instead of writing a video.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
@@ -65,7 +65,9 @@ class Play:
     def _serve(self) -> None:
         """Serve the page until Ctrl-C; it takes no robot model."""
         if self.task.robot_model:
-            raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
+            raise InvalidValueError(
+                "--web simulates the robots of this package only; leave out --robot-model."
+            )
         from pixel2catch.viewer.config import PlayCfg
 
         prepare("cpu")

@@ -21,7 +21,7 @@ class Scene:
     #: Makers' models of arm, hand or both, URDF or MJCF, in place of the package's; prints how their axes
     #: differ.
     robot_model: tuple[RobotModelPath, ...] = ()
-    surface: Literal["collision", "visual"] = "collision"  #: Which shapes of these collide.
+    surface: Literal["collision", "visual"] = "collision"  #: Shapes of these models that collide.
 
     def run(self) -> None:
         """Write the file."""

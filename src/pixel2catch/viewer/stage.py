@@ -188,8 +188,9 @@ class Stage:
 
 
 def _fold(panel: viser.PanelHandle, visitor: viser.ClientHandle) -> None:
-    """Minimize a panel once when a browser turns out to be too narrow for the scene beside it."""
+    """Expand a panel for a new browser, and minimize it once if the scene beside it is too narrow."""
     folded: list[bool] = []
+    panel.expand()
 
     def check(camera: viser.CameraHandle) -> None:
         if not folded and camera.image_width < LEAST_WIDTH:
