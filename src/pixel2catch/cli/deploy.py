@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -60,9 +60,8 @@ class Deploy:
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
-    #: New folder for a rosbag2 (MCAP) of images, joint states, decisions and commands.
+    #: New folder for a rosbag2 (MCAP) of images (JPEG), joint states, decisions and commands.
     record: NewFolder | None = None
-    record_images: Literal["jpeg", "raw", "none"] = "jpeg"  #: How images are recorded; raw takes 27 MB/s.
     json: bool = False  #: Print the summary as one JSON object, and each status as a line of JSON.
     dry_run: bool = False  #: Send nothing to the robot, and announce no command.
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
@@ -84,9 +83,7 @@ class Deploy:
             set_real_time(LOOP_PRIORITY)
         with ExitStack() as stack:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
-            connection = self.link.connect(
-                profile, self.record, self.record_images, stack, is_dry_run=self.dry_run
-            )
+            connection = self.link.connect(profile, self.record, "jpeg", stack, is_dry_run=self.dry_run)
             control_loop = ControlLoop(pipeline, camera, connection, profile, executor)
             begin = connection.clock.now()
             ended_by = self._run_until_signal(control_loop, lambda: connection.clock.now() - begin)

@@ -36,6 +36,7 @@ REMOVED = {
 REMOVED_OPTIONS = {
     "deploy --mask-robot": "leave it out; the robot's own motion is always ignored",
     "deploy --no-mask-robot": "leave it out; the robot's own motion is always ignored",
+    "deploy --record-images": "leave it out; images are recorded as JPEG",
     "deploy --seconds": "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'",
     "doctor --camera": "run 'pixel2catch track 0 --seconds 3'",
     "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",

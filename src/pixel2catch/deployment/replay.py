@@ -143,8 +143,8 @@ def _require_images(recording: Path, profile: Profile) -> None:
         topics = sorted({connection.topic for connection in reader.connections})
     if not any(topic.startswith(name) for topic in topics):
         raise DeploymentError(
-            f"{recording} has no images on {name}; its topics are {', '.join(topics) or 'none'}: record with "
-            "--record-images jpeg or raw, and replay with the profile of the recording."
+            f"{recording} has no images on {name}; its topics are {', '.join(topics) or 'none'}: use a "
+            "recording of 'deploy --record', and the profile of that deployment."
         )
 
 
