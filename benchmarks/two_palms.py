@@ -27,8 +27,7 @@ from pixel2catch.mdp.tensors import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import HIDDEN, Policy, contract_of
-from pixel2catch.robots.chain import Chain
-from pixel2catch.robots.geometry import chain_of
+from pixel2catch.robots.geometry import Chain, chain_of
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.scene.objects import OBJECTS, SIZES, largest_radius
 from pixel2catch.workcells import find_workcell

@@ -6,11 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
-from typing import Any
-
-from numba.core.dispatcher import Dispatcher
 
 import pixel2catch
+from pixel2catch.servo.compilation import entry
 
 PACKAGE = Path(pixel2catch.__file__).parent
 
@@ -18,8 +16,8 @@ PACKAGE = Path(pixel2catch.__file__).parent
 class FileCounter:
     """Counts files in all threads while it is switched on.
 
-    A compiled function counts with all compiled functions that it refers to. What runs while a module is
-    imported does not count. Child processes do not count.
+    A compiled entry counts with all functions that it refers to, once it was called. What runs while a module
+    is imported does not count. Child processes do not count.
     """
 
     def __init__(self) -> None:
@@ -41,9 +39,9 @@ class FileCounter:
     def files(self) -> set[str]:
         """Return the counted files, relative to the package."""
         codes = {code for code, is_counted in self._codes.items() if is_counted}
-        for dispatcher in _dispatchers():
-            if dispatcher.py_func.__code__ in codes:
-                codes |= _referred(dispatcher.py_func, set())
+        if entry.__call__.__code__ in codes:
+            for compiled in _compiled_entries():
+                codes |= _referred(compiled, set())
         paths = {Path(code.co_filename) for code in codes}
         return {str(path.relative_to(PACKAGE)) for path in paths if path.is_relative_to(PACKAGE)}
 
@@ -70,10 +68,11 @@ def _is_import(frame: FrameType | None) -> bool:
     return False
 
 
-def _dispatchers() -> list[Any]:
-    """Return the compiled functions of all imported modules of the package."""
+def _compiled_entries() -> list[FunctionType]:
+    """Return the entries of the servo's laws that were compiled, as Python functions."""
     modules = [module for name, module in sys.modules.items() if name.startswith("pixel2catch.")]
-    return [value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)]
+    values = [value for module in modules for value in vars(module).values() if isinstance(value, entry)]
+    return [value.python for value in values if value.dispatcher is not None]
 
 
 def _referred(function: FunctionType, known: set[CodeType]) -> set[CodeType]:
@@ -83,7 +82,6 @@ def _referred(function: FunctionType, known: set[CodeType]) -> set[CodeType]:
     known.add(function.__code__)
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     for other in (*cells, *(function.__globals__.get(name) for name in function.__code__.co_names)):
-        other = other.py_func if isinstance(other, Dispatcher) else other
         if isinstance(other, FunctionType):
             _referred(other, known)
     return known
