@@ -61,7 +61,10 @@ def stress_sections(rows: Sequence[Row]) -> list[Section]:
     means = {name: fmean(r["success_rate"] for r in rows if r["policy"] == name) for name in policies}
     lines.append({"title": "mean over settings", **{n: f"{100 * mean:.1f}" for n, mean in means.items()}})
     sources = {row["title"]: row["source"] for row in rows}
-    figure = heat_map(rows, ("title", "policy"), "axis", _mark)
+    by, group = ("title", "policy"), "axis"
+    if len(policies) > len(sources):  # the picture is higher than it is wide
+        by, group = ("policy", "title"), "method"
+    figure = heat_map(rows, by, group, _mark)
     return [
         Section(title="Success rates", text=text, rows=lines, figure=figure, file="heatmap.png"),
         Section(title="Order of the methods", text=_reality(rows)),
