@@ -69,5 +69,5 @@ def test_background_subtraction_follows_where_sam2_goes_wrong(
     assert np.abs(0.5 * (boxes[:, :2] + boxes[:, 2:]) - PATH[HELD:]).max() < 3.0
     assert {float(row["score"]) for row in rows} == {0.0}
     assert {(row["source"], row["doubt"]) for row in rows} == {("background", "sam2 implausible")}
-    believed = f"background (sam2 implausible) {len(rows)}"
-    assert f"Believed: {believed}." in " ".join(capsys.readouterr().out.split())
+    used = f"background (sam2 implausible) {len(rows)}"
+    assert f"Used: {used}." in " ".join(capsys.readouterr().out.split())

@@ -28,7 +28,7 @@ from pixel2catch.perception.segmenter import (
     Segmentation,
     Segmenter,
 )
-from pixel2catch.perception.side_by_side import Doubt, LastPlace, SideBySide, Source, believe
+from pixel2catch.perception.side_by_side import Doubt, LastPlace, SideBySide, Source, choose
 
 NUM_STILL, NUM_FLYING = 4, 14
 NUM_STEPS = NUM_EMPTY + NUM_STILL + NUM_FLYING
@@ -133,32 +133,32 @@ HERE = rectangle(90, 90, 110, 110)
 def test_who_is_believed(
     look: Mask | None, motion: Mask | None, source: Source | None, doubt: Doubt | None, overlap: float
 ):
-    belief = believe(LAST, Segmentation(mask=look, score=1.0), motion)
-    assert (belief.source, belief.doubt) == (source, doubt)
-    assert belief.overlap == pytest.approx(overlap)
-    assert (belief.blob is None) == (source is None)
-    if belief.blob is not None:
-        assert belief.blob.area == 400
+    choice = choose(LAST, Segmentation(mask=look, score=1.0), motion)
+    assert (choice.source, choice.doubt) == (source, doubt)
+    assert choice.overlap == pytest.approx(overlap)
+    assert (choice.blob is None) == (source is None)
+    if choice.blob is not None:
+        assert choice.blob.area == 400
 
 
 def test_who_is_not_trusted_is_believed_with_the_other_only():
     seen = Segmentation(mask=HERE, score=1.0)
     near = rectangle(95, 90, 115, 110)
-    both = believe(LAST, seen, near, is_trusted=False)
+    both = choose(LAST, seen, near, is_trusted=False)
     assert both.source is Source.BOTH
     assert both.blob is not None
     np.testing.assert_array_equal(both.blob.mask(), near)
-    apart = believe(LAST, seen, rectangle(100, 100, 120, 120), is_trusted=False)
+    apart = choose(LAST, seen, rectangle(100, 100, 120, 120), is_trusted=False)
     assert (apart.source, apart.doubt) == (Source.BACKGROUND, Doubt.DISAGREEMENT)
-    alone = believe(LAST, seen, None, is_trusted=False)
+    alone = choose(LAST, seen, None, is_trusted=False)
     assert (alone.blob, alone.source, alone.doubt) == (None, None, Doubt.ALONE)
 
 
 @pytest.mark.parametrize("doubt", [Doubt.LATE, Doubt.FAILED])
 def test_who_is_late_or_failed_is_not_believed(doubt: Doubt):
-    belief = believe(LAST, doubt, HERE)
-    assert (belief.source, belief.doubt) == (Source.BACKGROUND, doubt)
-    assert believe(LAST, doubt, None).source is None
+    choice = choose(LAST, doubt, HERE)
+    assert (choice.source, choice.doubt) == (Source.BACKGROUND, doubt)
+    assert choose(LAST, doubt, None).source is None
 
 
 def test_two_that_see_the_object_agree():

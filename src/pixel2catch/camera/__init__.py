@@ -1,4 +1,4 @@
-"""What the RGB camera sees of the object: surface points → visible points → box → pixel features.
+"""The RGB camera: its image and the object's box; surface points → visible points → box → pixel features.
 
 Pure functions on tensors with one row per environment: no simulation, no renderer, no host synchronisation.
 

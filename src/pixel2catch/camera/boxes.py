@@ -1,4 +1,4 @@
-"""Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment, and the pixel features made of them."""
+"""Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment, and their pixel features."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,7 +15,7 @@ def pixel_features(
 ) -> Float[Tensor, "num_envs 8"]:
     """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
 
-    z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method reads all but w and h.
+    z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method uses all but w and h.
 
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
@@ -29,7 +29,6 @@ def pixel_features(
 def _center_and_size(
     box: Float[Tensor, "num_envs 4"],
 ) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
-    """Centre (cx, cy) and size (w, h) of boxes [px]."""
     lower, upper = box[:, :2], box[:, 2:]
     return (lower + upper) / 2, upper - lower
 
@@ -39,11 +38,12 @@ def box_of_points(
     is_visible: Bool[Tensor, "num_envs num_points"],
     camera: CameraSpec,
 ) -> Float[Tensor, "num_envs 4"]:
-    """Return the smallest box around the part of the visible points that is on the image [px].
+    """Return the smallest box around the visible points, as far as they are on the image [px].
 
-    A point below the image moves the lower edge of the box to the image's, but bounds neither left nor right:
-    the object may be narrower where the image ends. The same holds for the other sides. A point that is not
-    visible is behind the camera or hidden. The box is (0, 0, 0, 0) where no visible point is on the image.
+    A point below the image moves the lower edge of the box to that of the image. It does not change the left
+    and right edges, because the object may be narrower where the image ends. The same holds for the other
+    sides. Invisible points are behind the camera or hidden. The box is (0, 0, 0, 0) without a visible point
+    on the image.
     """
     u, v = pixels.unbind(-1)
     is_in_columns = is_visible & (u >= 0.0) & (u <= camera.width)
@@ -57,9 +57,9 @@ def box_of_points(
 def box_of_mask(
     mask: Bool[Tensor, "num_envs height width"],
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Return the smallest box around the true pixels of each mask [px], and whether any pixel was true.
+    """Return the smallest box around the true pixels of each mask [px], and whether there are any.
 
-    It runs from outer pixel edge to outer pixel edge, and is (0, 0, 0, 0) for an empty mask.
+    It includes the outer pixels, and is (0, 0, 0, 0) for an empty mask.
     """
     columns, rows = mask.any(-2), mask.any(-1)
     sizes = (columns.shape[-1], rows.shape[-1])
@@ -70,7 +70,6 @@ def box_of_mask(
 
 
 def _extent(lower: Tensor, upper: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor, Tensor]:
-    """The smallest of the lower and the largest of the upper values that count."""
     return torch.where(counts, lower, torch.inf).amin(-1), torch.where(counts, upper, -torch.inf).amax(-1)
 
 
@@ -86,8 +85,8 @@ def perturb_box(
 ) -> Float[Tensor, "num_envs 4"]:
     """Move each edge by its own noise [px] and clip to the image; edges that cross are exchanged.
 
-    Source: paper (uniform noise of up to 5 px on each edge); the exchange is ours: a box cut by the image
-    edge can be thinner than the noise, and a detector never returns a negative width.
+    Source: paper (uniform noise of up to 5 px on each edge); the exchange is ours: a box at the image's edge
+    can be thinner than the noise, and a detector returns no negative width.
     """
     noisy = box + noise
     lower = torch.minimum(noisy[:, :2], noisy[:, 2:])

@@ -1,4 +1,4 @@
-"""The camera file: what a calibration writes, and training, evaluation and perception can take."""
+"""The camera file, which a calibration writes and training, evaluation and perception read."""
 
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -21,7 +21,7 @@ from pixel2catch.scene.constants import CameraSpec, Vec3
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
 LENS_SIZES = (0, 4, 5, 8)
-"""How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
+"""Numbers of parameters of the supported lens models: none, and OpenCV's with 4, 5 or 8."""
 
 LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
 LARGEST_VARIANCE = 100.0  #: Of a position [m²] and of an orientation [rad²]. Source: ours.
@@ -34,7 +34,7 @@ Covariance = Annotated[tuple[tuple[float, ...], ...], Within(-LARGEST_VARIANCE, 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFile:
-    """A calibrated camera, and how well it is known."""
+    """A calibrated camera and its uncertainty."""
 
     #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
     #: 0.5).
@@ -63,7 +63,7 @@ class CameraFile:
         return self._stds(3)
 
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
-        """Draw cameras as this one may be, on the generator's device; one without lens errors."""
+        """Draw cameras within the uncertainty of this one, on the generator's device, as pinholes."""
         draws = torch.randn(num_envs, 7, generator=generator, device=generator.device)
         spread = constant(_spread(self.pose_covariance), draws.device)
         pose: Float[Tensor, "num_envs 6"] = draws[:, :6] @ spread.T

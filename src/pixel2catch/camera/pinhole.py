@@ -1,4 +1,4 @@
-"""The pinhole camera: world points to continuous image coordinates and back, and which points it sees."""
+"""The pinhole camera: world points to continuous image coordinates and back, and visibility of points."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,7 +16,7 @@ Matrix = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """A camera as numbers: the nominal one, or one of its own in every environment."""
+    """A camera as tensors: the nominal one, or another one in every environment."""
 
     matrix: Float[Tensor, "*turns 3 3"]  #: K Rᵀ: (u z, v z, z) = matrix (p - center), p at depth z.
     center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
@@ -24,7 +24,7 @@ class Projection:
     def pixels(
         self, points: Float[Tensor, "num_envs num_points 3"]
     ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
-        """Pixels (u, v) [px] and depths [m] of world points: see `project`."""
+        """Return pixels (u, v) [px] and depths [m] of world points: see `project`."""
         # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
         x, y, z = (points - self.center.unsqueeze(-2)).split(1, dim=-1)
         right, down, forward = self.matrix.unsqueeze(-3).unbind(-1)
@@ -33,11 +33,11 @@ class Projection:
         return homogeneous[..., :2] / depth.unsqueeze(-1), depth
 
     def moved(self, offset: Float[Tensor, "num_envs 3"]) -> "Projection":
-        """The same camera elsewhere, by an offset in the world frame [m]."""
+        """Return the camera, translated by an offset in the world frame [m]."""
         return replace(self, center=self.center + offset)
 
     def turned(self, rotation: Float[Tensor, "num_envs 3"]) -> "Projection":
-        """The camera turned about its centre by a rotation vector in the world frame [rad]."""
+        """Return the camera, turned about its centre by a rotation vector in the world frame [rad]."""
         angle = torch.linalg.vector_norm(rotation, dim=-1)[:, None, None]
         turn = rotation[:, None].expand(-1, 3, -1)
         rows = self.matrix.expand_as(turn)
@@ -47,7 +47,7 @@ class Projection:
         return replace(self, matrix=torch.cos(angle) * rows + across + along * turn)
 
     def zoomed(self, factor: Float[Tensor, " num_envs"], camera: CameraSpec) -> "Projection":
-        """The camera with its focal length changed by a factor; the principal point stays."""
+        """Return the camera with its focal length changed by a factor; the principal point is kept."""
         u, v, depth = self.matrix.unbind(-2)
         scale = factor[:, None]
         u = scale * u + (1.0 - scale) * camera.cx * depth
@@ -60,9 +60,9 @@ def project(
 ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
     """Project world points [m] into the image.
 
-    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame: pixels [px], not
-    clipped to the image, and depths z along the optical axis [m]. Where that is not positive the pixel means
-    nothing.
+    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame. Pixels [px] are
+    not clipped to the image; depths z are along the optical axis [m]. A pixel with a depth of 0 or less has
+    no meaning.
     """
     return nominal_projection(camera, points).pixels(points)
 
@@ -70,7 +70,7 @@ def project(
 def back_project(
     camera: CameraSpec, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
 ) -> Float[Tensor, "num_envs 3"]:
-    """World points [m] at these pixels [px] and depths [m]: the inverse of `project`."""
+    """Return the world points [m] at pixels [px] and depths [m]: the inverse of `project`."""
     inverse = constant(_inverse(camera), pixels.device, pixels.dtype)
     center = camera_center(camera, pixels)
     homogeneous = torch.cat((pixels * depth[:, None], depth[:, None]), dim=-1)
@@ -78,7 +78,7 @@ def back_project(
 
 
 def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
-    """The camera as it is specified, with dtype and device of `like`."""
+    """Return the camera as specified, with dtype and device of `like`."""
     matrix = constant(_matrix(camera), like.device, like.dtype)
     return Projection(matrix=matrix, center=camera_center(camera, like))
 
@@ -96,11 +96,11 @@ def ray_directions(
 
 
 def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
-    """Return whether nothing stands between the camera and each point.
+    """Return whether the line from the camera to each point is free.
 
     Distances are where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units of
-    the ray: 1 is at the point, negative is a miss. The object itself is not cast against: its far side
-    projects into its own outline.
+    the ray: 1 is at the point, negative is a miss. The object itself is ignored: its far side projects into
+    its own outline.
     """
     return (hit_distance < 0.0) | (hit_distance >= 1.0)
 

@@ -1,4 +1,4 @@
-"""Which pixels show the robots: their model, projected."""
+"""The pixels that show the robots, from their projected model."""
 
 import cv2
 import mujoco
@@ -15,24 +15,21 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene import shapes
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
-NEAREST = 0.05  #: Points nearer to the camera's plane are left out [m].
+NEAREST = 0.05  #: Nearer points are left out [m].
 
-MARGIN = 4
-"""Pixels about the robot that are taken for it, too. Source: ours, for errors of camera and clocks."""
+MARGIN = 4  #: Margin around the robot [px]. Source: ours, for errors of camera and clocks.
 
-
-HIDDEN = (
-    0.002  #: A geom that reaches no further out of another one of its body is left out [m]. Source: ours.
-)
+HIDDEN = 0.002
+"""A geom that protrudes less than this from another one of its body is left out [m]. Source: ours."""
 
 
 class RobotMask:
-    """Projects robots into the camera's image. Every geom is convex, and seen as the hull of its corners."""
+    """Projects robots into the camera's image. Every geom is convex: its image is the hull of its corners."""
 
     def __init__(
         self, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA, *, margin: int = MARGIN
     ) -> None:
-        """Compute the corners of every geom, also of those that are only seen; the margin is in pixels."""
+        """Compute the corners of every geom, visual ones included; the margin is in pixels."""
         self._size, self._margin = (camera.height, camera.width), margin
         self._projection = nominal_projection(camera, torch.zeros(0, dtype=torch.float64))
         self._model = bare_model(workcell, visuals=True)
@@ -40,16 +37,16 @@ class RobotMask:
         corners = [_corners(self._model, geom) for geom in range(self._model.ngeom)]
         self._geoms = _outermost(self._model, corners)
         most = max(map(len, corners))
-        # All have as many: those with fewer have the last one several times, which changes no hull.
+        # All geoms get the same number of corners: the last one is repeated, which does not change the hull.
         self._corners = np.stack(
             [np.pad(corners[geom], ((0, most - len(corners[geom])), (0, 0)), "edge") for geom in self._geoms]
         )
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
-        """Return the pixels of the robot at these positions of its joints, in joint order [rad].
+        """Return the pixels of the robot at joint positions, in joint order [rad].
 
         Raises:
-            PerceptionError: If they are not finite.
+            PerceptionError: They are not finite.
         """
         if not np.isfinite(joint_pos).all():
             raise PerceptionError(f"joint positions must be finite, got {joint_pos}: check the joint states.")
@@ -60,7 +57,7 @@ class RobotMask:
         place = (self._data.geom_xpos[self._geoms] - center) @ matrix.T
         points = self._corners @ turn.swapaxes(1, 2) + place[:, None]
         is_near = points[..., 2] > NEAREST
-        # A pixel is filled if the hull reaches its middle, which OpenCV calls (0, 0) in the first pixel.
+        # OpenCV fills a pixel if the hull reaches its middle, which is (0, 0) in the first pixel.
         pixels = points[..., :2] / np.where(is_near, points[..., 2], np.inf)[..., None] - 0.5
         rounded = np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)
         canvas = np.zeros(self._size, dtype=np.uint8)
@@ -76,7 +73,7 @@ class RobotMask:
 
 
 def _outermost(model: mujoco.MjModel, corners: list[np.ndarray]) -> Int[np.ndarray, " num_seen"]:
-    """The geoms that are not inside another one of what moves with them, but for `HIDDEN`."""
+    """The geoms that protrude from all others of their body by more than `HIDDEN`."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     turns = data.geom_xmat.reshape(-1, 3, 3)

@@ -171,7 +171,7 @@ class Tally:
             "num_steps": self.num_steps,
             "seconds": self._seconds,
             "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
-            "believed": dict(self._sources.most_common()),
+            "sources": dict(self._sources.most_common()),
             "doubts": dict(self._doubts.most_common()),
             "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
             "num_skipped": self._num_skipped,
