@@ -10,7 +10,7 @@ from torch import Tensor
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.checks import Range
 from pixel2catch.envs.catch_env import CatchEnv
-from pixel2catch.envs.cfg import COMMON_SENSING, CatchEnvCfg, TaskVariant
+from pixel2catch.envs.cfg import COMMON, CatchEnvCfg, TaskVariant
 from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
@@ -107,7 +107,7 @@ OTHERS: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("name", COMMON_SENSING[:2])
+@pytest.mark.parametrize("name", COMMON["sensing"][:2])
 def test_a_variant_of_what_is_not_drawn_is_refused(name: str):
     other = replace(FAR, sensing=replace(FAR.sensing, **{name: OTHERS[name]}))
     with pytest.raises(InvalidValueError, match=f"sensing.{name} differs in a variant"):

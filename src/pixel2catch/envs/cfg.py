@@ -21,24 +21,24 @@ from pixel2catch.scene.objects import SEEN
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
-COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
-"""What of the sensors is not drawn for an episode."""
-
-COMMON_RANDOMIZATION = ("action_noise",)  #: What of the randomization is not drawn for an episode, either.
+COMMON = {
+    "sensing": ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera"),
+    "randomization": ("action_noise",),
+}
+"""Fields that are not drawn per episode: they are the same in all variants."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskVariant:
-    """Other ranges that hold in a share of the episodes."""
+    """Ranges that replace those of the task in a share of the episodes."""
 
-    share: Share  #: The share.
-    throws: ThrowCfg  #: Where from and where to.
-    randomization: RandomizationCfg  #: What differs from episode to episode.
-    #: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
-    sensing: SensingCfg
+    share: Share  #: Share of the episodes.
+    throws: ThrowCfg  #: Start and target of the throws.
+    randomization: RandomizationCfg  #: What is drawn for each episode.
+    sensing: SensingCfg  #: Noise and delay of the sensors.
 
     def of(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
-        """The task with these ranges."""
+        """Return the task with these ranges."""
         return replace(task, throws=self.throws, randomization=self.randomization, sensing=self.sensing)
 
 
@@ -46,88 +46,83 @@ class TaskVariant:
 class CatchEnvCfg:
     """Everything that defines the task."""
 
-    name: str = "nominal"  #: Name of the task, which its policies keep.
-    scene: SceneCfg = field(default_factory=SceneCfg)  #: What the model is made from.
-    #: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
+    name: str = "nominal"  #: Name of the task, which is written into its policies.
+    scene: SceneCfg = field(default_factory=SceneCfg)  #: Robots, physics and camera of the model.
+    #: Identified dynamics of joints; other joints have nominal dynamics.
     dynamics: JointDynamics | None = None
     objects: Annotated[tuple[str, ...], NotEmpty()] = SEEN  #: Names of the objects that are thrown.
-    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Where from and where to.
-    #: What differs from episode to episode.
+    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Start and target of the throws.
+    #: What is drawn for each episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
-    #: The camera; noise and delay of camera and encoders.
-    sensing: SensingCfg = field(default_factory=SensingCfg)
+    sensing: SensingCfg = field(default_factory=SensingCfg)  #: Noise and delay of camera and encoders.
     shake: ShakeCfg = field(default_factory=ShakeCfg)  #: How the table shakes.
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
-    #: Ranges that differ in a share of the episodes each; in the rest the others hold.
-    variants: tuple[TaskVariant, ...] = ()
-    value_sees_parameters: bool = (
-        False  #: Whether value networks also observe what was drawn for the episode.
-    )
+    variants: tuple[TaskVariant, ...] = ()  #: Other ranges, each in a share of the episodes.
+    value_sees_parameters: bool = False  #: Whether value networks also observe the drawn parameters.
 
     def __post_init__(self) -> None:
-        """Refuse shares whose sum exceeds 1, and variants of what is not drawn for an episode."""
+        """Check the shares of the variants and the fields that must be the same in all."""
         if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
             raise InvalidValueError(
                 f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "
                 "must not exceed 1"
             )
         for variant in self.variants:
-            for part, names in (("sensing", COMMON_SENSING), ("randomization", COMMON_RANDOMIZATION)):
+            for part, names in COMMON.items():
                 for name in names:
                     if getattr(getattr(variant, part), name) != getattr(getattr(self, part), name):
-                        raise InvalidValueError(f"{part}.{name} differs in a variant; it must be the task's")
+                        raise InvalidValueError(f"{part}.{name} differs in a variant; use the task's value")
 
     @property
     def all_variants(self) -> tuple["CatchEnvCfg", ...]:
-        """The task itself, and as it is in each of its variants."""
+        """The task itself, and the task with the ranges of each variant."""
         return (self, *(variant.of(self) for variant in self.variants))
 
     @property
     def longest_latency(self) -> int:
-        """Most whole control steps between image and delivered box."""
+        """Largest latency between image and delivered box [whole control steps]."""
         return max(int(each.sensing.latency_steps[1]) for each in self.all_variants)
 
     @property
     def longest_command_delay(self) -> int:
-        """Control steps between a command and its effect at the most, rounded up."""
+        """Largest delay between a command and its effect, rounded up [control steps]."""
         return max(ceil(each.randomization.command_delay[1]) for each in self.all_variants)
 
     def with_dynamics(self, file: DynamicsFile) -> "CatchEnvCfg":
-        """The task with the joint dynamics of a file, and its ranges for their gains."""
+        """Return the task with the joint dynamics and the ranges of gains of a file."""
         task = self._with("randomization", lambda each: replace(each, gains=file.gains))
         return replace(task, dynamics=file.dynamics)
 
     def for_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
-        """The task with a range of gains for each joint of a work cell.
+        """Return the task with a range of gains for each joint of a work cell.
 
         Raises:
-            InvalidValueError: If it has ranges for another number of joints.
+            InvalidValueError: It has ranges for another number of joints.
         """
         return self._with("randomization", lambda each: replace(each, gains=each.gains.of(workcell)))
 
     def _with(self, part: str, change: Callable[[Any], Any]) -> "CatchEnvCfg":
-        """The task with another `randomization` or `sensing` in all episodes."""
         variants = tuple(replace(each, **{part: change(getattr(each, part))}) for each in self.variants)
         return replace(self, **{part: change(getattr(self, part))}, variants=variants)
 
     def with_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
-        """The task of other robots."""
+        """Return the task with other robots."""
         return replace(self, scene=replace(self.scene, workcell=workcell.name))
 
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
-        """The task seen by the camera of a file: in every episode another one, as it may be.
+        """Return the task with a calibrated camera; each episode draws it within its uncertainty.
 
         Raises:
-            InvalidValueError: If its images have another size than those of policies.
+            InvalidValueError: Its images do not have the size that policies use.
         """
         return replace(self.with_sensing(camera=file), scene=replace(self.scene, camera=file.camera))
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
-        """The task with other sensors in all episodes: fields of `SensingCfg`."""
+        """Return the task with other fields of `SensingCfg` in all variants."""
         return self._with("sensing", lambda each: replace(each, **changes))
 
     def with_longer_hovering(self, steps: int) -> "CatchEnvCfg":
-        """The same with objects that hover up to this many control steps longer before they fly."""
+        """Return the task with objects that hover up to this many control steps longer."""
 
         def longer(throws: ThrowCfg) -> ThrowCfg:
             first, last = throws.hover_steps
@@ -148,7 +143,7 @@ class CatchEnvCfg:
 
 
 def current_fields(task: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a task that an earlier revision wrote as JSON, as this one names them."""
+    """Return the JSON fields of a task of an earlier revision with their present names."""
     if "name" in task:
         return task
     renamed = {name: value for name, value in task.items() if name != "is_value_told"}

@@ -1,4 +1,4 @@
-"""Named tasks: what is thrown at a robot in training, and what disturbs it there."""
+"""Named tasks: throws and disturbances of trainings."""
 
 from dataclasses import replace
 from math import radians
@@ -13,8 +13,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.scene.objects import SIZES
 
 GAINS = ((0.7, 1.3),)
-"""Factors on stiffness and damping of every joint. Source: stress suite, wrists identified from slow motion.
-"""
+"""Factors on stiffness and damping of every joint. Source: stress suite, wrists identified in slow motion."""
 
 LATE_ROBOT = RandomizationCfg(
     gains=GainRanges(stiffness_scale=GAINS, damping_scale=GAINS),
@@ -24,8 +23,8 @@ LATE_ROBOT = RandomizationCfg(
     command_delay_grid=0.0,
     air_density=(0.0, 1.5),
 )
-"""A robot that is not the identified one, behind a network: commands up to 40 ms late. Objects of 13 to 63 g
-(foam to tennis balls), hard ones too; air with up to a quarter more drag than a mean face has."""
+"""A robot with inexact gains behind a network: commands up to 40 ms late. Objects of 13 to 63 g (foam to
+tennis balls), also hard ones; air with up to 25 % more drag than on a mean face. Source: stress suite."""
 
 OUTSIDE_CAMERA = SensingCfg(
     latency_steps=(0.6, 4.3),
@@ -42,21 +41,20 @@ OUTSIDE_CAMERA = SensingCfg(
     stamp_jitter=(0.0, 0.004),
     unstamped=0.05,
 )
-"""A camera and a detector that were set up with care, and images 20 to 143 ms old, of which that is known to
-20 ms: the sources of the stress suite's axes, without its highest levels. Perception that takes up to 85 ms
-looks at one image in 1 to 2.6. Boxes are exact to 5 px, or, as the tracker's, to less. Source: rehearsals in
-step."""
+"""A camera and a detector that were set up with care. Images are 20 to 143 ms old, known to 20 ms; perception
+of up to 85 ms uses one image in 1 to 2.6; boxes are exact to 5 px or better. Source: axes of the stress suite
+without their highest levels, rehearsals in step."""
 
 GOOD_CAMERA = SensingCfg(latency_steps=(0.8, 2.0), latency_grid=0.0, noise_scale=(0.0, 1.0))
-"""The sight of the paper's task, and better: images from 0.8 control steps on at the decision, and boxes
-that are up to 5 px off in one episode, exact in another. Source: rehearsals in step, 0.9 and 1 px."""
+"""The camera of the paper's task or a better one: latency from 0.8 control steps on, errors of boxes from 0
+to 5 px by episode. Source: rehearsals in step, 0.9 control steps and 1 px."""
 
 HELD_STEPS = (5, 75)
-"""Control steps for which people hold what they throw. Source: ours, 2.5 s: a policy that never waited for
-more than 19 steps drifts away where boxes are noisy, and after 60 misses one object in nine."""
+"""Control steps for which people hold the object before the throw. Source: ours, up to 2.5 s: policies that
+never waited longer than 19 steps drift away while boxes are noisy."""
 
 PRACTISED_THROWS = replace(ThrowCfg(), spin=14.0, hover_steps=HELD_STEPS)
-"""Throws of training, with spin, after a longer wait."""
+"""Throws of the paper's task with spin, after a longer wait."""
 
 HUMAN_THROWS = ThrowCfg(
     release_x=(1.9, 3.1),
@@ -68,9 +66,9 @@ HUMAN_THROWS = ThrowCfg(
     spin=14.0,
     hover_steps=HELD_STEPS,
 )
-"""Throws of people: nearer, farther, wider, higher and lower, with the scatter of the stress suite."""
+"""Throws of people: wider ranges in all directions. Source: scatter of the stress suite."""
 
-AIR = RandomizationCfg(air_density=(0.0, 1.5))  #: The robot of the paper's task, in air.
+AIR = RandomizationCfg(air_density=(0.0, 1.5))  #: The randomization of the paper's task, with air.
 
 WIDE = replace(
     CatchEnvCfg(),
@@ -84,14 +82,13 @@ WIDE = replace(
         TaskVariant(share=0.1, throws=PRACTISED_THROWS, randomization=LATE_ROBOT, sensing=GOOD_CAMERA),
     ),
 )
-"""The world outside in three of four episodes, in part with good sight; the paper's task in the fourth, so
-that nothing is lost there."""
+"""Disturbances of laboratories in 75 % of the episodes; the paper's task in the others."""
 
 WIDE_SHARP = replace(WIDE.with_sensing(corner_noise=2.0), name="wide_sharp")
-"""The same with boxes as exact as the detectors find them. Source: perception on rendered video, 2 px."""
+"""The same with exacter boxes. Source: detectors on rendered video, 2 px."""
 
 SIDEWAYS = replace(ThrowCfg(), aim_y=(-0.55, 0.55))
-"""Throws to the middle and to either side. Source: ours: 10 cm past the base of each of two robots."""
+"""Throws to the middle and to both sides. Source: ours, 10 cm past the base of each of two robots."""
 
 SIZES_TASK = CatchEnvCfg(
     name="sizes",
@@ -100,16 +97,16 @@ SIZES_TASK = CatchEnvCfg(
     randomization=RandomizationCfg(mass_scale=(0.7, 1.4)),
     value_sees_parameters=True,
 )
-"""Balls and boxes of 6 to 28 cm and 21 to 392 g, thrown to the middle and to either side."""
+"""Balls and boxes of 6 to 28 cm and 21 to 392 g, thrown to the middle and to both sides."""
 
 TASKS = {task.name: task for task in (CatchEnvCfg(), WIDE, WIDE_SHARP, SIZES_TASK)}
 
 
 def find_task(name: str) -> CatchEnvCfg:
-    """The task of that name.
+    """Return the task of a name.
 
     Raises:
-        UnknownNameError: With the valid names.
+        UnknownNameError: There is none; the message lists the valid names.
     """
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)
