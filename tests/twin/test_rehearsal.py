@@ -1,6 +1,8 @@
 """`pixel2catch rehearse`, whole: twin, deployment and operator as processes, images and all."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,7 @@ def test_a_throw_is_rehearsed_and_reported(
     assert report["deploy"]["num_ticks"] > 100
     assert report["twin"]["joint_speed"] < 2.8
     assert (recording / "tape.mcap").stat().st_size > 1_000_000
+    assert " cycles, " in (out / "twin.txt").read_text().splitlines()[-1]  # it ends in order
     if throw["object"] is None:
         assert "did not come within" in throw["problem"], throw["problem"]
     else:
@@ -62,3 +65,29 @@ def test_nonsense_is_refused_before_anything_starts(
     assert main(["rehearse", *args, "--out", str(tmp_path / "out")]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+PARENT = """
+import time
+from multiprocessing import get_context
+from pixel2catch.interruption import end_with_parent
+
+def wait():
+    end_with_parent()
+    print(1, flush=True)
+    time.sleep(600)
+
+child = get_context("fork").Process(target=wait)
+child.start()
+child.join()
+"""
+
+
+def test_a_child_ends_with_its_killed_parent():
+    """As the process that draws, and those of pages."""
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE)
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == b"1\n"
+    parent.kill()
+    assert parent.stdout.read() == b""  # the pipe is closed when the child has ended, too
+    parent.communicate()
