@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from pixel2catch.cli import transfer as command
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
@@ -34,6 +35,7 @@ from pixel2catch.evaluation.transfer import (
 )
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.scene.scene import SceneCfg
 
 ENGINES = ("mujoco", "physx")
 NEEDS_PHYSX = pytest.mark.skipif(importlib.util.find_spec("sapien") is None, reason="SAPIEN is not installed")
@@ -153,12 +155,15 @@ def test_rounds_have_the_throws_of_the_whole(
 ) -> None:
     """Two rounds, each a cell of its own, are what one evaluation of two rounds is; then nothing is to do."""
     monkeypatch.setattr(command, "THROWS_AT_ONCE", 2)
+    physics = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0))
+    coarse = TaskOptions(env=physics, given=("scene.physics_hz",))
     made = command.Transfer(
         policies=(Path(policy),),
         engines=("mujoco",),
         restitution=(0.0,),
         throws=4,
         objects=("cube_s",),
+        task=coarse,
         out=tmp_path,
     )
     made.run()
@@ -170,7 +175,7 @@ def test_rounds_have_the_throws_of_the_whole(
     names = {"cells", "table.md", "table.csv", "orders.csv", "table.json", "heatmap.png", "page.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
     (row,) = read_rows(tmp_path / "table.json")
-    settings = transfer_settings(("mujoco",), (0.0,))
+    settings = [coarse.beneath(each, "transfer") for each in transfer_settings(("mujoco",), (0.0,))]
     (whole,) = plan_results(find_policies((Path(policy),)), settings, tmp_path / "whole")
     Grid(policy_cells([whole], made._evaluation(), throw_metrics)).run([ThisProcess("", "cpu")])
     metrics = (whole.read() or {})["metrics"]
