@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 
 from pixel2catch.api.calls import make
-from pixel2catch.checks import require_valid
+from pixel2catch.checks import Above, Within, require_valid
+from pixel2catch.cli.main import COMMANDS, load_command
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
@@ -170,6 +171,28 @@ def test_the_table_has_every_number():
     assert sorted(own) == sorted(BOUNDS)
     assert sorted(numbers_of(TrainCfg, "")) == sorted(TRAINING)
     assert all(math.isfinite(bound) for bounds in (*BOUNDS.values(), *TRAINING.values()) for bound in bounds)
+
+
+def unbounded(kind: Any, name: str, *, is_bounded: bool = False) -> Iterator[str]:
+    """Names of the numbers in a type without a finite range."""
+    if hasattr(kind, "__metadata__"):
+        ranges = [each for each in kind.__metadata__ if isinstance(each, Within | Above)]
+        assert all(math.isfinite(each.low) and math.isfinite(each.high) for each in ranges)
+        yield from unbounded(kind.__origin__, name, is_bounded=is_bounded or bool(ranges))
+    elif kind in (int, float) and not is_bounded:
+        yield name
+    elif isinstance(kind, type) and is_dataclass(kind):
+        if not kind.__name__.endswith(("Spec", "Dynamics")):  # data of robots, which is no option
+            for field, each in typing.get_type_hints(kind, include_extras=True).items():
+                yield from unbounded(each, f"{name}.{field}")
+    else:
+        for each in get_args(kind):
+            yield from unbounded(each, name, is_bounded=is_bounded)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_number_of_a_command_has_a_finite_range(command: str):
+    assert [*unbounded(load_command(command), command)] == []
 
 
 def value_at(value: Any, path: str) -> Any:

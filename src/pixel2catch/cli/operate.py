@@ -4,10 +4,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import Within
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
@@ -22,14 +23,17 @@ if TYPE_CHECKING:
     from pixel2catch.viewer.operator_page import OperatorPage
 
 
+KeyCode = Annotated[int, Within(1, 767)]  #: Code of a key or button. Source: Linux, input-event-codes.h.
+
+
 @dataclass(frozen=True, kw_only=True)
 class Keys:
     """Key codes; any one of them is enough."""
 
     #: Hold the dead-man's switch. Default: space bar, first button of a gamepad or joystick.
-    hold: tuple[int, ...] = (57, 288, 304)
-    arm: tuple[int, ...] = (28, 296, 315)  #: Request arming. Default: enter, start button.
-    stop: tuple[int, ...] = (1, 289, 305)  #: Request a stop. Default: escape, second button.
+    hold: tuple[KeyCode, ...] = (57, 288, 304)
+    arm: tuple[KeyCode, ...] = (28, 296, 315)  #: Request arming. Default: enter, start button.
+    stop: tuple[KeyCode, ...] = (1, 289, 305)  #: Request a stop. Default: escape, second button.
 
 
 @dataclass(frozen=True, kw_only=True)

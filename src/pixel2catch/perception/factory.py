@@ -6,10 +6,10 @@ OpenCV and SAM 2 are optional packages: they are imported where something is mad
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pixel2catch.camera.image import Edges
-from pixel2catch.checks import CameraPath, Count, Device
+from pixel2catch.checks import CameraPath, Count, Device, Within
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
@@ -35,11 +35,12 @@ class PerceptionArgs:
     #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint; sam2+background:
     #: both on the same images, the second where the first loses the object or is late.
     segmenter: Literal["background", "color", "sam2", "sam2+background"] = "background"
-    box: Edges | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
+    #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
+    box: Annotated[Edges, Within(0.0, 8192.0)] | None = None
     #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
-    region: Edges | None = None
+    region: Annotated[Edges, Within(0.0, 8192.0)] | None = None
     #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
-    color: tuple[float, float] | None = None
+    color: Annotated[tuple[float, float], Within(0.0, 360.0)] | None = None
     #: Camera file of `calibrate`. Default: the camera of the policies.
     camera: CameraPath | None = None
     checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint in the format of transformers.

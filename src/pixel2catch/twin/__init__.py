@@ -6,9 +6,9 @@ processes in real time, `stepped` in one process without real time. Here is what
 """
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import AtMostFull, Count, DynamicsPath, NewFolder, NotNegative, Seed
+from pixel2catch.checks import AtMostFull, Count, DynamicsPath, NewFolder, NotNegative, Seed, Within
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
@@ -42,7 +42,9 @@ class RehearsalCfg:
     lockstep: bool = False  #: One process with simulated time, instead of several in real time.
     perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
     perception_jitter_ms: NotNegative = 0.0  #: With --lockstep: largest random time on top, for each image.
-    clock_error_ms: float = 0.0  #: With --lockstep: time by which the stamps of images are too early.
+    clock_error_ms: Annotated[float, Within(-1000.0, 1000.0)] = (
+        0.0  #: With --lockstep: time by which the stamps of images are too early.
+    )
     held_seconds: NotNegative = 0.0  #: Time for which the thrower holds the object while the policy runs [s].
     plain: bool = False  #: With --lockstep: images of a red box instead of rendered ones; needs no OpenGL.
     #: New folder for a rosbag2 (MCAP) of what `deploy` received, decided and commanded.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pixel2catch.checks import Port
+from pixel2catch.checks import Port, Seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +22,6 @@ class PlayCfg:
     page: PageCfg = field(default_factory=PageCfg)  #: Where the page is served.
     policy: Path | None = None  #: Folder of a policy or of its training run, or a shipped name.
     objects: tuple[str, ...] = ("seen",)  #: What is thrown, names of `select_objects`.
-    seed: int = 0  #: Seed of the first throw; the next throw has the next seed.
+    seed: Seed = 0  #: Seed of the first throw; the next throw has the next seed.
     dynamics: Path | None = None  #: Dynamics file of the simulated robot.
     camera: Path | None = None  #: Camera file of the simulated camera.
