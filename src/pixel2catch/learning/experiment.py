@@ -28,7 +28,7 @@ class Experiment:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class RunRecord:
     """What a run folder records of its training."""
 
     experiment: Experiment
@@ -85,7 +85,7 @@ def preset(
     return Experiment(env=env.with_files(dynamics, camera), train=train)
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> RunRecord:
     """Read the configuration of a run folder.
 
     Raises:
@@ -96,7 +96,9 @@ def read_run(folder: Path) -> Run:
     try:
         content = _current(read_json_object(file))
         experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
-        return Run(experiment=experiment, method=content["policy"]["method"], preset=content.get("preset"))
+        return RunRecord(
+            experiment=experiment, method=content["policy"]["method"], preset=content.get("preset")
+        )
     except (ValueError, LookupError, TypeError) as error:
         raise CheckpointError(
             f"'{file}' is no configuration that this code reads ({error}); resume with the version that "
@@ -104,7 +106,7 @@ def read_run(folder: Path) -> Run:
         ) from error
 
 
-def require_run(folder: Path, **given: str | None) -> Run:
+def require_run(folder: Path, **given: str | None) -> RunRecord:
     """Read the run that goes on, and check that what is given is what it was started with.
 
     Args:
