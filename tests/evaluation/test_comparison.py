@@ -19,7 +19,7 @@ from pixel2catch.evaluation.comparison import (
     GROUPS,
     ComparisonFolder,
     Plan,
-    Run,
+    Training,
     all_curves,
     object_rows,
     pooled,
@@ -49,7 +49,7 @@ SESSION = {
     "gpus": [],
 }
 RATES = ("tracking_rate", "success_rate", "palm_contact_rate", "verified_hold_rate")
-RUN = Run(method="proposed", seed=0)
+RUN = Training(method="proposed", seed=0)
 
 
 def plan(**changes: Any) -> Plan:
@@ -67,7 +67,7 @@ def rates(successes: int, trials: int) -> dict[str, Any]:
     return result
 
 
-def write_evaluation(folder: ComparisonFolder, run: Run, group: str, successes: int) -> None:
+def write_evaluation(folder: ComparisonFolder, run: Training, group: str, successes: int) -> None:
     """All successes are of the group's first object, which is thrown in half of 100 trials."""
     thrown = dict.fromkeys(OBJECTS[group], rates(0, 50)) | {OBJECTS[group][0]: rates(successes, 50)}
     result = rates(successes, 100) | {
@@ -81,7 +81,7 @@ def write_evaluation(folder: ComparisonFolder, run: Run, group: str, successes: 
     path.write_text(json.dumps(result))
 
 
-def write_training(folder: ComparisonFolder, run: Run, seconds: float = 60.0) -> None:
+def write_training(folder: ComparisonFolder, run: Training, seconds: float = 60.0) -> None:
     folder.run(run).mkdir(parents=True)
     summary = {"status": "finished", "transitions": 300, "seconds": seconds}
     (folder.run(run) / "summary.json").write_text(json.dumps(summary))
@@ -176,12 +176,12 @@ def test_rates_stand_beside_the_paper(study: ComparisonFolder):
 
 def test_missing_results_have_no_row_and_missing_numbers_a_dash(study: ComparisonFolder):
     for seed in (0, 1):
-        study.evaluation(Run(method="proposed", seed=seed), "unseen").unlink()
-    study.evaluation(Run(method="only_wh", seed=1), "seen").unlink()
+        study.evaluation(Training(method="proposed", seed=seed), "unseen").unlink()
+    study.evaluation(Training(method="only_wh", seed=1), "seen").unlink()
     rows = {(row["method"], row["objects"]): row for row in summary_rows(study, plan())}
     assert ("proposed", "unseen") not in rows
     assert rates_table([rows["only_wh", "seen"]])[0]["S.R. [%]"] == "20.0 ± \N{EN DASH}"
-    write_evaluation(study, Run(method="object_position", seed=0), "seen", successes=5)
+    write_evaluation(study, Training(method="object_position", seed=0), "seen", successes=5)
     (row,) = summary_rows(study, plan(methods=("object_position",)))
     assert rates_table([row])[0]["S.R., paper"] == "\N{EN DASH}"
 

@@ -13,7 +13,7 @@ import pytest
 from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation import slots
-from pixel2catch.evaluation.grid import Cell, Grid, Status, held
+from pixel2catch.evaluation.grid import Status, StudyCell, StudyGrid, held
 from pixel2catch.evaluation.slots import (
     MPS_CONTROL,
     ClusterJob,
@@ -54,9 +54,9 @@ def save_when_stopped(file: Path, device: str, on_share: Callable[[float], None]
         time.sleep(0.01)
 
 
-def cell(folder: Path, name: str, *after: str, work=write, kind: str = "") -> Cell:
+def cell(folder: Path, name: str, *after: str, work=write, kind: str = "") -> StudyCell:
     file = folder / name
-    return Cell(name=name, work=partial(work, file), is_done=file.exists, after=after, kind=kind)
+    return StudyCell(name=name, work=partial(work, file), is_done=file.exists, after=after, kind=kind)
 
 
 def order(folder: Path) -> list[str]:
@@ -70,7 +70,7 @@ def test_cells_run_in_order_after_what_they_need(tmp_path: Path):
         cell(tmp_path, "train-b", kind="train"),
         cell(tmp_path, "judge-b", "train-b", kind="judge"),
     ]
-    grid = Grid(cells)
+    grid = StudyGrid(cells)
     grid.run([ThisProcess("judge", "x"), ThisProcess("train", "y")])
     assert set(grid.status.values()) == {DONE}
     assert order(tmp_path) == ["train-a", "judge-a", "train-b", "judge-b"]
@@ -80,7 +80,7 @@ def test_cells_run_in_order_after_what_they_need(tmp_path: Path):
 def test_only_missing_cells_and_what_follows_them_are_computed(tmp_path: Path):
     for name in ("a", "c"):
         (tmp_path / name).touch()
-    grid = Grid([cell(tmp_path, "a"), cell(tmp_path, "b", "a"), cell(tmp_path, "c", "b")])
+    grid = StudyGrid([cell(tmp_path, "a"), cell(tmp_path, "b", "a"), cell(tmp_path, "c", "b")])
     assert grid.status == {"a": DONE, "b": WAITING, "c": WAITING}
     grid.run([ThisProcess("", "x")])
     assert order(tmp_path) == ["b", "c"]
@@ -91,7 +91,7 @@ def test_only_missing_cells_and_what_follows_them_are_computed(tmp_path: Path):
 )
 def test_a_failure_holds_up_only_what_depends_on_it(work, error: str, tmp_path: Path):
     broken = partial(work, nonsense=1) if work is print else work
-    grid = Grid([cell(tmp_path, "a", work=broken), cell(tmp_path, "b", "a"), cell(tmp_path, "c")])
+    grid = StudyGrid([cell(tmp_path, "a", work=broken), cell(tmp_path, "b", "a"), cell(tmp_path, "c")])
     grid.run([ThisProcess("", "x")])
     assert grid.status == {"a": FAILED, "b": WAITING, "c": DONE}
     with pytest.raises(StudyError, match=f"a failed: .*{error}"):
@@ -106,7 +106,7 @@ def test_workers_have_devices_environments_and_logs_and_may_be_killed(tmp_path: 
         cell(tmp_path, "c", kind="first"),
     ]
     places: list[Slot] = [Worker("first", "x"), Worker("second", "y", {"MARK": "7"}, is_reused=False)]
-    grid = Grid(cells)
+    grid = StudyGrid(cells)
     grid.run(places, logs=tmp_path / "logs")
     assert grid.status == {"a": FAILED, "b": DONE, "c": DONE}
     assert "ended from outside" in grid.errors["a"]
@@ -121,7 +121,7 @@ def test_ctrl_c_lets_workers_end_in_order(tmp_path: Path):
             (tmp_path / "asked").touch()
             os.kill(os.getpid(), signal.SIGINT)
 
-    grid = Grid([cell(tmp_path, "a", work=save_when_stopped), cell(tmp_path, "b")])
+    grid = StudyGrid([cell(tmp_path, "a", work=save_when_stopped), cell(tmp_path, "b")])
     with pytest.raises(KeyboardInterrupt):
         grid.run([Worker("", "x")], watch)
     assert grid.status == {"a": STOPPED, "b": WAITING}
@@ -142,7 +142,7 @@ def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyP
     executor = cluster_executor(("timeout_min=5", "slurm_partition=any"), tmp_path)
     assert executor
     places = [ClusterJob("", "cuda", executor), ClusterJob("", "cuda", executor)]
-    grid = Grid([cell(tmp_path, "a"), cell(tmp_path, "b", "a", work=fail)])
+    grid = StudyGrid([cell(tmp_path, "a"), cell(tmp_path, "b", "a", work=fail)])
     grid.run(places, logs=tmp_path / "logs")
     assert grid.status == {"a": DONE, "b": FAILED}
     assert grid.errors["b"] == "too bad"

@@ -12,7 +12,7 @@ from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.grid import Grid
+from pixel2catch.evaluation.grid import StudyGrid
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.policy_cells import (
     PolicyEntry,
@@ -177,7 +177,7 @@ def test_rounds_have_the_throws_of_the_whole(
     (row,) = read_rows(tmp_path / "table.json")
     settings = [coarse.beneath(each, "transfer") for each in transfer_settings(("mujoco",), (0.0,))]
     (whole,) = plan_results(find_policies((Path(policy),)), settings, tmp_path / "whole")
-    Grid(policy_cells([whole], made._evaluation(), throw_metrics)).run([ThisProcess("", "cpu")])
+    StudyGrid(policy_cells([whole], made._evaluation(), throw_metrics)).run([ThisProcess("", "cpu")])
     metrics = (whole.read() or {})["metrics"]
     assert (row["trials"], row["success_rate"]) == (4, metrics["success_rate"])
     files = sorted(tmp_path.glob("cells/untrained/mujoco-0/round-*.json"))

@@ -14,8 +14,8 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.reports import circumstances
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Run
-    from pixel2catch.evaluation.grid import Cell, Grid
+    from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
+    from pixel2catch.evaluation.grid import StudyCell, StudyGrid
     from pixel2catch.evaluation.slots import Slot
     from pixel2catch.learning.experiment import Experiment
 
@@ -66,11 +66,11 @@ class Reproduce:
     def run(self) -> None:
         """Compute what is missing, and write the report."""
         from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
-        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.report import markdown
 
         folder = ComparisonFolder(self.out)
-        grid = Grid([])
+        grid = StudyGrid([])
         if self.report_only:
             self._require_whole_study()
         else:
@@ -89,14 +89,14 @@ class Reproduce:
                 f"--report-only writes the report of the whole study in '{self.out}'; leave out {options}."
             )
 
-    def _compute(self, folder: "ComparisonFolder") -> "Grid":
+    def _compute(self, folder: "ComparisonFolder") -> "StudyGrid":
         from pixel2catch.cli.studies import run_grid
-        from pixel2catch.evaluation.grid import Grid, held
+        from pixel2catch.evaluation.grid import StudyGrid, held
         from pixel2catch.evaluation.slots import shared_gpus
 
         experiment = self._experiment()
         plan = self._plan(experiment)
-        grid = Grid([cell for run in plan.runs() for cell in self._cells(folder, run, experiment)])
+        grid = StudyGrid([cell for run in plan.runs() for cell in self._cells(folder, run, experiment)])
         self._require_devices({cell.kind for cell in grid.missing})
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path), nullcontext({}) if self.slurm else shared_gpus() as shared:
@@ -202,24 +202,26 @@ class Reproduce:
             | {f"evaluation {name}": value for name, value in evaluation.items()},
         )
 
-    def _cells(self, folder: "ComparisonFolder", run: "Run", experiment: "Experiment") -> "list[Cell]":
+    def _cells(
+        self, folder: "ComparisonFolder", run: "Training", experiment: "Experiment"
+    ) -> "list[StudyCell]":
         """Return the training of a run, and the evaluations of its policy."""
         from pixel2catch.evaluation.comparison import GROUPS
-        from pixel2catch.evaluation.grid import Cell
+        from pixel2catch.evaluation.grid import StudyCell
 
         def is_evaluated(group: str) -> bool:
             return folder.result(run, group) is not None
 
         experiment = replace(experiment, train=replace(experiment.train, seed=run.seed))
         return [
-            Cell(
+            StudyCell(
                 name=run.name,
                 kind=TRAINING,
                 work=partial(train_run, experiment, run.method, folder.run(run), self._preset),
                 is_done=lambda: folder.summary(run) is not None,
             ),
             *(
-                Cell(
+                StudyCell(
                     name=f"{run.name}-{group}",
                     kind=EVALUATION,
                     work=partial(self._evaluate, folder, run, group),
@@ -230,7 +232,9 @@ class Reproduce:
             ),
         ]
 
-    def _evaluate(self, folder: "ComparisonFolder", run: "Run", group: str, device: str, _: object) -> None:
+    def _evaluate(
+        self, folder: "ComparisonFolder", run: "Training", group: str, device: str, _: object
+    ) -> None:
         """Evaluate the policy of a run on a set of objects, and write the metrics."""
         from pixel2catch.cli.evaluate import Evaluate
 

@@ -37,7 +37,7 @@ class Stress:
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.studies import cpu_slots, run_grid
-        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import as_markdown, write_report
@@ -58,7 +58,7 @@ class Stress:
             device=device,
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
-        grid = Grid(policy_cells(results, cfg, is_alone=len(slots) == 1))
+        grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
         run_grid(grid, slots, "stress")
         if rows := stress_rows(results):
             sections = stress_sections(rows)

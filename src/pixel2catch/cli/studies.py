@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
-from pixel2catch.evaluation.grid import Grid, Status
+from pixel2catch.evaluation.grid import Status, StudyGrid
 from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
 
 JOBS_ON_CLUSTER = 100  #: Cells that a cluster has at once. Source: ours.
@@ -13,7 +13,7 @@ REFRESH_SECONDS = 2.0  #: Time between two looks at what running cells have done
 
 
 def run_grid(
-    grid: Grid,
+    grid: StudyGrid,
     slots: Sequence[Slot],
     name: str,
     logs: Path | None = None,

@@ -43,7 +43,7 @@ class Transfer:
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.studies import cpu_slots, run_grid
-        from pixel2catch.evaluation.grid import Grid
+        from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.report import as_markdown, write_report
         from pixel2catch.evaluation.transfer import (
@@ -65,7 +65,7 @@ class Transfer:
         results = plan_results(policies, settings, self.out)
         rounds = rounds_of(results, whole.trials)
         cells = policy_cells(rounds, replace(whole, trials=1), throw_metrics, is_alone=self.jobs == 1)
-        grid = Grid(cells)
+        grid = StudyGrid(cells)
         run_grid(grid, cpu_slots(self.jobs, "cpu", (), self.out), "transfer")
         if rows := transfer_rows(results, whole.trials):
             orders = list(order_rows(rows))

@@ -48,7 +48,7 @@ TRAININGS_NOTE = "Trainings that run side by side on one device slow each other 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class Training:
     """One training: name of the method, and seed of the training and of the evaluations of its policy."""
 
     method: str
@@ -68,11 +68,11 @@ class Plan:
     seeds: int  #: Seeds of every method, from 0.
     configuration: Mapping[str, Any]  #: Everything else that changes results, by name.
 
-    def runs(self) -> Iterator[Run]:
+    def runs(self) -> Iterator[Training]:
         """Yield all trainings; each method has one seed before any has two."""
         for seed in range(self.seeds):
             for method in self.methods:
-                yield Run(method=method, seed=seed)
+                yield Training(method=method, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -85,24 +85,24 @@ class ComparisonFolder:
 
     path: Path
 
-    def run(self, run: Run) -> Path:
+    def run(self, run: Training) -> Path:
         """Return the folder of a training."""
         return self.path / "runs" / run.name
 
-    def evaluation(self, run: Run, group: str) -> Path:
+    def evaluation(self, run: Training, group: str) -> Path:
         """Return the file with the metrics of a policy on a set of objects."""
         return self.path / "evaluations" / f"{run.name}-{group}.json"
 
-    def metrics(self, run: Run) -> Path:
+    def metrics(self, run: Training) -> Path:
         """Return the log of a training, with one row for each update."""
         return self.run(run) / "metrics.csv"
 
-    def summary(self, run: Run) -> Json | None:
+    def summary(self, run: Training) -> Json | None:
         """Return how a training ended, or nothing as long as it is not finished."""
         summary = _read(self.run(run) / "summary.json") or {}
         return summary if summary.get("status") == "finished" else None
 
-    def result(self, run: Run, group: str) -> Metrics | None:
+    def result(self, run: Training, group: str) -> Metrics | None:
         """Return the metrics of a policy on a set of objects; nothing if absent or of another policy."""
         result = _read(self.evaluation(run, group))
         has_policy = (self.run(run) / "policy").is_dir()
@@ -112,7 +112,7 @@ class ComparisonFolder:
 
     def results(self, plan: Plan, method: str, group: str) -> list[Metrics]:
         """Return the metrics of all seeds of a method that there are."""
-        found = (self.result(Run(method=method, seed=seed), group) for seed in range(plan.seeds))
+        found = (self.result(Training(method=method, seed=seed), group) for seed in range(plan.seeds))
         return [result for result in found if result is not None]
 
     def plan(self) -> Plan:

@@ -38,7 +38,7 @@ class Status(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class StudyCell:
     """One result of a study."""
 
     name: str  #: Name in messages, and of the log.
@@ -50,10 +50,10 @@ class Cell:
     after: tuple[str, ...] = ()  #: Names of earlier cells whose results it needs.
 
 
-class Grid:
+class StudyGrid:
     """The cells of a study with their states."""
 
-    def __init__(self, cells: Sequence[Cell]) -> None:
+    def __init__(self, cells: Sequence[StudyCell]) -> None:
         """Find what is done. A cell after a missing one counts as missing; list it behind that one."""
         self.status: dict[str, Status] = {}  #: State of each cell, by name.
         self.errors: dict[str, str] = {}  #: Errors of the failed cells, by name.
@@ -61,10 +61,10 @@ class Grid:
             is_done = self._is_ready(cell) and cell.is_done()
             self.status[cell.name] = Status.DONE if is_done else Status.WAITING
         self._cells = cells
-        self._running: dict[int, tuple[Cell, Any]] = {}  #: Cell and task, by number of the slot.
+        self._running: dict[int, tuple[StudyCell, Any]] = {}  #: Cell and task, by number of the slot.
 
     @property
-    def missing(self) -> list[Cell]:
+    def missing(self) -> list[StudyCell]:
         """The cells without a result."""
         return [cell for cell in self._cells if self.status[cell.name] is not Status.DONE]
 
@@ -113,7 +113,7 @@ class Grid:
             lines = [f"{name} failed: {error}" for name, error in self.errors.items()]
             raise StudyError("\n".join([*lines, "All other cells were computed; run the command again."]))
 
-    def _is_ready(self, cell: Cell) -> bool:
+    def _is_ready(self, cell: StudyCell) -> bool:
         return all(self.status[name] is Status.DONE for name in cell.after)
 
     def _start_cells(self, slots: Sequence[Slot], logs: Path | None) -> None:

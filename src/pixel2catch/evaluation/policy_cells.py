@@ -15,7 +15,7 @@ import torch
 
 from pixel2catch.envs.cfg import current_fields
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.grid import Cell, Json, differences, read_row
+from pixel2catch.evaluation.grid import Json, StudyCell, differences, read_row
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
@@ -102,7 +102,7 @@ def policy_cells(
     summarize: Callable[[Trials], Metrics] = metrics,
     *,
     is_alone: bool = True,
-) -> list[Cell]:
+) -> list[StudyCell]:
     """Return the cells of results.
 
     Args:
@@ -118,7 +118,7 @@ def policy_cells(
     for each, origin in zip(results, origins, strict=True):
         _require_same(each, origin)
     return [
-        Cell(
+        StudyCell(
             name=each.name,
             work=partial(measure, each, cfg, origin, summarize, is_alone),
             is_done=each.file.exists,
