@@ -288,9 +288,9 @@ def test_the_switch_of_a_browser_falls_whenever_there_is_doubt(desk: Desk, brows
         desk.taken("stop")
         stop()
         desk.until(lambda: desk.taken("stop"))
-        desk.until(lambda: "was not heard" in browser_page.locator("#heard").text_content())
+        desk.until(lambda: "was not confirmed" in browser_page.locator("#heard").text_content())
         desk.tell(mode="stopped")
-        desk.until(lambda: "was heard after" in browser_page.locator("#heard").text_content())
+        desk.until(lambda: "was confirmed after" in browser_page.locator("#heard").text_content())
         desk.taken("stop")
         desk.go_on()
         assert desk.taken("stop") == []

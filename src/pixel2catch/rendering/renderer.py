@@ -81,8 +81,8 @@ def find_gl_backend() -> str:
     named = os.environ.get("MUJOCO_GL", "").lower()
     if named not in MUJOCO_GL:
         raise InvalidValueError(f"MUJOCO_GL is '{named}'; unset it, or set it to {' or '.join(GL_BACKENDS)}.")
-    wished = bound or named
-    candidates = sorted(GL_BACKENDS, key=lambda name: name != wished)
+    preferred = bound or named
+    candidates = sorted(GL_BACKENDS, key=lambda name: name != preferred)
     for name in candidates[:1] if bound in GL_BACKENDS else candidates:
         if _draws(name):
             return name
@@ -105,7 +105,7 @@ def _draws(backend: str) -> bool:
 class Renderer(AbstractContextManager["Renderer"]):
     """Draws one model from one view with `mujoco.Renderer`; close it, or use it as a context manager.
 
-    Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only where asked for.
+    Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only on request.
     """
 
     def __init__(

@@ -133,7 +133,7 @@ def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outc
 
 
 def _prepare(operator: RehearsalOperator, seed: int) -> None:
-    """Prepare the throw, press the switch anew, arm, and point at the object, until the policy runs."""
+    """Prepare the throw, press the switch, arm, and point at the object, until the policy runs."""
     operator.request(do="prepare", seed=seed)
     operator.wait_until(lambda: operator.phase == "empty", "the empty room")
     operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")

@@ -100,9 +100,9 @@ class RequestCheck:
         if host is None or (self.names and _name(host) not in self.names):
             return f"This page is for {', '.join(self.names) or 'requests that name one host'}."
         if origin is None and "Upgrade" in request.headers:
-            return "A connection must say from which page it comes."
+            return "A connection needs an Origin header, the page that it comes from."
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
-            return "Another page may not ask this one."
+            return "Requests of other pages are refused."
         if self.token and not (self.is_in_address(request) or self._is_in_cookie(request)):
             return "The address must have its token in it, as it was printed."
         return ""

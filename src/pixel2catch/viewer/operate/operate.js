@@ -1,10 +1,10 @@
-// The operator's page. A browser is no safety device: whenever there is doubt whether anybody holds the
-// switch, it is let go, here and in the program that serves this page.
+// The operator's page. A browser is no safety device: if the switch may not be held, it is released, here and in
+// the program that serves this page.
 
-import { ask as send, connect, part } from "./link.js";
+import { connect, part, send } from "./link.js";
 
-const BEAT_MS = 50; // time between two messages of a switch that is held
-const HEARD_MS = 500; // time after which a stop should have been heard
+const BEAT_MS = 50; // time between two messages while the switch is held
+const HEARD_MS = 500; // time after which a stop should be confirmed
 const ERROR_MS = 6000, PROMPT_MS = 3000; // for how long an error and a box that was sent are shown
 const LEAST_SIDE = 3; // of a box [px]
 const WIDE = 900; // width of a page from which on the twin's scene is shown at once [px]
@@ -12,16 +12,16 @@ const LONGEST_MS = 100; // what a bar of full length is: images must not be olde
 
 const canvas = part("image"), context = canvas.getContext("2d");
 
-let state = null; // what it told last
+let state = null; // newest state from the program
 let picture = null; // the camera's newest image
 let drag = null, prompt = null; // a box that is being dragged, and the one sent last, in image pixels
-let stopped = null; // the stop that was asked for: when, and how many had been heard before
+let stopped = null; // the requested stop: its time, and the number of confirmed stops before it
 const holding = new Set(); // what holds the switch: pointers and keys
 
-// What waits until a page or a program goes on must not count then: each request says what was heard last.
-const ask = (request) => send({ ...request, heard: state?.time });
+// Each request has the time of the newest state, so that the program can refuse requests that were delayed.
+const request = (wanted) => send({ ...wanted, heard: state?.time });
 
-function tell(id, text) {
+function setText(id, text) {
   const element = part(id);
   if (element.textContent !== text) element.textContent = text;
 }
@@ -30,26 +30,26 @@ function lose() {
   letGo();
   state = null;
   document.body.dataset.tone = "absent";
-  tell("headline", "no connection to the program that serves this page");
-  tell("advice", "Stop with the hardware emergency stop. The page connects again by itself.");
+  setText("headline", "no connection to the program that serves this page");
+  setText("advice", "Stop with the hardware emergency stop. The page connects again by itself.");
 }
 
-function hear(told) {
-  if (told.error) {
-    letGo(); // it may be what was wrong
-    return complain(told.error);
+function receive(message) {
+  if (message.error) {
+    letGo(); // it may be the cause of the error
+    return showError(message.error);
   }
-  state = told;
+  state = message;
   document.title = state.title;
   document.body.dataset.tone = state.tone;
-  tell("headline", state.headline);
-  tell("advice", state.advice.join(" "));
-  tell("refusal", complaint || state.refusal);
-  tell("message", state.message);
-  tell("sight", state.sight && `${state.sight}.`);
+  setText("headline", state.headline);
+  setText("advice", state.advice.join(" "));
+  setText("refusal", errorText || state.refusal);
+  setText("message", state.message);
+  setText("sight", state.sight && `${state.sight}.`);
   part("switch").hidden = !state.has_switch;
   part("other-switch").hidden = state.has_switch;
-  tell("switch-state", state.is_held ? "held" : "let go");
+  setText("switch-state", state.is_held ? "held" : "let go");
   showTwin(state.twin);
   showLatency(state.latency_ms);
   showDetails(state.details);
@@ -57,11 +57,11 @@ function hear(told) {
   draw();
 }
 
-let complaint = ""; // what the program, or the page itself, could not do
-function complain(text) {
-  complaint = text;
-  tell("refusal", text);
-  setTimeout(() => (complaint = complaint === text ? "" : complaint), ERROR_MS);
+let errorText = ""; // error of the program or of this page
+function showError(text) {
+  errorText = text;
+  setText("refusal", text);
+  setTimeout(() => (errorText = errorText === text ? "" : errorText), ERROR_MS);
 }
 
 // the camera's image, and the box that one drags on it
@@ -125,8 +125,8 @@ canvas.addEventListener("pointerup", () => {
   if (!drag) return;
   [prompt, drag] = [drag, null];
   const sent = prompt, box = edges(prompt).map((edge) => Math.round(10 * edge) / 10);
-  if (Math.min(box[2] - box[0], box[3] - box[1]) >= LEAST_SIDE) ask({ do: "point", box });
-  else complain("Drag a box round the object, from corner to corner.");
+  if (Math.min(box[2] - box[0], box[3] - box[1]) >= LEAST_SIDE) request({ do: "point", box });
+  else showError("Drag a box round the object, from corner to corner.");
   setTimeout(() => (prompt = prompt === sent ? null : prompt), PROMPT_MS);
   draw();
 });
@@ -136,7 +136,7 @@ canvas.addEventListener("pointercancel", () => (drag = null));
 
 function hold(source) {
   if (!state?.has_switch || holding.has(source)) return;
-  if (holding.size === 0) ask({ do: "press" });
+  if (holding.size === 0) request({ do: "press" });
   holding.add(source);
   part("hold").setAttribute("aria-pressed", "true");
 }
@@ -145,11 +145,11 @@ function letGo(source) {
   if (source === undefined) holding.clear();
   else if (!holding.delete(source)) return;
   if (holding.size) return;
-  ask({ do: "let_go" });
+  request({ do: "let_go" });
   part("hold").setAttribute("aria-pressed", "false");
 }
 
-setInterval(() => holding.size && ask({ do: "hold" }), BEAT_MS);
+setInterval(() => holding.size && request({ do: "hold" }), BEAT_MS);
 
 part("hold").addEventListener("pointerdown", (event) => {
   if (event.button !== 0) return;
@@ -168,23 +168,23 @@ document.addEventListener("visibilitychange", () => document.hidden && letGo());
 
 function stop() {
   letGo();
-  ask({ do: "stop" });
+  request({ do: "stop" });
   stopped = { at: performance.now(), before: state?.num_heard ?? 0 };
   part("heard").classList.remove("unheard");
-  tell("heard", "STOP was sent.");
+  setText("heard", "STOP was sent.");
   setTimeout(hearStop, HEARD_MS);
 }
 
 function hearStop() {
   if (!stopped) {
-    if (state?.is_active) tell("heard", "");
+    if (state?.is_active) setText("heard", "");
     return;
   }
   const since = Math.round(performance.now() - stopped.at);
   const isHeard = state !== null && state.num_heard > stopped.before;
   if (!isHeard && since < HEARD_MS) return;
   part("heard").classList.toggle("unheard", !isHeard);
-  tell("heard", isHeard ? `STOP was heard after ${since} ms.` : "STOP was not heard: use the emergency stop!");
+  setText("heard", isHeard ? `STOP was confirmed after ${since} ms.` : "STOP was not confirmed: use the emergency stop!");
   if (isHeard) stopped = null;
 }
 
@@ -198,7 +198,7 @@ function stopByKey(event) {
 function press(event) {
   if (stopByKey(event) || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.key.toLowerCase() === "h") hold(event.code);
-  if (event.key.toLowerCase() === "a") ask({ do: "arm" });
+  if (event.key.toLowerCase() === "a") request({ do: "arm" });
 }
 
 function release(event) {
@@ -210,7 +210,7 @@ addEventListener("keydown", press, true);
 addEventListener("keyup", release, true);
 part("stop").addEventListener("pointerdown", stop);
 part("stop").addEventListener("click", (event) => event.detail === 0 && stop()); // by a screen reader
-part("arm").addEventListener("click", () => ask({ do: "arm" }));
+part("arm").addEventListener("click", () => request({ do: "arm" }));
 
 // the twin, the scene, what is folded away
 
@@ -218,19 +218,19 @@ let hasShownScene = false;
 function showTwin(twin) {
   part("twin").hidden = !twin;
   if (!twin) return;
-  tell("throw", twin.throw);
-  tell("result", twin.result);
-  tell("twin-trouble", twin.trouble);
+  setText("throw", twin.throw);
+  setText("result", twin.result);
+  setText("twin-trouble", twin.trouble);
   part("catch").disabled = twin.is_busy;
   if (document.activeElement !== part("seed")) part("seed").value = twin.seed;
   if (!hasShownScene) part("scene").open = innerWidth >= WIDE;
   hasShownScene = true;
 }
 
-part("catch").addEventListener("click", () => ask({ do: "catch" }));
-part("seed").addEventListener("change", () => ask({ do: "seed", seed: part("seed").valueAsNumber }));
+part("catch").addEventListener("click", () => request({ do: "catch" }));
+part("seed").addEventListener("change", () => request({ do: "seed", seed: part("seed").valueAsNumber }));
 for (const button of document.querySelectorAll("[data-do]")) {
-  button.addEventListener("click", () => ask({ do: button.dataset.do }));
+  button.addEventListener("click", () => request({ do: button.dataset.do }));
 }
 
 part("scene").addEventListener("toggle", () => {
@@ -270,4 +270,4 @@ function showDetails(rows) {
   );
 }
 
-connect("/operate", show, hear, lose);
+connect("/operate", show, receive, lose);
