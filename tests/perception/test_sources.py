@@ -20,7 +20,6 @@ from pixel2catch.perception.sources import (
     SourceCfg,
     is_camera,
     live_ticks,
-    measure_camera,
     on_control_clock,
     open_camera,
     ticks_of,
@@ -183,10 +182,3 @@ def test_a_camera_without_any_image_is_refused(monkeypatch: pytest.MonkeyPatch):
     nothing = cv2.VideoCapture()
     with pytest.raises(PerceptionError, match=r"open but gave no image in 0\.05 s: plug it in again"):
         next(live_ticks(nothing, []))
-
-
-def test_rate_and_size_are_measured(capture: cv2.VideoCapture):
-    report = measure_camera(capture, seconds=0.4)
-    assert (report.width, report.height) == (WIDTH, HEIGHT)
-    assert report.rate <= 11 / 0.4
-    assert report.pause > 0.05

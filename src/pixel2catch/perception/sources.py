@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import ceil
 from pathlib import Path
 
@@ -356,32 +355,3 @@ def live_ticks(
             yield Tick(image=image, now=now)
             step = max(step + 1, ceil((time.monotonic() - start) / CONTROL_DT))
             time.sleep(max(start + step * CONTROL_DT - time.monotonic(), 0.0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraReport:
-    """What a camera delivers."""
-
-    width: int  #: Of its images [px].
-    height: int  #: Of its images [px].
-    rate: float  #: Images a second.
-    pause: float  #: Longest time between two images [s].
-
-
-def measure_camera(capture: cv2.VideoCapture, seconds: float) -> CameraReport:
-    """Measure an open camera for a time after its first image [s], and close it.
-
-    Raises:
-        PerceptionError: No first image comes.
-    """
-    with CameraReader(capture) as reader:
-        stamps = [reader.first().stamp]
-        end = stamps[0] + seconds
-        while time.monotonic() < end:
-            time.sleep(POLL)
-            stamp = reader.newest().stamp
-            if stamp > stamps[-1]:
-                stamps.append(stamp)
-        height, width = reader.newest().pixels.shape[:2]
-    pauses = [after - before for before, after in pairwise([*stamps, max(end, stamps[-1])])]
-    return CameraReport(width=width, height=height, rate=(len(stamps) - 1) / seconds, pause=max(pauses))
