@@ -9,7 +9,7 @@ from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.scene.objects import OBJECTS
 
 NUM_POINTS = 64
-FRAMES_PER_OBJECT = 15
+FRAMES_PER_OBJECT = 9
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -41,7 +41,7 @@ def test_unoccluded_boxes_agree_within_a_pixel(errors: dict[str, BoxErrors], fra
             fine = compare(name, frames[name][is_thin], NUM_POINTS, magnification=4)
             assert fine.worst_edge.max() <= 0.5, name
         num_free, num_thin = num_free + int(is_free.sum()), num_thin + int(is_thin.sum())
-    assert num_free >= 200
+    assert num_free >= 120
     assert num_thin <= 0.01 * num_free
 
 
@@ -57,7 +57,7 @@ def test_occluded_boxes_are_close(errors: dict[str, BoxErrors]):
     hidden = everything.select(
         everything.is_hit & (everything.num_pixels > 0) & (everything.visible_fraction > 0)
     )
-    assert len(hidden.error) >= 100
+    assert len(hidden.error) >= 60
     assert hidden.worst_edge.median() <= 2.5
     assert hidden.worst_edge.quantile(0.9) <= 9.0
 

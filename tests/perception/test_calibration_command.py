@@ -96,20 +96,6 @@ def test_a_table_that_cannot_be_is_refused(
     assert not (tmp_path / "camera.json").exists()
 
 
-def test_the_joints_are_those_of_the_work_cell(
-    laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    args = (
-        laboratory / "views.csv",
-        "--intrinsics",
-        laboratory / "lens.json",
-        "--out",
-        tmp_path / "new.json",
-    )
-    assert "no column fr3_joint1" in error_of(capsys, *args, "--workcell", "fr3_allegro")
-    assert "unknown work cell 'ur10e'" in error_of(capsys, *args, "--workcell", "ur10e")
-
-
 def test_images_of_another_size_are_refused(
     laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -52,17 +52,10 @@ def test_a_turn_displaces_the_middle_by_the_focal_length_times_its_tangent():
 
 @pytest.mark.parametrize(
     ("axis", "words"),
-    [((1.0, 0.0, 0.0), "-5.0° up"), ((0.0, 1.0, 0.0), "-5.0° right"), ((0.0, 0.0, 1.0), "-5.0° clockwise")],
+    [((1.0, 0.0, 0.0), "-5.0° up"), ((0.0, 1.0, 0.0), "-5.0° right")],
 )
 def test_a_turned_camera_is_to_be_turned_back(axis: tuple[float, float, float], words: str):
     assert words in " ".join(advice(compared(turned(axis, radians(5.0)))))
-
-
-def test_turning_up_lowers_what_is_seen():
-    """The optical frame's x axis points right: a positive turn about it lifts the optical axis."""
-    up = Rotation.from_quat(turned((1.0, 0.0, 0.0), radians(5.0)).quat, scalar_first=True)
-    level = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
-    assert up.apply((0, 0, 1))[2] > level.apply((0, 0, 1))[2]
 
 
 def test_a_camera_elsewhere_is_to_be_moved_back():

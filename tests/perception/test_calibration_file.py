@@ -94,12 +94,3 @@ def test_an_entry_that_cannot_be_is_named(tmp_path: Path, name: str, value: obje
     with pytest.raises(InvalidValueError, match="Calibrate again, or correct that entry") as error:
         CameraFile.load(path)
     assert words in str(error.value)
-
-
-def test_no_file_and_no_json_are_refused(tmp_path: Path):
-    path = tmp_path / "camera.json"
-    with pytest.raises(InvalidValueError, match="cannot read the camera file"):
-        CameraFile.load(path)
-    path.write_text("{")
-    with pytest.raises(InvalidValueError, match="cannot read the camera file"):
-        CameraFile.load(path)

@@ -165,11 +165,6 @@ def test_finds_every_corner_where_it_is(tmp_path: Path):
     np.testing.assert_allclose(view.pixels, pixels_of(pose, CORNERS, lens()), atol=0.2)
 
 
-def test_an_image_without_a_board_has_no_corners():
-    rng = np.random.default_rng(0)
-    assert BOARD.find(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)) is None
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

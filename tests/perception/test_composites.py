@@ -2,7 +2,6 @@
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,7 @@ from composites import (
     Film,
     Flight,
     Thing,
-    exposure_step,
     film,
-    flicker,
-    jpeg,
     noisy,
     paint,
     shake,
@@ -56,31 +52,6 @@ def test_the_true_box_is_that_of_the_painted_pixels(thing: Thing, time: float):
     assert np.abs(changed_box(paint(ROOM, thing, FLIGHT, time)) - truth).max() < 1.5 + 0.125 * speed
 
 
-def test_a_thing_that_has_left_the_image_has_no_box(plain: Film):
-    away = replace(FLIGHT, velocity=(300.0, 0.0))
-    assert true_box(BALL, away, 3.0) is None
-    assert np.array_equal(paint(ROOM, BALL, away, 3.0), ROOM)
-    assert plain.truths[:2] == (None, None)
-    assert [truth.phase for truth in plain.truths if truth] == 4 * ["held"] + 7 * ["flight"]
-
-
-def test_what_has_little_contrast_is_brighter_by_so_much():
-    image = paint(ROOM, Thing(colors=((0, 0, 0),), contrast=14.0), FLIGHT, -1.0)
-    assert (image[200, 150] == 134).all()
-
-
-def test_faults_do_what_they_say(plain: Film):
-    levels = np.array([image[5, 5, 0] for image in flicker(plain, np.random.default_rng(0)).images])
-    assert 120 * 0.94 - 1 <= levels.min() < 117
-    assert 123 < levels.max() <= 120 * 1.06 + 1
-    stepped = [image[5, 5, 0] for image in exposure_step(plain, np.random.default_rng(1)).images]
-    assert stepped[:5] == 5 * [120]
-    assert stepped[-1] in (102, 138)
-    coded = jpeg(plain, np.random.default_rng(0)).images[6].astype(int) - plain.images[6]
-    assert 0 < np.abs(coded).mean() < 10
-    assert noisy(ROOM, np.random.default_rng(0)).std() == pytest.approx(2.5, abs=0.1)
-
-
 def test_a_shake_moves_image_and_truth_alike(plain: Film):
     shaken = shake(plain, np.random.default_rng(2))
     for image, truth, still in zip(shaken.images[2:6], shaken.truths[2:6], plain.truths[2:6], strict=True):
@@ -91,13 +62,6 @@ def test_a_shake_moves_image_and_truth_alike(plain: Film):
         moved = np.array(truth.box) - still.box
         assert 0.0 < np.abs(moved).max() <= 2.0
         assert np.abs(changed_box(image) - truth.box).max() < 1.6
-
-
-def test_a_disc_has_its_area():
-    radius = 9.5
-    still = Flight(start=(150.3, 200.6), velocity=(0.0, 0.0), sizes=(radius, radius))
-    image = paint(np.zeros_like(ROOM), Thing(colors=((0, 0, 0),), contrast=200.0), still, -1.0)
-    assert image[..., 0].sum() / 200.0 == pytest.approx(np.pi * radius**2, rel=0.03)
 
 
 def test_every_method_gets_each_image_once_and_is_scored_after_its_first():

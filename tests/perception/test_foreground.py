@@ -3,11 +3,17 @@
 import cv2
 import numpy as np
 import painted
-from painted import NUM_EMPTY, Disc
+from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, box_of
 
 from pixel2catch.camera.image import Mask
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness, closed, sharpened
-from pixel2catch.perception.regions import GAP
+from pixel2catch.perception.foreground import (
+    LEARNING_IMAGES,
+    Foreground,
+    Weakness,
+    sharpened,
+    shift_between,
+    shifted,
+)
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 ROBOT_COLOR = (20, 20, 20)
@@ -73,18 +79,6 @@ def test_what_is_learned_later_is_the_same():
     assert told[-1][0].any()
 
 
-def test_gaps_are_closed_as_in_the_whole_mask():
-    """Though only the part is looked at in which there is anything, which may touch the edge."""
-    random = np.random.default_rng(0)
-    for _ in range(200):
-        mask = np.zeros(random.integers(5, 60, 2), dtype=bool)
-        for top, left, height, width in random.integers((0, 0, 1, 1), (*mask.shape, 10, 10), (3, 4)):
-            mask[top : top + height, left : left + width] = random.random() < 0.9
-        mask &= random.random(mask.shape) < 0.8
-        whole = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
-        np.testing.assert_array_equal(closed(mask), whole)
-
-
 def test_the_edge_of_a_thing_is_where_its_difference_falls():
     """A bright disc with a halo of a fifth of its contrast, as compression makes: the halo is left out."""
     halo = Disc(path=np.tile((160.0, 120.0), (30, 1)), radius=16.0, color=(165, 165, 165))
@@ -100,12 +94,6 @@ def test_the_edge_of_a_thing_is_where_its_difference_falls():
     whole = (slice(0, painted.HEIGHT), slice(0, painted.WIDTH))
     assert np.abs(painted.box_of(motion.moving) - painted.box_of(halo.mask(0))).max() <= 2
     assert np.abs(painted.box_of(sharpened(motion, whole)) - painted.box_of(disc.mask(0))).max() <= 1
-
-
-def test_noise_is_no_foreground():
-    foreground = Foreground()
-    shares = [foreground.step(image, None).moving.mean() for image in painted.images((), 60)]
-    assert max(shares[NUM_EMPTY:]) < 1e-3
 
 
 def test_what_a_waiting_robot_uncovers_is_not_taken_for_an_object():
@@ -167,3 +155,57 @@ def test_a_thing_that_a_thin_line_parts_is_sharpened_as_one():
     difference[10:19, 10:30], difference[21:30, 10:30] = 40, 40
     sharp = sharpened(motion_of(difference), (slice(0, 40), slice(0, 40)))
     assert sharp[10:30, 15:25].all()
+
+
+EVERYWHERE = np.ones((HEIGHT, WIDTH), dtype=bool)
+
+
+def moved(image: np.ndarray, dx: float, dy: float) -> np.ndarray:
+    matrix = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
+    return cv2.warpAffine(image, matrix, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE)
+
+
+def test_a_shift_is_found_within_a_tenth_of_a_pixel_beside_a_large_thing_that_moves():
+    before, *later = (cv2.blur(image, (3, 3)) for image in painted.images((), 12))
+    rng = np.random.default_rng(2)
+    for image in later:
+        shift = rng.uniform(-2.5, 2.5, 2)
+        seen = moved(image, *shift)
+        seen[40:140, 60:200] = rng.integers(0, 255, 3)
+        assert np.abs(np.array(shift_between(seen, before, EVERYWHERE)) - shift).max() < 0.1
+
+
+def test_a_camera_at_rest_and_a_wall_without_texture_have_no_shift():
+    before, *later = (cv2.blur(image, (3, 3)) for image in painted.images((), 6))
+    assert all(shift_between(image, before, EVERYWHERE) == (0.0, 0.0) for image in later)
+    wall, brighter = np.full_like(before, 120), np.full_like(before, 128)
+    assert shift_between(brighter, wall, EVERYWHERE) == (0.0, 0.0)
+    assert shift_between(moved(later[0], 2, 0), before, ~EVERYWHERE) == (0.0, 0.0)
+
+
+def test_shifted_is_that_of_opencv_and_back_again():
+    image = next(painted.images((), 1))
+    assert shifted(image, (0.0, 0.0)) is image
+    assert np.array_equal(shifted(image, (2, -3)), moved(image, 2, -3))
+    for shift in ((0.3, -1.7), (-2.4, 0.0)):
+        difference = shifted(image, shift).astype(int) - moved(image, *shift)
+        assert np.abs(difference).max() <= 2
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[50:60, 70:90] = True
+    there = shifted(mask, (3, -2))
+    assert there.dtype == bool
+    assert box_of(there).tolist() == [73.0, 48.0, 93.0, 58.0]
+    assert np.array_equal(shifted(there, (-3, 2)), mask)
+
+
+def test_in_images_that_tremble_only_the_object_moves_and_is_where_it_is_seen():
+    disc = Disc(path=painted.thrown(4, 12), radius=9.0, color=(120, 118, 121))
+    foreground, rng = Foreground(), np.random.default_rng(3)
+    for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 16)):
+        dx, dy = rng.uniform(-2.0, 2.0, 2)
+        motion = foreground.step(moved(image, dx, dy), None)
+        if step >= NUM_EMPTY:
+            truth = moved(disc.mask(step).astype(np.uint8), dx, dy) > 0
+            rim = cv2.dilate(truth.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+            assert motion.moving[truth].mean() > 0.5
+            assert (motion.moving & ~rim).sum() < 20

@@ -77,14 +77,6 @@ def test_the_past_matters_up_to_a_new_start(folder: Path) -> None:
     assert_equal(run(other, images), expected)
 
 
-def test_a_loaded_model_is_the_saved_one(folder: Path, tmp_path: Path) -> None:
-    images = random_images(3)
-    segmenter = Sam2Segmenter(folder, "cpu")
-    expected = run(segmenter, images)
-    segmenter._model.save_pretrained(tmp_path)
-    assert_equal(run(Sam2Segmenter(tmp_path, "cpu"), images), expected)
-
-
 def test_found_has_a_mask_and_lost_has_none(folder: Path, tmp_path: Path) -> None:
     lost_folder = save_tiny_sam2(tmp_path, certainty=-CERTAIN)
     for result in run(Sam2Segmenter(folder, "cpu"), random_images(3)):
@@ -108,33 +100,6 @@ def test_what_was_lost_is_found_again(folder: Path) -> None:
         sizes.append(remembered_bytes(segmenter))
     assert [result.mask is None for result in results] == 18 * [False] + 3 * [True] + 3 * [False]
     assert len(set(sizes[17:])) == 1
-
-
-def test_bfloat16_sees_what_float32_sees(folder: Path) -> None:
-    images = random_images(6)
-    exact = run(Sam2Segmenter(folder, "cpu"), images)
-    rounded = run(Sam2Segmenter(folder, "cpu", dtype=torch.bfloat16), images)
-    for result, expected in zip(rounded, exact, strict=True):
-        assert result.mask is not None
-        assert expected.mask is not None
-        # With another past it is 0.3.
-        assert (result.mask != expected.mask).mean() < 0.02
-        assert result.score == pytest.approx(expected.score, abs=0.01)
-
-
-@pytest.mark.slow
-def test_memory_is_flat_over_10_000_images(folder: Path) -> None:
-    """Of 33 throws, and of one that never ends."""
-    segmenter, images, sizes = Sam2Segmenter(folder, "cpu"), random_images(8), set()
-    for step in range(10_000):
-        image = images[step % len(images)]
-        if step < 1_000 and step % 30 == 0:
-            segmenter.start(image, BOX)
-        else:
-            assert segmenter.track(image).mask is not None
-        if step % 30 == 29:
-            sizes.add(remembered_bytes(segmenter))
-    assert len(sizes) == 1
 
 
 @pytest.mark.slow
@@ -168,14 +133,6 @@ def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
             assert result.score > 0.99
 
 
-def test_nothing_is_found_before_start_and_after_reset(folder: Path) -> None:
-    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(2)
-    assert segmenter.track(images[0]).mask is None
-    run(segmenter, images)
-    segmenter.reset()
-    assert segmenter.track(images[0]).mask is None
-
-
 @pytest.mark.parametrize(
     ("prompt", "points", "labels"),
     [
@@ -204,14 +161,6 @@ def test_prompts_reach_the_encoder_in_its_coordinates(
     assert segmenter._session is not None
     given = segmenter._session.point_inputs_per_obj[0][0]["point_labels"]
     assert given.flatten().tolist() == labels
-
-
-def test_different_prompts_give_different_masks(folder: Path) -> None:
-    segmenter, image = Sam2Segmenter(folder, "cpu"), random_images(1)[0]
-    one, other = segmenter.start(image, BOX), segmenter.start(image, OTHER)
-    assert one.mask is not None
-    assert other.mask is not None
-    assert (one.mask != other.mask).any()
 
 
 @pytest.mark.parametrize("left", [-40.0, WIDTH + 1.0, float("nan")])
@@ -257,12 +206,6 @@ def test_a_mask_lies_where_its_logits_do() -> None:
     rows, columns = mask_of_logits(logits, HEIGHT, WIDTH).nonzero().unbind(1)
     assert (rows.min(), rows.max() + 1) == (6 * 3, 12 * 3)
     assert (columns.min(), columns.max() + 1) == (4 * 5, 9 * 5)
-
-
-def test_the_same_weights_see_images_of_other_sizes(folder: Path) -> None:
-    segmenter = Sam2Segmenter(folder, "cpu", image_size=2 * SIZE)
-    assert segmenter.image_size == 2 * SIZE
-    assert all(result.mask is not None for result in run(segmenter, random_images(20)))
 
 
 @pytest.mark.parametrize("size", [0, -32, 100])

@@ -43,22 +43,6 @@ def test_a_mask_of_the_whole_image_is_no_object(
     assert "ms for an image of 64 px on cpu: " in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of PyTorch's own compiler
-def test_compiled_modules_track(folder: Path, tmp_path: Path):
-    rows = track(folder, tmp_path / "out", "sam2", "--compile", "--seconds", "1.5")
-    assert {row["verdict"] for row in rows} == {"too large"}
-
-
-def test_a_camera_is_not_followed_at_full_size_on_a_cpu(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    options = ["--segmenter", "sam2", "--checkpoint", str(folder), "--image-size", "1024"]
-    assert main(["track", "0", "--out", str(tmp_path / "out"), *options]) == 2
-    assert "takes seconds for an image of 1024 px on a CPU" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_background_subtraction_follows_where_sam2_goes_wrong(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -2,8 +2,6 @@
 
 import importlib.util
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,10 +18,6 @@ from pixel2catch.perception.sam2 import Sam2Segmenter
 ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
 
 
-def remove_weights(folder: Path) -> None:
-    (folder / "model.safetensors").unlink()
-
-
 def cut_weights(folder: Path) -> None:
     weights = folder / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:100_000])
@@ -35,12 +29,6 @@ def drop_weights(folder: Path) -> None:
         name: value for name, value in load_file(weights).items() if not name.startswith("memory_encoder")
     }
     save_file(kept, weights, metadata={"format": "pt"})
-
-
-def shorten_to_a_pointer(folder: Path) -> None:
-    """What git leaves where Git LFS is not installed."""
-    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 156008832\n"
-    (folder / "model.safetensors").write_text(pointer)
 
 
 def leave_a_part_of_a_download(folder: Path) -> None:
@@ -58,28 +46,12 @@ def replace_by_the_makers_file(folder: Path) -> None:
     (folder / "model.safetensors").rename(folder / "sam2.1_hiera_tiny.pt")
 
 
-def remove_config(folder: Path) -> None:
-    (folder / "config.json").unlink()
-
-
-def cut_config(folder: Path) -> None:
-    (folder / "config.json").write_text("{")
-
-
 def change_type(folder: Path) -> None:
     change_config(folder, "model_type", "sam3_video")
 
 
-def change_type_to_images(folder: Path) -> None:
-    change_config(folder, "model_type", "sam2")
-
-
 def change_value(folder: Path) -> None:
     change_config(folder, "memory_attention_num_layers", "two")
-
-
-def change_layers(folder: Path) -> None:
-    change_config(folder, "memory_attention_feed_forward_hidden_size", 32)
 
 
 def change_config(folder: Path, name: str, value: object) -> None:
@@ -90,16 +62,10 @@ def change_config(folder: Path, name: str, value: object) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (remove_config, "there is no SAM 2 checkpoint in"),
-        (cut_config, "config.json is damaged"),
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
-        (change_type_to_images, "a model of type 'sam2', not 'sam2_video'"),
-        (shorten_to_a_pointer, "cannot be read as SAM 2"),
         (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
         (replace_by_the_makers_file, "has no weights"),
         (change_value, "cannot be read as SAM 2: .*memory_attention_num_layers"),
-        (change_layers, "cannot be read as SAM 2"),
-        (remove_weights, "has no weights"),
         (cut_weights, "cannot be read as SAM 2"),
         (drop_weights, "lacks [0-9]+ weights of SAM 2, such as memory_encoder"),
     ],
@@ -112,14 +78,9 @@ def test_a_bad_checkpoint_says_what_is_wrong_and_where_to_get_one(
         Sam2Segmenter(tmp_path, "cpu")
 
 
-def test_a_missing_folder_is_a_missing_checkpoint(tmp_path: Path) -> None:
-    with pytest.raises(PerceptionError, match=f"there is no SAM 2 checkpoint in {tmp_path}/none.*{ADVICE}"):
-        Sam2Segmenter(tmp_path / "none", "cpu")
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> None:
-    with pytest.raises(DeviceUnavailableError, match="'cuda' was asked for"):
+    with pytest.raises(DeviceUnavailableError, match="'cuda'"):
         Sam2Segmenter(tmp_path, "cuda")
 
 
@@ -136,10 +97,8 @@ def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch
         import_anew()
 
 
-@pytest.mark.parametrize("version", ["4.57.1", "6.0.0"])
-def test_another_version_of_transformers_is_refused(
-    version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_version_of_transformers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    version = "6.0.0"
     metadata = tmp_path / f"transformers-{version}.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: transformers\nVersion: {version}\n")
@@ -154,22 +113,10 @@ def test_compiling_without_a_compiler_is_refused(tmp_path: Path, monkeypatch: py
         Sam2Segmenter(tmp_path, "cpu", is_compiled=True)
 
 
-def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
-    """Such a build fails when it registers its operators, as this one does."""
-    package, metadata = tmp_path / "torchvision", tmp_path / "torchvision-0.1.0.dist-info"
-    package.mkdir()
-    metadata.mkdir()
-    (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: torchvision\nVersion: 0.1.0\n")
-    path = os.pathsep.join([str(tmp_path), str(Path(sam2.__file__).parents[2])])
-    result = subprocess.run(
-        [sys.executable, "-c", "import pixel2catch.perception.sam2"],
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-    last_line = result.stderr.splitlines()[-1]
-    assert "PerceptionError: SAM 2 cannot be imported" in last_line
-    assert "torchvision::nms does not exist" in last_line
-    assert "pip uninstall torchvision" in last_line
-    assert "[sam2]" in last_line
+def test_a_torchvision_for_another_torch_is_named() -> None:
+    """Such a build fails when it registers its operators; transformers wraps that error."""
+    error = ImportError("cannot import")
+    error.__cause__ = RuntimeError("operator torchvision::nms does not exist")
+    advice = sam2._import_advice(error)
+    for words in ("torchvision::nms does not exist", "pip uninstall torchvision", "[sam2]"):
+        assert words in advice

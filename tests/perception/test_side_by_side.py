@@ -6,7 +6,6 @@ threshold of colour stands for one that sees the object by its look.
 
 from concurrent.futures import wait
 from functools import cache
-from pathlib import Path
 from threading import Event
 from typing import final
 
@@ -14,12 +13,10 @@ import numpy as np
 import painted
 import pytest
 from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, Follower
-from tiny_sam2 import CERTAIN, save_tiny_sam2
 
 from domains import PATIENCE
 from pixel2catch.camera.image import Mask, Pixels
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.sam2 import Sam2Segmenter
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ColorRange,
@@ -168,19 +165,6 @@ def test_two_that_see_the_object_agree():
     assert {found.source for found in results} == {"both"}
     assert min(found.score for found in results) > 0.6
     assert look.num_starts == 1
-
-
-@pytest.mark.parametrize("certainty", [-CERTAIN, CERTAIN])
-def test_nothing_that_sam2_does_is_taken_for_the_object(certainty: float, tmp_path: Path):
-    """A mask of the whole image: tests/perception/test_sam2_command.py."""
-    sam2 = Troubled(Sam2Segmenter(save_tiny_sam2(tmp_path, certainty), "cpu"))
-    results = follow(SideBySide(sam2, BackgroundSubtraction()))
-    assert (errors(results) <= 2.0).mean() >= 0.9
-    assert all(found.doubt for found in results if found.source != "both")
-    if certainty < 0.0:
-        assert {(found.source, found.doubt) for found in results} == {("background", "sam2 lost it")}
-        # In 18 images it is told anew after every third.
-        assert sam2.num_starts == 1 + 6
 
 
 def test_sam2_goes_on_where_the_background_subtraction_loses_the_object():

@@ -63,12 +63,6 @@ def test_what_is_no_source_is_refused(tmp_path: Path):
     assert "video devices here" in error_of("/dev/video99")
 
 
-def test_an_unfinished_video_is_refused(tmp_path: Path):
-    whole = save_video(tmp_path / "v.mp4", islice(throw(), 10)).read_bytes()
-    (tmp_path / "half.mp4").write_bytes(whole[: len(whole) // 2])
-    assert "cannot be read as a video" in error_of(tmp_path / "half.mp4")
-
-
 def test_a_damaged_video_ends_where_the_damage_begins(tmp_path: Path):
     file = save_video(tmp_path / "v.mp4", islice(throw(), 30))
     content = bytearray(file.read_bytes())
@@ -110,12 +104,6 @@ def test_other_rates_skip_or_repeat_images(rate: int, expected: list[int]):
     assert images_got([i / rate for i in range(6)]) == expected
 
 
-def test_a_lost_image_leaves_the_one_before():
-    notes: list[str] = []
-    assert images_got([0.0, 1 / 30, 4 / 30], notes) == [0, 1, 1, 1, 2]
-    assert not notes
-
-
 def test_a_long_pause_is_cut_and_said():
     notes: list[str] = []
     got = images_got([0.0, 1 / 30, 3600.0], notes)
@@ -127,10 +115,6 @@ def test_stamps_that_go_back_are_passed_over_and_said():
     notes: list[str] = []
     assert images_got([0.0, 1 / 30, 1 / 30, 0.01, 2 / 30], notes) == [0, 1, 4]
     assert notes == ["images no newer than those before them, passed over: 2."]
-
-
-def test_nothing_makes_no_tick():
-    assert images_got([]) == []
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import json
 import sys
 import threading
 import time
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from filmed import (
     CAMERA,
-    DISC,
     HELD,
     PATH,
     box_at,
@@ -27,7 +25,6 @@ from filmed import (
     save_video,
     throw,
 )
-from painted import images
 
 from domains import PATIENCE
 from pixel2catch.cli.main import main
@@ -83,24 +80,6 @@ def test_the_object_is_followed(source: str, options: list[str], files: Path, tm
         pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
     assert len(pictures) == len(PATH)
     assert pictures[0].shape == (HEADER + CAMERA.height + PLOT_ROWS * PLOT_HEIGHT, CAMERA.width, 3)
-
-
-def test_flight_points_out_the_object_where_nobody_does(files: Path, tmp_path: Path):
-    summary, rows = track(files, "throw.mp4", tmp_path / "out")
-    assert summary["verdicts"]["seen"] >= 10
-    assert worst_center(rows) < 4.0
-
-
-def test_an_object_is_believed_as_large_as_it_is_said_to_be(files: Path, tmp_path: Path):
-    """A ball of 50 px, in images of which 2 % are 39 px square: the paper's objects are not so large."""
-    save_video(tmp_path / "large.mp4", images((replace(DISC, radius=25),), len(PATH)))
-    box = [*AT, "--box", *box_at(HELD, margin=19.0)]
-    verdicts = [
-        track(files, str(tmp_path / "large.mp4"), tmp_path / name, *box, *options)[0]["verdicts"]
-        for name, options in (("usual", []), ("large", ["--object-radius", "0.1"]))
-    ]
-    assert "seen" not in verdicts[0]
-    assert verdicts[1]["seen"] >= len(PATH) - HELD - 1
 
 
 def test_images_that_cannot_be_used_are_passed_over(files: Path, tmp_path: Path):
