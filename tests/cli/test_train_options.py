@@ -119,10 +119,10 @@ def test_what_is_set_reaches_the_environment():
 @pytest.mark.parametrize(
     ("option", "new"),
     [
-        (("--latency-steps", "1", "3"), "env.sensing.latency_steps"),
-        (("--physics-hz", "120"), "env.scene.physics_hz"),
-        (("--cone=elliptic",), "env.scene.cone"),
-        (("--no-multiccd",), "env.scene.multiccd"),
+        (("--latency-steps", "1", "3"), "--env.sensing.latency-steps"),
+        (("--physics-hz", "120"), "--env.scene.physics-hz"),
+        (("--cone=elliptic",), "--env.scene.cone"),
+        (("--no-multiccd",), "--env.scene.multiccd False"),
         (("--physics-stages", "60", "--env.scene.physics-hz", "60"), "not both"),
     ],
 )

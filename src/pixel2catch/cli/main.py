@@ -53,6 +53,11 @@ REMOVED_OPTIONS = {
     "stress --json": "read table.json in the folder of the results",
     "stress --launcher": "leave it out; --slurm alone selects the cluster",
     "stress --physics-hz": "give --env.scene.physics-hz",
+    "train --cone": "give --env.scene.cone",
+    "train --latency-steps": "give --env.sensing.latency-steps",
+    "train --multiccd": "give --env.scene.multiccd True",
+    "train --no-multiccd": "give --env.scene.multiccd False",
+    "train --physics-hz": "give --env.scene.physics-hz for one rate, or --physics-stages for several",
     "transfer --json": "read table.json in the folder of the results",
     "transfer --physics-hz": "give --env.scene.physics-hz",
 }

@@ -14,7 +14,7 @@ from pixel2catch.checks import CameraPath, DynamicsPath, ResultsFolder, require_
 from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
-from pixel2catch.learning.config import GONE, PRESETS, PresetName, TrainCfg, require_known
+from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.own_files import import_files
 from pixel2catch.viewer.config import PageCfg
 
@@ -67,12 +67,9 @@ class Train:
 
         Raises:
             CheckpointError: The run to resume cannot be read, or was started with something else.
-            InvalidValueError: An option is gone, two contradict each other, or a file cannot be read.
+            InvalidValueError: Two options contradict each other, or a file cannot be read.
             UnknownNameError: There is no such preset, task, work cell or policy to start from.
         """
-        flags = (arg.partition("=")[0] for arg in args if arg.startswith("--"))
-        options = {flag[2:].removeprefix("no-").replace("-", "_") for flag in flags}
-        require_known(options & GONE.keys())
         given = _scanned(args)
         if "--help" in args or "-h" in args:  # at once, without the task
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
@@ -85,7 +82,7 @@ class Train:
         folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
         experiment, method = _run(folder, given, method) if given.resume else (_preset(given, files), method)
         if "scene.physics_hz" in given_fields(args):  # one rate throughout
-            if "physics_stages" in options:
+            if given.physics_stages is not None:
                 raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
         return cls(
@@ -166,5 +163,6 @@ def _scanned(args: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for name in ("preset", "task", "workcell", "dynamics", "camera", "out", "device", "seed", "start"):
         parser.add_argument(f"--{name}", nargs="?")
+    parser.add_argument("--physics-stages", nargs="*")
     parser.add_argument("--resume", action="store_true")
     return parser.parse_known_args(args)[0]
