@@ -167,8 +167,8 @@ def test_a_policy_with_weights_that_are_not_finite_is_not_exported() -> None:
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--out", "policy.bin"], "must end in .onnx"),
-        (["{file}", "--out", "again.onnx"], "is an ONNX file already"),
+        (["--out", "policy.bin"], "end the name in .onnx"),
+        (["{file}", "--out", "again.onnx"], "is an ONNX file; copy it"),
         (["--out", "{file}"], "exists; choose another name"),
     ],
 )

@@ -35,10 +35,10 @@ class Export:
     objects: tuple[str, ...] = ()
     throws: Count = 100  #: For throws: how many.
     seed: Seed = 0  #: For throws: seed of everything that is drawn.
-    #: For throws: draw what the robot's camera sees, which takes seconds a throw. Recorded images are always
-    #: taken over.
+    #: For throws: draw the images of the robot's camera, which takes seconds a throw. Recorded images are
+    #: always exported.
     images: bool = False
-    robot: Robot = field(default_factory=Robot)  #: For a recording: the robot of then.
+    robot: Robot = field(default_factory=Robot)  #: For a recording: the robot that was recorded.
 
     def run(self) -> None:
         """Write the file or the data set."""

@@ -25,19 +25,19 @@ TASK = "Catch the thrown object."
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Decisions:
-    """What the policy decided in its runs, on what it knew."""
+    """The decisions of the policy in its runs, with their inputs."""
 
     joint_pos: np.ndarray  #: Newest measured joint positions [rad], (num_steps, num_joints).
     target: np.ndarray  #: Joint targets [rad], (num_steps, num_joints).
     box: np.ndarray  #: Newest box that perception had found [px], (num_steps, 4).
-    run: np.ndarray  #: A number that every run has of its own, (num_steps,).
+    run: np.ndarray  #: Number of the run, (num_steps,).
     image: np.ndarray  #: Number of the newest image, (num_steps,); -1 for none.
 
 
 def write_recording(recording: Path, profile: Profile, writer: DatasetWriter) -> None:
-    """Write the runs of a recorded deployment, with images if it has them.
+    """Write the runs of a recorded deployment, with images if there are any; without rewards or success.
 
-    An image is the newest that had arrived at the decision. Nobody knows rewards or success.
+    The image of a step is the newest that had arrived at the decision.
 
     Raises:
         PerceptionError: It cannot be read.

@@ -1,4 +1,4 @@
-"""Simulated throws as a data set: what the robot measured, what the policy commanded, what came of it."""
+"""Simulated throws as a data set: measurements, commands, rewards and success."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ from pixel2catch.scene.scene import SceneCfg, build_model
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moment:
-    """A control step of all environments: what was measured before it, and what it did."""
+    """A control step of all environments."""
 
     features: dict[str, Tensor]  #: (num_envs, size) by feature.
     qpos: Tensor  #: Positions of the simulation before it, (num_envs, nq).
@@ -33,7 +33,7 @@ class _Moment:
 
 @final
 class _Watcher:
-    """Acts as an actor does, and remembers what there was before, and what came of it."""
+    """An actor that records what it observes, its actions and their rewards."""
 
     def __init__(self, actor: Actor, env: CatchEnv) -> None:
         self._actor, self._env = actor, env
@@ -58,7 +58,7 @@ class _Watcher:
         return self._actor.act(observations)
 
     def watch(self, step: Step, state: RoundState) -> None:
-        """Remember a step."""
+        """Record a step."""
         rewards = torch.stack([*step.rewards.values()]).sum(dim=0)
         made = {ACTION: step.joint_pos_target, REWARD: rewards[:, None]}
         features = {name: value.cpu().clone() for name, value in (self._seen | made).items()}
@@ -69,10 +69,9 @@ class _Watcher:
 def write_throws(
     cfg: EvaluationCfg, actor: Actor, method: Method, writer: DatasetWriter, images: bool
 ) -> int:
-    """Throw once in every environment, and write every trial until it is decided; return how many caught.
+    """Throw once in every environment, write every trial until its decision, and return the catches.
 
-    Images are drawn if asked for: what the robot's camera sees when the policy decides, late as they are for
-    it or not.
+    With `images`, the images of the robot's camera at the decisions are drawn, without latency.
 
     Raises:
         DeviceUnavailableError: Images cannot be drawn on this machine.
@@ -98,7 +97,7 @@ def write_throws(
 
 
 def _pictures(qpos: list[np.ndarray], scene: SceneCfg, object_name: str) -> Iterator[Pixels]:
-    """What the robot's camera sees at positions of the simulation, (nq,) each."""
+    """Yield the images of the robot's camera at positions of the simulation, (nq,) each."""
     with Renderer(build_model(replace(scene, visuals=True), object_name), RGB_VIEW) as renderer:
         for positions in qpos:
             yield renderer.image(positions)
