@@ -26,8 +26,7 @@ from ur5_recordings import read_ur5
 
 from pixel2catch.arrays import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.servo.compilation import entry
-from pixel2catch.servo.laws import joint_faults, update_expected
+from pixel2catch.servo.laws import entry, joint_faults, update_expected
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Fault, flag_names
 from pixel2catch.servo.tick import JOINT_INPUT, ServoState

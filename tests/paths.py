@@ -8,7 +8,7 @@ from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 
 import pixel2catch
-from pixel2catch.servo.compilation import entry
+from pixel2catch.servo.laws import entry
 
 PACKAGE = Path(pixel2catch.__file__).parent
 

@@ -11,7 +11,7 @@ import pytest
 from chaos import Chaos
 from servo_rows import LIMITS, Lab
 
-from pixel2catch.servo import compilation, tick
+from pixel2catch.servo import laws, tick
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Mode
 from pixel2catch.servo.tick import Limits, ServoCore, ServoState, tick_all
@@ -57,9 +57,9 @@ def test_no_tick_compiles_anything():
         tick_all(*[1.0] * 6)
 
 
-CALLEE = "from pixel2catch.servo.compilation import compiled\n\n@compiled\ndef factor(): return {}\n"
+CALLEE = "from pixel2catch.servo.laws import compiled\n\n@compiled\ndef factor(): return {}\n"
 LAW = """from callee import factor
-from pixel2catch.servo.compilation import entry
+from pixel2catch.servo.laws import entry
 
 @entry
 def law(value): return factor() * value
@@ -72,7 +72,7 @@ def write_law(folder: Path, factor: float) -> None:
     (folder / "law.py").write_text(LAW)
 
 
-def load_law(folder: Path, monkeypatch: pytest.MonkeyPatch) -> compilation.entry:
+def load_law(folder: Path, monkeypatch: pytest.MonkeyPatch) -> laws.entry:
     """Import the law as a fresh process does."""
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.delitem(sys.modules, "callee", raising=False)
@@ -112,7 +112,7 @@ def test_a_damaged_file_is_compiled_again(suffix: str, tmp_path: Path, monkeypat
 
 
 def test_without_a_writable_folder_it_is_compiled_in_each_process(tmp_path: Path, monkeypatch):
-    monkeypatch.setattr(compilation.os, "access", lambda *_: False)
+    monkeypatch.setattr(laws.os, "access", lambda *_: False)
     write_law(tmp_path, 2.0)
     assert load_law(tmp_path, monkeypatch)(1.5) == 3.0
     assert not kept(tmp_path)

@@ -24,10 +24,13 @@ from jaxtyping import Bool, Float64
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
-from pixel2catch.servo.compilation import Record, Records, compiled, entry
 from pixel2catch.servo.laws import (
+    Record,
+    Records,
     bit,
     clipped,
+    compiled,
+    entry,
     interpolated,
     is_active,
     is_driven,

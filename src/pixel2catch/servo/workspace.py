@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float64, Int64
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, arm_shape, chain_of
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.servo.compilation import Record, Records, compiled, entry
-from pixel2catch.servo.laws import braked_position, braked_speed, clipped
+from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled, entry
 
 HAND_CLEARANCE = 0.01  #: Distance of a hand to its own arm [m]. Source: ours.
 HALVINGS = 10  #: Bisection steps for the point of a capsule nearest to a box. Source: ours.
