@@ -34,6 +34,7 @@ REMOVED = {
 """Commands that are gone, and what to do instead."""
 
 REMOVED_OPTIONS = {
+    "catch --seed": "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'",
     "deploy --mask-robot": "leave it out; the robot's own motion is always ignored",
     "deploy --no-mask-robot": "leave it out; the robot's own motion is always ignored",
     "deploy --record-images": "leave it out; images are recorded as JPEG",
@@ -42,7 +43,12 @@ REMOVED_OPTIONS = {
     "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",
     "evaluate --physics-hz": "give --env.scene.physics-hz",
     "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
+    "play --layout": "leave it out; several throws are side by side, and --throws 1 --seed S draws one",
+    "play --meshes": "give makers' models with --robot-model, or leave it out",
+    "play --view": "leave it out; the robot's view is in a corner",
     "record --dry-run": "leave it out; a recording needs motion",
+    "rehearse --domain": "set ROS_DOMAIN_ID",
+    "rehearse --json": "read report.json in the folder of --out",
     "replay --mask-robot": "leave it out; the robot's own motion is always ignored",
     "replay --no-mask-robot": "leave it out; the robot's own motion is always ignored",
     "replay --perception-ms": "leave it out; a replay takes 10 ms for an image",
@@ -60,6 +66,8 @@ REMOVED_OPTIONS = {
     "train --physics-hz": "give --env.scene.physics-hz for one rate, or --physics-stages for several",
     "transfer --json": "read table.json in the folder of the results",
     "transfer --physics-hz": "give --env.scene.physics-hz",
+    "twin --domain": "set ROS_DOMAIN_ID",
+    "twin --draw-dynamics": "run 'pixel2catch excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json",
 }
 """Options that are gone, and what to do instead. See docs/changes.md."""
 
