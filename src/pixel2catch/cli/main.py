@@ -67,7 +67,7 @@ REMOVED_OPTIONS = {
     "transfer --json": "read table.json in the folder of the results",
     "transfer --physics-hz": "give --env.scene.physics-hz",
     "twin --domain": "set ROS_DOMAIN_ID",
-    "twin --draw-dynamics": "run 'pixel2catch excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json",
+    "twin --draw-dynamics": "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json",
 }
 """Options that are gone, and what to do instead. See docs/changes.md."""
 
