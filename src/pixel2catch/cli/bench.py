@@ -16,7 +16,6 @@ from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
 Row = dict[str, Any]
@@ -30,8 +29,6 @@ RATES = {
 
 STAGES = {"acting": "acting_us", "physics": "physics_us", "sensing, MDP": "sensing_us", "update": "update_us"}
 """Parts of a training, which take turns."""
-
-PICTURED = {"training": tuple(STAGES), "environment": ("physics", "sensing, MDP"), "physics": ("physics",)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,15 +47,12 @@ class Bench:
     #: Any field of the task, such as --env.scene.cone pyramidal. All fields: bench --env.help.
     env: TaskFields = None
     given: Given = ()  #: Which of them are given.
-    json: bool = False  #: Print everything as one JSON object.
-    out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets the same JSON object.
-    #: File that gets a picture: costs and memory against the number of environments.
-    plot: Annotated[Path, OutputFile((".png",))] | None = None
+    out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets all numbers.
 
     def run(self) -> None:
         """Measure, print and write."""
         from pixel2catch.cli.bench_costs import measure
-        from pixel2catch.evaluation.report import png, write_files
+        from pixel2catch.evaluation.report import write_files
         from pixel2catch.policy import Policy
 
         folder, devices = policy_folder(self.policy), [*map(prepare, self.device)]
@@ -67,9 +61,8 @@ class Bench:
         result = circumstances() | {"load_average_before": load, "policy": folder.name, "results": rows}
         with working() as report:
             for device, num_envs in itertools.product(devices, sorted(self.num_envs)):
-                policy = Policy.load(folder, prepare(device))
                 costs = measure(
-                    policy,
+                    Policy.load(folder, prepare(device)),
                     lambda task: with_given(task, self.env, self.given),
                     device=device,
                     num_envs=num_envs,
@@ -80,20 +73,15 @@ class Bench:
                 rows.append(costs)
                 if self.out:  # at once: the next number may take too long
                     write_files(self.out.parent, {self.out.name: json_text(result)})
-        if self.json:
-            print(json_text(result), end="")
-        else:
-            results_console().print(_table(rows))
+        results_console().print(_table(rows))
         if load > 0.5 * len(os.sched_getaffinity(0)):
             say(f"this machine had other work (load average {load:.1f}): without it, it is faster")
-        if self.plot:
-            write_files(self.plot.parent, {self.plot.name: png(_figure(rows))})
-        for file in filter(None, (self.out, self.plot)):
-            say(f"wrote {file}")
+        if self.out:
+            say(f"wrote {self.out}")
 
 
 def _table(rows: Sequence[Row]) -> "Table":
-    """A column for every device and number of environments."""
+    """Return a table with a column for every device and number of environments."""
     from rich.table import Table
 
     table = Table("", *(f"{row['device']}, {row['num_envs']:,}" for row in rows))
@@ -108,34 +96,3 @@ def _table(rows: Sequence[Row]) -> "Table":
     for column in table.columns[1:]:
         column.justify = "right"
     return table
-
-
-def _figure(rows: Sequence[Row]) -> "Figure":
-    """What a control step of one environment costs, and memory, against the number of environments."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    from pixel2catch.evaluation.figures import MARKERS, PALETTE, STYLE
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.1), layout="constrained")
-        cost, memory = figure.subplots(1, 2)
-        devices = dict.fromkeys(row["device"] for row in rows)
-        for marker, device in zip(itertools.cycle(MARKERS), devices, strict=False):
-            own = [row for row in rows if row["device"] == device]
-            environments = [row["num_envs"] for row in own]
-            for color, (title, names) in zip(PALETTE, PICTURED.items(), strict=False):
-                costs = [sum(row[STAGES[name]] for name in names) for row in own]
-                cost.plot(environments, costs, color=color, marker=marker, label=f"{title}, {device}")
-            used = [(row["device_bytes"] or row["rss_bytes"]) / 1e9 for row in own]
-            memory.plot(environments, used, color=PALETTE[5], marker=marker)
-        cost.set(ylabel="a control step of one environment [µs]", yscale="log")
-        memory.set(ylabel="memory [GB]", ylim=(0.0, None))
-        for axes in (cost, memory):
-            axes.set(xlabel="environments", xscale="log")
-            ticks = sorted({row["num_envs"] for row in rows})
-            axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
-            axes.xaxis.minorticks_off()
-            axes.grid()
-        figure.legend(*cost.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        return figure

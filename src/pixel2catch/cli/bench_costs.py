@@ -1,4 +1,4 @@
-"""What physics, the environment and a training cost, measured with the throws of a trained policy."""
+"""Measure physics, the environment and a training with the throws of a trained policy."""
 
 import contextlib
 import io
@@ -22,39 +22,32 @@ from pixel2catch.learning.log import METRICS_FILE, read_rows
 from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy, method_of
 
-LOG_STD = -1.5  #: Of the actions in the training: the throws stay those of the policy. Source: ours.
-STATE = ("qpos", "qvel", "ctrl", "qacc_warmstart")  #: What physics steps change and is put back.
-STEPS_AT_ONCE = 10  #: Control steps between two looks at the clock, which wait for the device.
-
-WARM_UPDATES = 2
-"""Updates of the training before it is measured: libraries set themselves up, graphs are recorded."""
-
-TRAIN_THREADS = torch.get_num_threads()  #: PyTorch's own number, as `train` has it, not that of `prepare`.
-LEAST_UPDATES = 3  #: Updates that are measured at least.
+LOG_STD = -1.5  #: Noise of the actions in the training, small enough to keep the policy's throws (ours).
+STATE = ("qpos", "qvel", "ctrl", "qacc_warmstart")  #: State that physics steps change.
+STEPS_AT_ONCE = 10  #: Control steps between two reads of the clock, which wait for the device.
+WARM_UPDATES = 2  #: Updates before the measurement, in which libraries initialise and graphs are recorded.
+LEAST_UPDATES = 3  #: Least number of updates that are measured.
+TRAIN_THREADS = torch.get_num_threads()  #: Threads of `train`, not of `prepare`.
 
 
-class Stopwatch:
-    """Times of calls by the clock of the device that computes them; nothing waits until they are read."""
+Calls = list[tuple[DeviceTime, DeviceTime]]  #: Begin and end of each call, by the clock of the device.
 
-    def __init__(self, device: torch.device) -> None:
-        """Measure on a device."""
-        self._device = device
-        self._calls: list[tuple[DeviceTime, DeviceTime]] = []
 
-    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, whose calls are measured."""
+def timed(function: Callable[..., Any], device: torch.device, calls: Calls) -> Callable[..., Any]:
+    """Return the function; each of its calls on the device is appended to `calls`."""
 
-        def call(*arguments: Any) -> Any:
-            begun = DeviceTime(self._device)
-            result = function(*arguments)
-            self._calls.append((begun, DeviceTime(self._device)))
-            return result
+    def call(*arguments: Any) -> Any:
+        begun = DeviceTime(device)
+        result = function(*arguments)
+        calls.append((begun, DeviceTime(device)))
+        return result
 
-        return call
+    return call
 
-    def seconds(self) -> list[float]:
-        """Time of every call [s]."""
-        return [begun.until(ended) for begun, ended in self._calls]
+
+def seconds_of(calls: Calls) -> list[float]:
+    """Return the time of every call [s]; wait for the device."""
+    return [begun.until(ended) for begun, ended in calls]
 
 
 def measure(
@@ -67,16 +60,16 @@ def measure(
     fuse: bool,
     report: Callable[[str], None],
 ) -> dict[str, Any]:
-    """What a control step of one environment costs in all parts, and the memory that is in use then.
+    """Measure the costs of a control step of one environment, and the memory that is in use then.
 
     Args:
-        policy: What acts and learns.
-        change: What is different of its task.
+        policy: The policy that acts and learns.
+        change: The function that changes its task.
         device: Device of simulation and training.
         num_envs: Number of environments.
-        seconds: How long each part is measured, at least [s].
+        seconds: Least time of each measurement [s].
         fuse: Whether kernels are fused.
-        report: Is told each part before it is measured.
+        report: Gets the name of each part before it is measured.
 
     Returns:
         `*_per_second`: rates, summed over the environments; those of the environment without the networks.
@@ -145,15 +138,15 @@ def _random_actions(env: CatchEnv) -> Callable[[Observation], dict[str, Tensor]]
 def _environment(
     env: CatchEnv, act: Callable[[Observation], dict[str, Tensor]], seconds: float
 ) -> tuple[float, float]:
-    """Time of a control step of all environments, and of its physics steps alone [s].
+    """Return the time of a control step of all environments, and of its physics steps alone [s].
 
-    The clock starts when the environments are at different times of their episodes. The physics steps are
-    made from the state after every control step, which is put back.
+    The clock starts when the environments are at different times of their episodes. The physics steps start
+    from the state after every control step, which is then restored.
     """
     simulation = env.world.simulation
     state = [simulation.bind(name) for name in STATE]
-    steps, physics = Stopwatch(env.device), Stopwatch(env.device)
-    step, advance = steps.timed(env.step), physics.timed(lambda: _advance(env))
+    steps, physics = Calls(), Calls()
+    step, advance = timed(env.step, env.device, steps), timed(lambda: _advance(env), env.device, physics)
     observation = env.reset()
     for _ in range(env.cfg.episode.max_steps):
         observation = env.step(act(observation)).observation
@@ -168,7 +161,7 @@ def _environment(
                 field.copy_(value)
             simulation.forward()
         env.check()
-    return mean(steps.seconds()), mean(physics.seconds())
+    return mean(seconds_of(steps)), mean(seconds_of(physics))
 
 
 def _advance(env: CatchEnv) -> None:
@@ -177,14 +170,12 @@ def _advance(env: CatchEnv) -> None:
 
 
 def _training(cfg: TrainCfg, env: CatchEnv, policy: Policy, num_steps: int) -> tuple[float, float, float]:
-    """Times of acting, the environment and the update for a control step of all environments [s].
+    """Return the times of acting, environment and update for a control step of all environments [s].
 
-    It is a training as `pixel2catch train` does it, from the policy on, of so many steps at least; what its
-    networks do not take of a rollout is the environment's.
+    They are those of a training that starts from the policy and has at least this number of steps.
     """
-    updates = max(LEAST_UPDATES, num_steps // cfg.rollout_steps)
-    watch, step = Stopwatch(env.device), env.step
-    setattr(env, "step", watch.timed(step))  # noqa: B010 (a method)
+    updates, calls = max(LEAST_UPDATES, num_steps // cfg.rollout_steps), Calls()
+    setattr(env, "step", timed(env.step, env.device, calls))  # noqa: B010 (a method)
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         policy.save(start := Path(folder, "start"))
         transitions = (WARM_UPDATES + updates) * cfg.rollout_transitions
@@ -197,17 +188,17 @@ def _training(cfg: TrainCfg, env: CatchEnv, policy: Policy, num_steps: int) -> t
         mean(float(row[f"{name}_seconds"]) for row in rows) / cfg.rollout_steps
         for name in ("rollout", "update")
     )
-    environment = mean(watch.seconds()[-updates * cfg.rollout_steps :])
+    environment = mean(seconds_of(calls)[-updates * cfg.rollout_steps :])
     return rollout - environment, environment, update
 
 
 def _forget_peak() -> None:
-    """Let the kernel count this process's largest memory anew, where that is allowed."""
+    """Reset the kernel's largest memory of this process, where that is allowed."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def _peak_bytes() -> int:
-    """The most memory that this process had since then [bytes]."""
+    """Return the most memory that this process has had since then [bytes]."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])

@@ -34,6 +34,8 @@ REMOVED = {
 """Commands that are gone, and what to do instead."""
 
 REMOVED_OPTIONS = {
+    "bench --json": "give --out FILE.json",
+    "bench --plot": "give --out FILE.json and draw its numbers",
     "catch --seed": "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'",
     "deploy --mask-robot": "leave it out; the robot's own motion is always ignored",
     "deploy --no-mask-robot": "leave it out; the robot's own motion is always ignored",
@@ -43,6 +45,8 @@ REMOVED_OPTIONS = {
     "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",
     "evaluate --physics-hz": "give --env.scene.physics-hz",
     "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
+    "identify --hold-out": "leave it out; the last recording judges the fit",
+    "identify --physics-hz": "leave it out; the fit has 480 Hz",
     "play --layout": "leave it out; several throws are side by side, and --throws 1 --seed S draws one",
     "play --meshes": "give makers' models with --robot-model, or leave it out",
     "play --view": "leave it out; the robot's view is in a corner",
@@ -56,6 +60,7 @@ REMOVED_OPTIONS = {
     "reproduce --launcher": "leave it out; --slurm alone selects the cluster",
     "reproduce --physics-hz": "give --training physics_stages=120,120,240 or env.scene.physics_hz=120",
     "reproduce --transitions": "give --training transitions=NUMBER",
+    "scene --surface": "leave it out; give --env.scene.robot-surface to evaluate",
     "stress --json": "read table.json in the folder of the results",
     "stress --launcher": "leave it out; --slurm alone selects the cluster",
     "stress --physics-hz": "give --env.scene.physics-hz",

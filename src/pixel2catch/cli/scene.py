@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional
 
@@ -21,7 +21,6 @@ class Scene:
     #: Makers' models of arm, hand or both, URDF or MJCF, in place of the package's; prints how their axes
     #: differ.
     robot_model: tuple[RobotModelPath, ...] = ()
-    surface: Literal["collision", "visual"] = "collision"  #: Shapes of these models that collide.
 
     def run(self) -> None:
         """Write the file."""
@@ -30,9 +29,9 @@ class Scene:
         from pixel2catch.workcells import find_workcell
 
         files = tuple(map(str, self.robot_model))
-        cfg = SceneCfg(workcell=self.workcell, visuals=True, robot_model=files, robot_surface=self.surface)
+        cfg = SceneCfg(workcell=self.workcell, visuals=True, robot_model=files)
         export(self.file, cfg, self.object)
-        for (prefix, name), part in maker_parts(find_workcell(self.workcell), files, self.surface).items():
+        for (prefix, name), part in maker_parts(find_workcell(self.workcell), files, "collision").items():
             difference = f"{1e3 * part.distance:.2f} mm and {1e3 * part.angle:.2f} mrad"
             print(f"{prefix}{name}: axes differ from the package's model by at most {difference}")
         print(f"wrote {self.file}")
