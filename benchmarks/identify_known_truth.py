@@ -1,6 +1,6 @@
 """Rehearse recordings of a robot whose joints are known, identify them, and print how far off the result is.
 
-python benchmarks/identify_known_truth.py OUT [--fit-hz 480] [--filter]
+python benchmarks/identify_known_truth.py OUT [--filter]
 
 It runs what a user runs: `excite --rehearse`, then `identify` on two of the three recordings. Every parameter
 of the truth is up to 40 % off; encoders have 0.2 mrad of noise, commands are 12 ms late, 5 % of the turns of
@@ -43,8 +43,7 @@ def main() -> None:
     begun, used = time.perf_counter(), cpu_seconds()
     recordings = [str(args.out / "rehearsal" / f"recording-{i}.npz") for i in (1, 2, 3)]
     folder = ["--robot", args.robot, "--out", str(args.out / "identified")]
-    options = [*folder, "--physics-hz", str(args.fit_hz), *(["--filter"] if args.filter else [])]
-    run("identify", *recordings, *options)
+    run("identify", *recordings, *folder, *(["--filter"] if args.filter else []))
     spent = {"wall [s]": time.perf_counter() - begun, "CPU [s]": cpu_seconds() - used}
     truth = DynamicsFile.load(args.out / "rehearsal" / "truth.json").dynamics
     result = json.loads((args.out / "identified" / "result.json").read_text())
@@ -55,7 +54,7 @@ def main() -> None:
         worst = max(errors[name], key=lambda joint: errors[name][joint])
         print(f"worst {name}: {errors[name][worst]:.3f} ({worst}), goal {goal:g}")
     print(", ".join(f"{name} {value:.0f}" for name, value in spent.items()))
-    content = {"rate of the fit [Hz]": args.fit_hz, **spent, "goals": goals, "errors": errors}
+    content = {**spent, "goals": goals, "errors": errors}
     (args.out / "known_truth.json").write_text(
         json.dumps(content | {"coverage": covered(result, truth)}, indent=2)
     )
@@ -67,7 +66,6 @@ def parsed() -> argparse.Namespace:
     )
     parser.add_argument("out", type=Path, help="new folder")
     parser.add_argument("--robot", default="ur5e_allegro", choices=("ur5e", "allegro", "ur5e_allegro"))
-    parser.add_argument("--fit-hz", type=float, default=480.0, help="physics rate of the fit [Hz]")
     parser.add_argument("--filter", action="store_true", help="a UR5e's stiff servo behind the servoJ filter")
     parser.add_argument("--seconds", type=float, default=40.0, help="length of each recording")
     parser.add_argument("--seed", type=int, default=0)

@@ -34,8 +34,8 @@ def nanoseconds(time: float) -> int:
     return EPOCH_NS + round(time * 1e9)
 
 
-def joint_state(time: int, names: Iterable[str], position, velocity=(), effort=()) -> Any:
-    numbers = (np.array(values, dtype=np.float64) for values in (position, velocity, effort))
+def joint_state(time: int, names: Iterable[str], position, velocity=()) -> Any:
+    numbers = (np.array(values, dtype=np.float64) for values in (position, velocity, ()))
     return TYPES[JOINT_STATE](header(time), list(names), *numbers)
 
 
@@ -54,9 +54,8 @@ def measured(recording: Recording, order: list[int] = SHUFFLED) -> list[Message]
     """Joint states whose receive time is 3 ms behind their stamp, with a joint that nobody asks for."""
     messages = []
     assert recording.qd is not None
-    assert recording.effort is not None
     names = [*(ARM[i] for i in order), "gripper_joint"]
-    for time, *signals in zip(recording.t_meas, recording.q, recording.qd, recording.effort, strict=True):
+    for time, *signals in zip(recording.t_meas, recording.q, recording.qd, strict=True):
         numbers = [[*signal[order], 99.0] for signal in signals]
         stamp = nanoseconds(time)
         messages.append(("/joint_states", stamp + 3_000_000, joint_state(stamp, names, *numbers)))

@@ -34,24 +34,17 @@ def clean(joints: tuple[str, ...] = ARM, noise: float = 2e-4) -> Recording:
     return Recording(joints=joints, t_cmd=t_cmd, q_cmd=position(t_cmd, joints), t_meas=t_meas, q=q)
 
 
-def rows(recording: Recording) -> np.ndarray:
-    """Times and positions of the measurements, as the rows of a file."""
-    return np.column_stack([recording.t_meas, recording.q])
-
-
 def short() -> Recording:
     """Five commands and eleven measurements of all signals, for files."""
     t_cmd, t_meas = np.arange(0.0, 0.5, 0.1), np.arange(0.02, 0.5, 0.04)[:11]
     q, qd = position(t_meas), speed(t_meas)
-    return Recording(
-        joints=ARM, t_cmd=t_cmd, q_cmd=position(t_cmd), t_meas=t_meas, q=q, qd=qd, effort=10 * qd
-    )
+    return Recording(joints=ARM, t_cmd=t_cmd, q_cmd=position(t_cmd), t_meas=t_meas, q=q, qd=qd)
 
 
 def assert_same(got: Recording, expected: Recording, tolerance: float = 0.0) -> None:
     """Both have the same joints, the same optional signals and the same numbers."""
     assert got.joints == expected.joints
-    for name in ("t_cmd", "q_cmd", "t_meas", "q", "qd", "effort"):
+    for name in ("t_cmd", "q_cmd", "t_meas", "q", "qd"):
         one, other = getattr(got, name), getattr(expected, name)
         assert (one is None) == (other is None), name
         if one is not None:

@@ -11,7 +11,6 @@ from recorded import JOINT_SPECS, ROBOTS, short
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification import excitation
 from pixel2catch.identification.excitation import (
-    NUM_TURNS,
     RATE,
     Envelope,
     ExcitationCfg,
@@ -34,7 +33,7 @@ WHOLE = ExcitationCfg(seconds=20.0, seed=0)
 JOINTS = ROBOTS["ur5e_allegro"]
 ROUNDING = 1e-9
 SEEDS, SPEEDS = st.integers(0, 2**31), st.floats(0.05, 1.0)
-FEW = settings(max_examples=20)
+FEW = settings(max_examples=10)
 
 
 def test_it_begins_and_ends_in_the_start_pose_and_has_all_kinds_of_motion():
@@ -63,8 +62,6 @@ def test_the_seed_decides_and_less_speed_has_smaller_jumps():
 def test_impossible_drawings_are_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'ur5e'"):
         ExcitationCfg(robot="ur5")
-    with pytest.raises(InvalidValueError, match=r"speed is 1\.5"):
-        ExcitationCfg(speed=1.5)
     with pytest.raises(InvalidValueError, match="seconds is 10; at this speed it must be at least 2"):
         draw_excitation(ExcitationCfg(seconds=10.0), {})
     assert draw_excitation(ExcitationCfg(seconds=21.0), {}).duration == pytest.approx(21.0)
@@ -85,14 +82,8 @@ def test_every_part_of_every_work_cell_can_be_excited(workcell: WorkcellSpec):
 def test_joints_that_violate_a_limit_move_less(monkeypatch: pytest.MonkeyPatch):
     def judged(trajectory: Trajectory, _: JointDynamics) -> Assessment:
         violation = Violation(text="the index finger is too fast", joints=("index_joint_1",), remedy=0.5)
-        return Assessment(
-            recording=short(),
-            speed=np.zeros(6),
-            torque_share=np.zeros(6),
-            clearances=(),
-            checks=(),
-            violations=() if trajectory.header["shrunk"] else (violation,),
-        )
+        violations = () if trajectory.header["shrunk"] else (violation,)
+        return Assessment(recording=short(), clearances=(), checks=(), violations=violations)
 
     monkeypatch.setattr(excitation, "assess", judged)
     said: list[str] = []
@@ -138,23 +129,16 @@ def test_signals_stay_in_their_envelope_and_return_to_the_middle(seed: int, spee
 
 @FEW
 @given(seed=SEEDS, speed=SPEEDS)
-def test_steps_are_large_and_many(seed: int, speed: float):
+def test_steps_are_large_and_many_and_turns_move_one_joint_of_a_limb_at_a_time(seed: int, speed: float):
     envelope, offsets = draw(steps, seed, speed, 1000)
     jumps = np.abs(np.diff(offsets, axis=0))
     assert (jumps.max(axis=0) >= 0.5 * np.minimum(envelope.step, envelope.swing)).all()
     assert (np.count_nonzero(jumps, axis=0) >= 8).all()
-
-
-@FEW
-@given(seed=SEEDS)
-def test_one_joint_of_the_arm_and_one_of_a_finger_move_at_a_time(seed: int):
-    _, offsets = draw(turns, seed, 1.0, 750)
-    is_moving = offsets != 0.0
+    is_moving = draw(turns, seed, speed, 750)[1] != 0.0
     for prefix in ("shoulder|elbow|wrist", "index", "middle", "ring", "thumb"):
         columns = [i for i, name in enumerate(JOINTS) if name.startswith(tuple(prefix.split("|")))]
         assert (np.count_nonzero(is_moving[:, columns], axis=1) <= 1).all(), prefix
     assert is_moving.any(axis=0).all()
-    assert not is_moving[:: 750 // NUM_TURNS].any()
 
 
 def test_approach_goes_smoothly_from_the_start_pose_to_the_middle():

@@ -21,10 +21,7 @@ def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pyte
     DynamicsFile(dynamics=late).save(tmp_path / "late.json")
     options = ("--dynamics", tmp_path / "late.json", "--out", tmp_path / "new" / "motion.npz")
     assert run("--robot", "allegro", "--seconds", "20", *options, "--rehearse", tmp_path / "reh") == 0
-    said = capsys.readouterr()
-    assert said.err.splitlines()[-1].startswith(f"wrote {tmp_path / 'new' / 'motion.npz'}, ")
-    for words in ("seed 0, simulated", "robot and table: never closer", "hand and hand: "):
-        assert words in said.out
+    assert "robot and table: never closer" in capsys.readouterr().out
     trajectory = Trajectory.load(tmp_path / "new" / "motion.npz")
     recording = Recording.load(tmp_path / "reh" / "recording-1.npz")
     np.testing.assert_array_equal(recording.q_cmd, trajectory.at(recording.t_cmd))
@@ -34,10 +31,7 @@ def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--speed", 2), "speed is 2"),
-        (("--recordings", 0), "recordings is 0"),
         (("--seconds", 5), "seconds is 5; at this speed it must be at least"),
-        (("--dynamics", "nowhere.json"), "nowhere.json"),
         (("--recordings", 2, "--out", "motion.npz"), "motion-2.npz exists"),
         (("--rehearse", "."), "is not an empty folder"),
     ],

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded import ARM, ROBOTS, clean, short
 
-from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit, FitCfg
 from pixel2catch.identification.identify import (
     LAG,
@@ -37,39 +37,11 @@ def named(*names: str) -> list[Recording]:
     return [replace(short(), name=name) for name in names]
 
 
-@pytest.mark.parametrize(
-    ("hold_out", "expected"),
-    [
-        (None, [False, False, True]),
-        ("none", [False, False, False]),
-        ("1", [True, False, False]),
-        ("b", [False, True, False]),
-        ("b.npz", [False, True, False]),
-        ("runs/2.npz", [False, False, True]),
-        ("2", [False, False, True]),
-    ],
-)
-def test_one_recording_is_held_out(hold_out: str | None, expected: list[bool]):
-    """A name comes before a number: the third recording is called 2."""
-    sources = checked(named("runs/a.npz", "runs/b.npz", "runs/2.npz"), hold_out)
-    assert [source.is_held_out for source in sources] == expected
-
-
-@pytest.mark.parametrize(
-    ("names", "hold_out", "error", "message"),
-    [
-        (("a.npz", "b.npz"), "c", UnknownNameError, "'c'.*Valid: a.npz, b.npz, 1 to 2, none"),
-        (("a.npz", "b.npz"), "3", UnknownNameError, "1 to 2"),
-        (("x/a.npz", "y/a.npz"), "a", InvalidValueError, "several recordings; hold one out by its number"),
-        (("a.npz",), "1", InvalidValueError, "only recording, nothing is left to fit"),
-        (("a.npz", "./a.npz"), None, InvalidValueError, "a.npz is given twice"),
-    ],
-)
-def test_what_cannot_be_held_out_is_named(
-    names: tuple[str, ...], hold_out: str | None, error: type[Exception], message: str
-):
-    with pytest.raises(error, match=message):
-        checked(named(*names), hold_out)
+def test_the_last_of_several_recordings_is_held_out():
+    for names, expected in ((("a.npz",), [False]), (("a.npz", "b.npz", "2.npz"), [False, False, True])):
+        assert [source.is_held_out for source in checked(named(*names))] == expected
+    with pytest.raises(InvalidValueError, match=r"a\.npz is given twice"):
+        checked(named("a.npz", "./a.npz"))
 
 
 def test_errors_are_those_of_all_motions_together():
@@ -92,7 +64,7 @@ def test_a_recording_that_fails_its_checks_is_not_fitted():
         recording, name="late", t_cmd=recording.t_cmd - 3.0, q=recording.q[:, [0, 1, 2, 4, 3, 5]] * 1.0
     )
     with pytest.raises(RecordingError, match=r"late cannot be used:\n- clock offset: .*add 3.055 s") as error:
-        identify(checked([recording, late], None), start_of_fit("ur5e", None, False), FitCfg(), print)
+        identify(checked([recording, late]), start_of_fit("ur5e", None, False), FitCfg(), print)
     assert "- follows its command of wrist_1_joint: correlation" in str(error.value)
     assert "excitation" not in str(error.value)
 
@@ -129,11 +101,6 @@ def test_other_joints_keep_their_entries_in_the_file(arm_file: Path):
         np.testing.assert_array_equal(getattr(result.dynamics, name), expected)
     assert result.gains.stiffness_scale[:6] == ((0.95, 1.05),) * 6
     np.testing.assert_allclose(result.gains.stiffness_scale[6:], [np.exp((-0.02, 0.02))] * 13)
-
-
-def test_without_a_file_the_result_is_of_the_fitted_joints():
-    start = start_of_fit("allegro", None, fits_filter=False)
-    assert merged_file(hand_fit(), start, []).dynamics == hand_fit().dynamics
 
 
 def test_a_filter_is_in_front_of_a_stiff_servo_or_of_that_of_the_file(arm_file: Path):
@@ -238,18 +205,17 @@ def test_what_nothing_is_known_of_keeps_the_papers_ranges():
     assert gain_ranges(fit_of(np.stack([1e-4 * np.eye(1)]), ("latency",)), PAPER) == PAPER
 
 
-def test_damping_fitted_at_an_assumed_stiffness_is_relative_to_it():
-    ranges = gain_ranges(fit_of(np.stack([0.03**2 * np.eye(1)]), ("damping",)), PAPER)
-    assert ranges.stiffness_scale[ELBOW] == (0.8, 1.2)
-    np.testing.assert_allclose(ranges.damping_scale[ELBOW], about_one(1.96 * 0.03))
-    assert ranges.is_damping_relative[ELBOW]
-
-
-def test_stiffness_fitted_at_an_assumed_damping_is_drawn_apart():
-    ranges = gain_ranges(fit_of(np.stack([0.03**2 * np.eye(1)]), ("stiffness",)), PAPER)
-    np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], about_one(1.96 * 0.03))
-    assert ranges.damping_scale == PAPER.damping_scale
-    assert not any(ranges.is_damping_relative)
+@pytest.mark.parametrize(
+    ("free", "stiffness", "damping"),
+    [("damping", (0.8, 1.2), about_one(1.96 * 0.03)), ("stiffness", about_one(1.96 * 0.03), (0.8, 1.2))],
+)
+def test_a_lone_damping_is_relative_to_the_assumed_stiffness(
+    free: str, stiffness: tuple[float, float], damping: tuple[float, float]
+):
+    ranges = gain_ranges(fit_of(np.stack([0.03**2 * np.eye(1)]), (free,)), PAPER)
+    np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], stiffness)
+    np.testing.assert_allclose(ranges.damping_scale[ELBOW], damping)
+    assert ranges.is_damping_relative[ELBOW] == (free == "damping")
 
 
 def test_ranges_of_other_joints_stay():
@@ -269,10 +235,11 @@ def test_ranges_of_other_joints_stay():
     assert gain_ranges(latency, earlier) == earlier
 
 
-def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle() -> None:
+def test_errors_of_the_model_bound_what_is_known() -> None:
     """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2, and of its servo's torques.
 
-    Links as heavy as that double the scale's 15 %, and add 15 % of their own.
+    Links as heavy as that double the scale's 15 %, and add 15 % of their own. Damping over stiffness is known
+    to 0.3 %.
     """
     joint = JointDynamics.nominal(["elbow_joint"]).with_values(damping=200.0, armature=0.2)
     alone, heavy = (
@@ -283,11 +250,5 @@ def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle
     assert heavy[1, 1] == pytest.approx(0.4**2 + 0.3**2 + 0.15**2)
     assert alone[0, 0] == pytest.approx(0.4**2 + 0.15**2)
     assert heavy[0, 0] == pytest.approx(0.2**2 + 0.15**2)
-
-
-def test_the_lag_is_no_better_known_than_it_is_of_another_robot() -> None:
-    """Damping over stiffness to 0.3 %, whatever the common scale of both is known to."""
-    joint, free = JointDynamics.nominal(["elbow_joint"]), ("stiffness", "damping")
-    (covariance,) = model_covariance(joint, joint.armature, np.array([0.2]), free, 0.01)
-    difference = np.array((-1.0, 1.0))
-    assert difference @ covariance @ difference == pytest.approx(0.003**2)
+    (lag,) = model_covariance(joint, joint.armature, np.array([0.2]), ("stiffness", "damping"), 0.01)
+    assert np.array((-1.0, 1.0)) @ lag @ (-1.0, 1.0) == pytest.approx(0.003**2)

@@ -2,8 +2,10 @@
 
 import json
 import re
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
+from functools import partial
 from html import unescape
 from io import StringIO
 from pathlib import Path
@@ -15,6 +17,7 @@ from recorded import ARM, clean, position
 from paths import files_run
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.main import main
+from pixel2catch.identification import fit
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion, behind_play
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -25,7 +28,15 @@ PHYSICS_HZ = 60
 NOISE = 2e-4
 NOMINAL = JointDynamics.nominal(ARM)
 TRUTH = NOMINAL.with_values(damping=1.3 * NOMINAL.damping, latency=0.02)
-SMALL = ("--robot", "ur5e", "--physics-hz", str(PHYSICS_HZ), "--free", "damping", "latency")
+SMALL = ("--robot", "ur5e", "--free", "damping", "latency")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse() -> Iterator[None]:
+    """Fit at a low rate, which is fast."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit, "FitCfg", partial(fit.FitCfg, physics_dt=1 / PHYSICS_HZ))
+        yield
 
 
 def simulated(seed: int, seconds: float = 2.5) -> Recording:
@@ -112,10 +123,9 @@ def test_the_report_refers_to_no_other_file_and_names_what_was_run(out: Path):
     assert text.count("data:image/png;base64,") == len(ARM)
     assert not re.search(r"https?:|url\(|@import|<script|<link", text)
     assert "&lt;arm&gt; &amp; co" in text
-    words = unescape(re.sub(r"<style>.*?</style>|<[^>]+>", " ", text, flags=re.DOTALL))
     for part in ("second.npz (held out)", "before 343", "clock offset", "free: damping, latency", "mujoco 4"):
-        assert part in words, part
-    assert "Nothing was held out" not in words
+        assert part in text, part
+    assert "Nothing was held out" not in text
 
 
 def test_clocks_that_drift_and_play_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -129,12 +139,10 @@ def test_clocks_that_drift_and_play_are_reported(tmp_path: Path, capsys: pytest.
     assert main(["identify", *map(str, paths), *SMALL, "--out", str(tmp_path / "out")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     page = unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
-    assert re.search(r"0.npz: the clock of the measurements is (19|20)\d\d ± \d+ ppm fast", printed)
-    assert re.search(r"Play between servo and encoder \[mrad\]: wrist 3 [567]", printed)
-    for words in ("ppm fast", "Play between servo and encoder"):
-        assert words in page
-    drift = result(tmp_path / "out")["drift"][str(paths[0])]["elbow_joint"]["value"]
-    assert drift == pytest.approx(0.002, rel=0.02)
+    texts = " ".join(result(tmp_path / "out")["warnings"])
+    for text in (printed, page, texts):
+        assert re.search(r"0.npz: the clock of the measurements is (19|20)\d\d ± \d+ ppm fast", text)
+        assert re.search(r"Play between servo and encoder \[mrad\]: wrist 3 [567]", text)
 
 
 def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -145,8 +153,8 @@ def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys:
         target = replace(recording, t_cmd=recording.t_meas, q_cmd=recording.q + 1e-4)
         paths.append(tmp_path / f"{seed}.npz")
         target.save(paths[-1])
-    small = (*SMALL[:4], "--free", "latency")
-    assert main(["identify", *map(str, paths), *small, "--out", str(tmp_path / "out")]) == 0
+    small = (*SMALL, "--free", "latency", "--out", str(tmp_path / "out"))
+    assert main(["identify", *map(str, paths), *small]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "shoulder pan, shoulder lift, elbow, wrist 1, wrist 2, wrist 3, the command predicts" in printed
     assert result(tmp_path / "out")["worse_than_command"] == list(ARM)
@@ -155,7 +163,7 @@ def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys:
 
 
 def test_tables_and_steps_are_printed(run: Run):
-    for part in ("0 of 25 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
+    for part in ("0 of 18 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
         assert part in " ".join(run.stdout.split())
     for step in ("reading", "checking the data", "fitting damping, latency", "drawing", "report.html"):
         assert step in run.stderr
@@ -164,8 +172,8 @@ def test_tables_and_steps_are_printed(run: Run):
 def test_the_next_fit_starts_from_the_file_and_warns_that_nothing_was_held_out(
     recordings: list[str], out: Path, tmp_path: Path
 ):
-    args = ("--start", str(out / "dynamics.json"), "--free", "latency", "--hold-out", "none")
-    assert main(["identify", *recordings, *SMALL, *args, "--out", str(tmp_path)]) == 0
+    args = ("--start", str(out / "dynamics.json"), "--free", "latency")
+    assert main(["identify", recordings[0], *SMALL, *args, "--out", str(tmp_path)]) == 0
     assert result(tmp_path)["tracking_error"]["held_out"] == {}
     assert "Nothing was held out" in (tmp_path / "report.html").read_text(encoding="utf-8")
     found, known = (DynamicsFile.load(folder / "dynamics.json").dynamics for folder in (tmp_path, out))
@@ -176,14 +184,10 @@ def test_the_next_fit_starts_from_the_file_and_warns_that_nothing_was_held_out(
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (("--hold-out", "third"), ("'third'", "first.npz")),
         (("--free", "armatures"), ("'armatures'", "Did you mean 'armature'")),
-        (("--free", "filter_gain"), ("the start has none",)),
-        (("--physics-hz", "0"), ("physics_hz is 0",)),
         (("--start", "nowhere.json"), ("start is 'nowhere.json', which is not there",)),
         (("--profile", "ur5e_allegro_v4", "--command-topic", "/arm"), ("leave out --command-topic",)),
         (("--robot", "allegro"), ("no joint index_joint_1", "--robot")),
-        (("--robot", "ur5e_allegro", "--filter"), ("--filter fits an arm's",)),
     ],
 )
 def test_bad_input_leaves_nothing(
@@ -212,18 +216,6 @@ def test_what_a_fit_needs_is_named(recordings: list[str], out: Path, capsys: pyt
     assert DynamicsFile.load(out / "dynamics.json").dynamics.joints == ARM
 
 
-def test_data_that_cannot_be_fitted_show_their_table_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    recording = clean()
-    path = tmp_path / "stuck.npz"
-    replace(recording, q=recording.q[:, [0, 1, 2, 4, 3, 5]]).save(path)
-    assert main(["identify", str(path), *SMALL, "--out", str(tmp_path / "out")]) == 2
-    streams = capsys.readouterr()
-    assert re.search(r"follows its command +│ wrist_1_joint +│ BAD", streams.out)
-    assert "stuck.npz cannot be used:\n- follows its command of wrist_1_joint" in streams.err
-
-
 def test_data_alone_are_checked(recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Of one joint, too; the exit status says whether they can be fitted."""
     elbow, still = tmp_path / "elbow.npz", tmp_path / "still.npz"
@@ -232,8 +224,8 @@ def test_data_alone_are_checked(recordings: list[str], tmp_path: Path, capsys: p
     replace(recording, q=np.repeat(recording.q[:1], len(recording.q), axis=0)).save(still)
     assert main(["identify", "--check", *recordings, str(elbow)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "first.npz: 0 of 25 checks failed" in printed
-    assert "elbow.npz: 0 of 10 checks failed" in printed
+    assert "first.npz: 0 of 18 checks failed" in printed
+    assert "elbow.npz: 0 of 8 checks failed" in printed
     with pytest.raises(SystemExit, match="1"):
         main(["identify", "--check", str(still)])
     assert "at a standstill: no joint moved more than 0 mrad" in " ".join(capsys.readouterr().out.split())

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def test_a_file_keeps_every_bit_and_is_not_overwritten(tmp_path: Path):
     path = tmp_path / "motion.npz"
     short().save(path)
     assert_same(Recording.load(path), short())
-    without = replace(short(), qd=None, effort=None)
+    without = replace(short(), qd=None)
     without.save(tmp_path / "positions.npz")
     assert_same(Recording.load(tmp_path / "positions.npz"), without)
     with pytest.raises(InvalidValueError, match="exists; choose another name"):
@@ -65,7 +64,7 @@ def test_joints_may_have_other_names_in_a_file(tmp_path: Path):
     theirs = [f"joint_{i}" for i in range(6)]
     np.savez(tmp_path / "motion.npz", joints=np.array(theirs), **arrays)
     read = Recording.load(tmp_path / "motion.npz", names=dict(zip(theirs, ARM, strict=True)))
-    assert_same(read, replace(short(), qd=None, effort=None))
+    assert_same(read, replace(short(), qd=None))
     with pytest.raises(RecordingError, match=r"motion\.npz: .* no joint joint_0, .* Rename these"):
         Recording.load(tmp_path / "motion.npz")
 
@@ -73,8 +72,7 @@ def test_joints_may_have_other_names_in_a_file(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda r: {"q": with_cell(r.q, 3, 2, np.nan)}, "q, qd, effort, row 3, column elbow_joint: nan"),
-        (lambda r: {"effort": with_cell(r.effort, 4, 0, np.inf)}, "row 4, column shoulder_pan_joint: inf"),
+        (lambda r: {"q": with_cell(r.q, 3, 2, np.nan)}, "q, qd, row 3, column elbow_joint: nan"),
         (lambda r: {"t_meas": with_cell(r.t_meas[:, None], 2, 0, np.nan)[:, 0]}, "row 2, column time: nan"),
         (lambda r: {"t_cmd": r.t_cmd[::-1].copy()}, "q_cmd, row 1: time runs backwards, 0.3"),
         (lambda r: {"q": np.degrees(r.q)}, "row 0, column shoulder_pan_joint: 1.* convert it to radians"),
@@ -100,7 +98,6 @@ def test_the_reach_is_that_of_an_arm_or_a_hand():
     ("arrays", "message"),
     [
         ({"q": np.zeros((3, 6))}, "no array t_cmd, q_cmd, t_meas; a recording has"),
-        ({"t_cmd": np.array([{}, None]), "q_cmd": 1, "t_meas": 1, "q": 1}, "it has an array of object"),
         (None, "it is not a whole npz file"),
     ],
 )
@@ -154,14 +151,11 @@ def spoiled(fault: str) -> Trajectory:
     rows, columns, change = {
         "limit": (slice(15, 25), 1, np.linspace(0.0, 1.7, 10)),
         "jump": (slice(15, 25), 0, 0.25),
-        "number": (20, 1, np.nan),
         "no rest": (slice(5, 15), slice(None), 0.05),
         "no return": (slice(25, None), slice(None), 0.1),
     }.get(fault, (0, 0, 0.0))
     positions[rows, columns] += change
-    row, change = {"backwards": (20, -1.0), "twice": (20, -0.1), "late": (slice(None), 0.5)}.get(
-        fault, (0, 0.0)
-    )
+    row, change = {"twice": (20, -0.1), "late": (slice(None), 0.5)}.get(fault, (0, 0.0))
     times[row] += change
     end = 15 if fault == "short" else None
     return trajectory(times[:end], positions[:end], MOVED[::-1] if fault == "order" else MOVED)
@@ -172,8 +166,6 @@ def spoiled(fault: str) -> Trajectory:
     [
         ("limit", r"target 23 .* of index_joint_1, 1\.6111 rad, is beyond the joint's limits"),
         ("jump", r"target 15 \(1\.500 s\) of elbow_joint, 2\.4444 rad, is farther from the target before"),
-        ("number", "row 20, column index_joint_1: nan"),
-        ("backwards", "row 20: time runs backwards"),
         ("twice", r"target 20 is due at 1\.9 s"),
         ("late", r"target 0 is due at 0\.5 s"),
         ("no rest", r"target 5 \(0\.500 s\) of elbow_joint, .* moves in the first or last"),
@@ -187,13 +179,9 @@ def test_a_trajectory_that_a_robot_should_not_follow_is_refused(fault: str, word
         spoiled(fault)
 
 
-@pytest.mark.parametrize(
-    ("header", "words"), [('{"format_version": 2}', "format_version is 2"), ("{", "JSON"), (None, "header")]
-)
-def test_a_broken_trajectory_file_is_refused(header: str | None, words: str, tmp_path: Path):
+def test_a_trajectory_of_another_format_is_refused(tmp_path: Path):
     times, positions = arrays()
-    content: dict[str, Any] = {"joints": MOVED, "times": times, "positions": positions}
-    extra: dict[str, Any] = {} if header is None else {"header": header}
-    np.savez(tmp_path / "motion.npz", **content, **extra)
-    with pytest.raises(InvalidValueError, match=rf"motion\.npz.*{words}"):
+    header = '{"format_version": 2}'
+    np.savez(tmp_path / "motion.npz", joints=MOVED, times=times, positions=positions, header=header)
+    with pytest.raises(InvalidValueError, match=r"motion\.npz.*format_version is 2"):
         Trajectory.load(tmp_path / "motion.npz")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import clean, position, rows, speed
+from recorded import clean, position, speed
 from ur5_recordings import read_ur5
 
 from pixel2catch.errors import RecordingError
@@ -17,7 +17,7 @@ def test_log_folders_are_read_and_a_bad_line_is_named(tmp_path: Path):
     time = recording.t_meas
     logs = {
         "log_q_target.csv": np.column_stack([time, position(time)]),
-        "log_q_actual.csv": rows(recording),
+        "log_q_actual.csv": np.column_stack([time, recording.q]),
         "log_qd_actual.csv": np.column_stack([time, speed(time - 0.06)])[:-10],
     }
     for name, values in logs.items():

@@ -33,9 +33,8 @@ class Excite:
     #: policy's, which show the inertia of the arm's drives.
     speed: AtMostFull = 0.2
     seed: Seed = 0  #: Seed of the first trajectory; each further one has the next.
-    recordings: Annotated[int, Within(1, 1000)] = (
-        1  #: Number of trajectories; a fit needs two at least, one to be held out.
-    )
+    #: Number of trajectories; a fit needs two at least, one to be held out.
+    recordings: Annotated[int, Within(1, 1000)] = 1
     #: Dynamics file of the simulated robot. Default: nominal; for --rehearse up to 40 % off, 12 ms late.
     dynamics: DynamicsPath | None = None
     #: New folder for recordings of a simulated robot, recording-1.npz and so on, and its dynamics,
@@ -100,7 +99,7 @@ def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
 
     console, q = results_console(), assessment.recording.q
     speed, acceleration = smoothed(assessment.recording.t_meas, q)
-    columns = ("joint", "verdict", "from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
+    columns = ("joint", "verdict", "from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals")
     table = Table(*columns, title=f"seed {trajectory.header['seed']}, simulated")
     for j, check in enumerate(assessment.checks):
         table.add_row(
@@ -108,10 +107,9 @@ def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
             check.verdict,
             f"{q[:, j].min():.2f}",
             f"{q[:, j].max():.2f}",
-            f"{assessment.speed[j]:.2f}",
+            f"{np.abs(speed[:, j]).max():.2f}",
             f"{np.abs(acceleration[:, j]).max():.1f}",
             f"{num_reversals(speed[:, j])}",
-            f"{100 * assessment.torque_share[j]:.0f}",
         )
     console.print(table)
     for clearance in assessment.clearances:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import DynamicsPath, NewFolder, PhysicsRate
+from pixel2catch.checks import DynamicsPath, NewFolder
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.reports import circumstances
@@ -28,8 +28,8 @@ class Identify:
 
     A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
     commands, or an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas, q (a
-    row per measurement), and qd and effort if recorded. Times are in s, positions in rad, speeds in rad/s,
-    efforts in N·m; commands and measurements may have different clocks.
+    row per measurement), and qd if recorded. Times are in s, positions in rad, speeds in rad/s; commands and
+    measurements may have different clocks. The last of several recordings judges the fit.
     """
 
     #: Files or folders: rosbag2 (.mcap, .db3) or .npz.
@@ -43,8 +43,6 @@ class Identify:
     #: Only check the data of one joint or more, without a fit; the exit status is 1 if they cannot be fitted.
     check: bool = False
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
-    #: The recording that judges the fit: its name or number (from 1), or none. Default: the last of several.
-    hold_out: str | None = None
     #: Robot profile, shipped or a .yaml, with the topics and joint names of a bag.
     profile: str | None = None
     #: Topic of the commands in a bag, without --profile. Default: the only one that can have commands.
@@ -55,7 +53,6 @@ class Identify:
     filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of the servo of --start.
     #: Dynamics file to start from; parameters that are not fitted keep its values.
     start: DynamicsPath | None = None
-    physics_hz: PhysicsRate = 480.0  #: Physics rate of the fit [Hz]; more is more exact and slower.
 
     def run(self) -> None:
         """Check, fit, and write the report."""
@@ -72,11 +69,11 @@ class Identify:
             raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
         start = start_of_fit(self.robot, self.start, self.filter, workcell)
         default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
-        cfg = FitCfg(free=self.free or default, physics_dt=1.0 / self.physics_hz)
+        cfg = FitCfg(free=self.free or default)
         with working() as report:
             recordings = self._read(workcell, report)
             report("checking the data")
-            sources = checked(recordings, self.hold_out)
+            sources = checked(recordings)
         for source in sources:
             results_console().print(check_grid(source.recording.name, source.checks).for_terminal())
         with working() as report:

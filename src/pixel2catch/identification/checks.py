@@ -23,7 +23,6 @@ STALL_ANGLE = 2e-3  # least motion in a stall, beyond noise and rounding [rad] (
 NOISE_FACTOR = 4.0  # standard deviations of noise that do not count as motion (ours)
 REPEATED_STEPS = 2.0  # least change of a moving joint from sample to sample, in encoder steps (ours)
 MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
-PROGRESS_RANGE = (0.8, 1.25)  # change of positions over integral of speeds (ours; degrees would give 0.017)
 MOVING_SPEED = 0.02  # least speed of a moving joint [rad/s] (ours, 0.7 % of the arm's largest speed)
 MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
@@ -34,13 +33,9 @@ hold until the next one here."""
 
 MOVED_ANGLE = 0.01  # least span of the positions of a joint that moved [rad] (ours)
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
-SATURATED = 0.98  # least share of the torque limit that counts as saturated (ours)
-MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some show the scale of the gains, many hide the rest)
 MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ours)
 MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
-PEAK_QUANTILE = (
-    0.995  # quantile of speeds and accelerations that counts as their peak (ours; no single samples)
-)
+PEAK_QUANTILE = 0.995  # of speeds and accelerations, counts as their peak (ours; no single samples)
 
 SMOOTHING = 0.1
 """Window of the cubic for speed and acceleration [s]. Source: ours; 0.2 mrad of noise at 500 Hz become
@@ -49,7 +44,6 @@ SMOOTHING = 0.1
 NEIGHBOURS = 7  # steps whose median speed is that of the middle one, if no speed was recorded (ours)
 ROUNDING = 1e-9  # largest change of positions that is rounding [rad]
 REFINEMENTS = 10  # Gauss-Newton steps for the lag (ours; three are enough for sines)
-ADVICE = ("saturation", "excitation")  # checks that do not forbid a fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,13 +77,13 @@ def check_recording(recording: Recording) -> list[DataCheck]:
     if not all(clock.is_good for clock in clocks):
         return clocks
     lag = measured_lag(recording)
-    samples = [_speeds(recording), _stalls(recording), _repeated_samples(recording)]
-    return [*clocks, *samples, _clock_offset(lag), *_joint_checks(recording, lag or 0.0)]
+    samples = [_stalls(recording), _repeated_samples(recording), _clock_offset(lag)]
+    return [*clocks, *samples, *_joint_checks(recording, lag or 0.0)]
 
 
 def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> DataCheck:
     detail = found if is_good else found + remedy
-    return DataCheck(name=name, joint=joint, is_good=is_good, is_advice=name in ADVICE, detail=detail)
+    return DataCheck(name=name, joint=joint, is_good=is_good, is_advice=name == "excitation", detail=detail)
 
 
 def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> DataCheck:
@@ -131,16 +125,6 @@ def _motion(recording: Recording) -> DataCheck:
         found = f"at a standstill: no joint moved more than {1e3 * spans[most]:.2g} mrad"
     remedy = ": let the robot follow an excitation ('pixel2catch excite', 'pixel2catch record')"
     return _judged("motion", is_good, found, remedy)
-
-
-def _speeds(recording: Recording) -> DataCheck:
-    """Check that the recorded speeds are the change of the positions, in rad/s."""
-    if recording.qd is None:
-        return DataCheck(name="speeds", is_good=None, detail="no speed was recorded")
-    ratio = progress(recording)
-    found = f"the positions change by {ratio:.3g} of the recorded speeds"
-    is_good = PROGRESS_RANGE[0] <= ratio <= PROGRESS_RANGE[1]
-    return _judged("speeds", is_good, found, ": are the speeds in rad/s, the times in seconds?")
 
 
 def _stalls(recording: Recording) -> DataCheck:
@@ -194,9 +178,7 @@ def _joint_checks(recording: Recording, lag: float) -> Iterator[DataCheck]:
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
         spec = specs_of(recording.workcell)[joint]
-        effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
-        yield _saturation(spec, effort)
         yield _excitation(spec, speed[:, column], acceleration[:, column])
 
 
@@ -210,14 +192,6 @@ def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataChe
     correlation = float(np.corrcoef(command, position)[0, 1]) if has_moved else 0.0
     remedy = ": are joints swapped, of another sign, or stopped?"
     return _judged(name, correlation >= MIN_CORRELATION, f"correlation {correlation:.3f}", remedy, joint)
-
-
-def _saturation(spec: JointSpec, effort: np.ndarray | None) -> DataCheck:
-    if effort is None:
-        return DataCheck(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
-    share = float((np.abs(effort) >= SATURATED * spec.effort_limit).mean())
-    found = f"{100 * share:.1f} % of the samples at the limit of {spec.effort_limit:g} N·m"
-    return _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:
@@ -290,15 +264,6 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     norm = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)
     surplus = ((moved - speed * steps) * speed).sum(1) / norm
     return surplus / norm, surplus
-
-
-def progress(recording: Recording) -> float:
-    """Return the median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 for consistent speeds."""
-    steps = np.diff(recording.t_meas)
-    norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
-    is_moving = norm > np.quantile(norm, 0.5)
-    excess, _ = excess_time(recording)
-    return float(np.median(1 + (excess / steps)[is_moving])) if is_moving.any() else 1.0
 
 
 def measured_lag(recording: Recording) -> float | None:

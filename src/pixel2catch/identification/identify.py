@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from pixel2catch.checks import Range
-from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.intervals import CONFIDENCE
@@ -26,7 +26,6 @@ STIFF_FACTOR = 10.0
 feed-forward makes that servo look stiffer than positions can show."""
 
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
-NO_HOLD_OUT = "none"  # value of `hold_out` that fits all recordings
 LAG = "damping / stiffness"  # name of the ratio that decides how far a joint lags behind its command
 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
@@ -151,50 +150,32 @@ def stiff(nominal: JointDynamics) -> JointDynamics:
     return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 
 
-def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
-    """Check recordings, and choose the one that judges the fit.
-
-    `hold_out` is a file name, with or without its folder and ending, or a number from 1, or `none`; by
-    default it is the last of several.
+def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:
+    """Check recordings; the last of several judges the fit.
 
     Raises:
-        UnknownNameError: There is no such recording.
-        InvalidValueError: A recording is given twice, the name fits several, or nothing is left to fit.
+        InvalidValueError: A recording is given twice.
     """
-    paths = [Path(recording.name) for recording in recordings]
-    twice = sorted({str(path) for path in paths if paths.count(path) > 1})
+    names = [str(Path(recording.name)) for recording in recordings]
+    twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    found = []
-    for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True):
-        checks = tuple(check_recording(recording))
-        found.append(CheckedRecording(recording=recording, checks=checks, is_held_out=bool(is_out)))
-    return found
-
-
-def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, " num_recordings"]:
-    numbers = np.arange(1, len(paths) + 1)
-    if hold_out is None or hold_out == NO_HOLD_OUT:
-        return (numbers == len(paths)) & (len(paths) > 1) & (hold_out is None)
-    chosen = np.array([hold_out in (str(path), path.name, path.stem) for path in paths])
-    if not chosen.any() and hold_out.isdecimal():
-        chosen = numbers == int(hold_out)
-    if not chosen.any():
-        valid = [*(path.name for path in paths), f"1 to {len(paths)}", NO_HOLD_OUT]
-        raise UnknownNameError("recording to hold out", hold_out, valid)
-    if chosen.sum() > 1:
-        raise InvalidValueError(f"{hold_out} is the name of several recordings; hold one out by its number.")
-    if chosen.all():
-        raise InvalidValueError(
-            f"{hold_out} is the only recording, nothing is left to fit; give another one."
+    return [
+        CheckedRecording(
+            recording=recording,
+            checks=tuple(check_recording(recording)),
+            is_held_out=0 < number == len(recordings) - 1,
         )
-    return chosen
+        for number, recording in enumerate(recordings)
+    ]
 
 
 def identify(
     sources: Sequence[CheckedRecording], start: FitStart, cfg: FitCfg, report: Callable[[str], None]
 ) -> Identification:
     """Fit the recordings that are not held out, and simulate all of them before and after.
+
+    Only the last one may be held out.
 
     Raises:
         RecordingError: A recording fails a check that forbids a fit, or is too short.
@@ -210,8 +191,11 @@ def identify(
     fitted = [source.recording for source in sources if not source.is_held_out]
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
-    is_out = np.array([source.is_held_out for source in sources])
-    encoders = Encoders.perfect(len(sources), len(fit.dynamics.joints)), _encoders_of_all(fit, is_out)
+    drift = fit.encoders.drift
+    if len(fitted) < len(sources):  # the mean drift stands for that of the recording that was held out
+        drift = np.vstack((drift, drift.mean(axis=0)))
+    perfect = Encoders.perfect(len(sources), len(fit.dynamics.joints))
+    encoders = perfect, dataclasses.replace(fit.encoders, drift=drift)
     before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
     motions = tuple(
         SimulatedRecording(**vars(source), before=path_before, after=path_after)
@@ -234,13 +218,6 @@ def merged_file(fit: Fit, start: FitStart, worse: Sequence[str]) -> DynamicsFile
         gains=gain_ranges(fit, old.gains, start.workcell),
         worse_than_command=(*kept, *worse),
     )
-
-
-def _encoders_of_all(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -> Encoders:
-    """Return encoders of all recordings; clocks of those held out drift as in the mean of the others."""
-    drift = np.tile(fit.encoders.drift.mean(axis=0), (len(is_held_out), 1))
-    drift[~is_held_out] = fit.encoders.drift
-    return dataclasses.replace(fit.encoders, drift=drift)
 
 
 def worse_than_command(motions: Sequence[SimulatedRecording]) -> list[str]:

@@ -133,7 +133,6 @@ def read_rosbag(
         t_meas=(measured.times - start) / 1e9,
         q=measured.fields["position"],
         qd=measured.fields.get("velocity"),
-        effort=measured.fields.get("effort"),
     )
 
 

@@ -126,14 +126,12 @@ class Recording:
     t_meas: Float64[np.ndarray, " num_samples"]  #: times of the measurements [s], not decreasing
     q: Float64[np.ndarray, "num_samples num_joints"]  #: measured positions [rad]
     qd: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: speeds [rad/s], if recorded
-    effort: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: torques [N·m], if recorded
 
     def __post_init__(self) -> None:
         """Refuse motion that is impossible for a robot."""
-        extra = [values for values in (self.qd, self.effort) if values is not None]
-        cell = self.workcell
+        speeds, cell = () if self.qd is None else (self.qd,), self.workcell
         require_motion(f"{self.name}: q_cmd", self.joints, self.t_cmd, self.q_cmd, workcell=cell)
-        require_motion(f"{self.name}: q, qd, effort", self.joints, self.t_meas, self.q, *extra, workcell=cell)
+        require_motion(f"{self.name}: q, qd", self.joints, self.t_meas, self.q, *speeds, workcell=cell)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
         """Return the commands at some times of their clock [s]; see `held`."""
@@ -170,12 +168,11 @@ class Recording:
         """
         required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
         with reading("recording", path, "Record or convert it again.", RecordingError):
-            arrays = read_arrays(path, (*required, "qd", "effort"))
+            arrays = read_arrays(path, (*required, "qd"))
             missing = [name for name in required if name not in arrays]
             if missing:
                 raise RecordingError(
-                    f"no array {', '.join(missing)}; a recording has {', '.join(required)}, and may have qd "
-                    "and effort"
+                    f"no array {', '.join(missing)}; a recording has {', '.join(required)}, and may have qd"
                 )
             joints = tuple((names or {}).get(name, name) for name in _texts(arrays.pop("joints")))
             arrays = {name: _numbers(values) for name, values in arrays.items()}

@@ -15,13 +15,7 @@ from numpy.random import Generator
 
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
-from pixel2catch.identification.simulation import (
-    FIT_DT,
-    RecordedMotion,
-    hanging_on,
-    is_settled,
-    recorded_model,
-)
+from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, hanging_on, is_settled
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -220,8 +214,6 @@ class Assessment:
     """The motion of a simulated robot that follows a trajectory, and what is wrong with it."""
 
     recording: Recording  #: the motion at every physics step
-    speed: Float64[np.ndarray, " num_joints"]  #: top speed of each joint [rad/s]
-    torque_share: Float64[np.ndarray, " num_joints"]  #: top torque of each servo, as a share of its limit
     clearances: tuple[Clearance, ...]  #: distances to the table and of the robot's parts
     checks: tuple[DataCheck, ...]  #: whether each joint is excited enough to show its dynamics
     violations: tuple[Violation, ...]
@@ -234,20 +226,17 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
     the whole scene. Without violations there would be no contacts.
     """
     (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
-    speed = np.diff(recording.q, axis=0) / FIT_DT
     near = clearances(recording.joints, recording.t_meas, recording.q, recording.workcell)
     return Assessment(
         recording=recording,
-        speed=np.abs(speed).max(axis=0),
-        torque_share=_torque_share(recording, speed, dynamics),
         clearances=near,
         checks=tuple(check for check in check_recording(recording) if check.name == "excitation"),
-        violations=(*_limit_violations(recording, speed), *_clearance_violations(recording, near)),
+        violations=(*_limit_violations(recording), *_clearance_violations(recording, near)),
     )
 
 
-def _limit_violations(recording: Recording, speed: np.ndarray) -> list[Violation]:
-    violations = []
+def _limit_violations(recording: Recording) -> list[Violation]:
+    violations, speed = [], np.diff(recording.q, axis=0) / FIT_DT
     for column, joint in enumerate(recording.joints):
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
@@ -269,19 +258,3 @@ def _clearance_violations(recording: Recording, near: Sequence[Clearance]) -> li
             moved = tuple(joint for joint in recording.joints if groups[joint].role == role)
             violations.append(Violation(text=clearance.sentence(), joints=moved or recording.joints))
     return violations
-
-
-def _torque_share(
-    recording: Recording, speed: np.ndarray, dynamics: JointDynamics
-) -> Float64[np.ndarray, " num_joints"]:
-    """Return the top torque of the servos over its limit, by inverse dynamics and dry friction."""
-    model = recorded_model(recording.workcell, recording.joints, FIT_DT)
-    model.dof_armature[:] = dynamics.armature
-    data = mujoco.MjData(model)
-    top = np.zeros(len(recording.joints))
-    for q, before, jump in zip(recording.q[1:], speed, np.diff(speed, axis=0), strict=False):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, before, jump / FIT_DT
-        mujoco.mj_inverse(model, data)
-        friction = dynamics.frictionloss * np.sign(before)
-        top = np.maximum(top, np.abs(data.qfrc_inverse + friction))
-    return top / np.array([specs_of(recording.workcell)[joint].effort_limit for joint in recording.joints])

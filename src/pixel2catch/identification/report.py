@@ -6,7 +6,7 @@ Okabe and Ito 2008; grey: ours.
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -218,22 +218,14 @@ def play_warnings(fit: Fit) -> list[str]:
     ]
 
 
-def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """Write all files to a new or empty folder, the dynamics file last, and return the numbers.
-
-    The circumstances are time, command, versions and machine.
-
-    Raises:
-        InvalidValueError: The folder is not empty.
-        OSError: It cannot be written.
-    """
-    content = numbers(result, circumstances)
+def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> None:
+    """Write all files to a new or empty folder, the dynamics file last; else raise InvalidValueError."""
+    content = json_text(numbers(result, circumstances))
     page = report_page(result, circumstances)
     require_free_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically({folder / PAGE: page.encode(), folder / NUMBERS: json_text(content).encode()})
+    write_atomically({folder / PAGE: page.encode(), folder / NUMBERS: content.encode()})
     result.file.save(folder / DYNAMICS)
-    return content
 
 
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
@@ -272,11 +264,6 @@ def _summary(result: Identification) -> Iterable[str]:
     ] = "good" if held_out else "unknown"
     warnings = (*errors_grid(result).warnings, *drift_warnings(result), *play_warnings(result.fit))
     texts |= dict.fromkeys(warnings, "weak")
-    if open_questions(result.fit):
-        texts["Not everything is identified; the remedies are below."] = "weak"
-    failed = {c.joint for m in result.motions for c in m.checks if c.is_good is False}
-    if names := ", ".join(short(joint) for joint in joints if joint in failed):
-        texts[f"The motion of {names} is weaker than the data checks require."] = "weak"
     return [box(text, verdict) for text, verdict in texts.items()]
 
 
@@ -300,46 +287,25 @@ def _pictures(result: Identification) -> str:
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """Return all numbers of the report, in SI units, by joint."""
+    """Return the results as numbers in SI units, by joint."""
     fit, joints = result.fit, result.fit.dynamics.joints
     errors = {
         group: tracking_errors(motions) if (motions := result.of(is_held_out)) else {}
         for group, is_held_out in (("held_out", True), ("fitted", False))
     }
-
-    def by_joint(contents: Iterable[Any]) -> Content:
-        return dict(zip(joints, contents, strict=True))
-
-    encoders, deviations = fit.encoders, fit.encoder_deviations
-    drifts = zip(result.of(is_held_out=False), encoders.drift, deviations.drift, strict=True)
     return {
         "robot": result.start.robot,
         "free": list(fit.free),
-        "physics_dt": result.physics_dt,
         "tracking_error": {
-            group: {name: by_joint(values.tolist()) for name, values in found.items()}
+            group: {name: dict(zip(joints, values.tolist(), strict=True)) for name, values in found.items()}
             for group, found in errors.items()
         },
-        "parameters": by_joint(_parameters(result, j) for j in range(len(joints))),
-        "ratios": {
-            name: by_joint(map(_with_interval, each.value, each.interval))
-            for name, each in estimates(fit).items()
-            if name in RATIOS
-        },
+        "parameters": {joint: _parameters(result, j) for j, joint in enumerate(joints)},
         "not_identified": open_questions(fit),
+        "warnings": [*drift_warnings(result), *play_warnings(fit)],
         "worse_than_command": list(result.file.worse_than_command),
-        "play": by_joint(map(_plus_minus, encoders.play, CONFIDENCE * deviations.play)),
-        "drift": {
-            motion.recording.name: by_joint(map(_plus_minus, drift, CONFIDENCE * deviation))
-            for motion, drift, deviation in drifts
-        },
         "recordings": [
-            {
-                "name": motion.recording.name,
-                "is_held_out": motion.is_held_out,
-                "checks": [asdict(check) for check in motion.checks],
-            }
-            for motion in result.motions
+            {"name": motion.recording.name, "is_held_out": motion.is_held_out} for motion in result.motions
         ],
         "circumstances": dict(circumstances),
     }
@@ -355,14 +321,6 @@ def _parameters(result: Identification, j: int) -> Content:
             content["interval"] = known[name].interval[j].tolist()
         found[name] = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
     return found
-
-
-def _plus_minus(value: float, half_width: float) -> Content:
-    return _with_interval(value, value + half_width * np.array((-1.0, 1.0)))
-
-
-def _with_interval(value: float, interval: np.ndarray) -> Content:
-    return {"value": float(value), "interval": interval.tolist()}
 
 
 def joint_picture(motion: SimulatedRecording, column: int) -> bytes:
