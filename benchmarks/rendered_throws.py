@@ -19,8 +19,8 @@ from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.evaluation.box_scores import Score, score
 from pixel2catch.evaluation.recorded_throws import RecordedThrow
+from pixel2catch.mdp.control_step import Privileged
 from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.labels import Phase, Truth
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter

@@ -23,7 +23,7 @@ from pixel2catch.envs.tasks import SIZES_TASK
 from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
 from pixel2catch.files import json_text, read_json_object
-from pixel2catch.mdp.tensors import take
+from pixel2catch.mdp.control_step import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import HIDDEN, Policy, contract_of

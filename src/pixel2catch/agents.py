@@ -13,11 +13,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.mdp import rewards
-from pixel2catch.mdp.actions import JointCommand, absolute_command, relative_command
+from pixel2catch.mdp.control_step import (
+    Columns,
+    JointCommand,
+    Transition,
+    absolute_command,
+    count,
+    merged,
+    relative_command,
+)
 from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
 from pixel2catch.mdp.rewards import BodyPart, RewardTerm
-from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.mdp.tensors import Columns, count, merged
 from pixel2catch.robots.spec import JointGroup
 from pixel2catch.robots.workcell import WorkcellSpec
 

@@ -26,7 +26,7 @@ from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLo
 from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.mdp.snapshot import BoxHistory
+from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.link import Fault, Mode

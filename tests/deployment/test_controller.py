@@ -11,9 +11,9 @@ from paper_robot import JOINTS
 from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.snapshot import BoxHistory, Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of

@@ -33,7 +33,7 @@ from pixel2catch.deployment.policy_pipeline import (
 )
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.mdp.snapshot import BoxHistory
+from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 from pixel2catch.perception.tracker import Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA

@@ -10,9 +10,9 @@ from torch import Tensor
 from paper_robot import JOINTS
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.tasks import find_task
+from pixel2catch.mdp.control_step import History
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.sensing import SensingCfg, detect
-from pixel2catch.mdp.snapshot import History
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg

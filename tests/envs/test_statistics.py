@@ -10,7 +10,7 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, StepExtremes, failure
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
-from pixel2catch.mdp.snapshot import Privileged, Transition
+from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.geometry import WorkcellGeometry

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
-from pixel2catch.mdp.snapshot import BoxHistory, Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg

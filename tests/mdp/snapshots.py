@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from paper_robot import JOINTS
-from pixel2catch.mdp.snapshot import BoxHistory, Measurement, Privileged, Transition
+from pixel2catch.mdp.control_step import BoxHistory, Measurement, Privileged, Transition
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

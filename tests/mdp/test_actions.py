@@ -8,7 +8,7 @@ from torch import Tensor
 
 from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.agents import commands_of
-from pixel2catch.mdp.actions import ActionMap, JointCommand, relative_command
+from pixel2catch.mdp.control_step import ActionMap, JointCommand, relative_command
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

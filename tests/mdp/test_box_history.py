@@ -7,6 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.mdp.observations import (
     BOUND,
     BOX_FIT_FEATURES,
@@ -15,7 +16,6 @@ from pixel2catch.mdp.observations import (
     TYPICAL_SIZE,
     fit_boxes,
 )
-from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 

@@ -12,8 +12,8 @@ from snapshots import measurement, privileged
 from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp import observations
+from pixel2catch.mdp.control_step import BoxHistory, History
 from pixel2catch.mdp.observations import ObservationInputs, observe, pixel_columns, privileged_state
-from pixel2catch.mdp.snapshot import BoxHistory, History
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

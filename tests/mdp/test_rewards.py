@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of
 from pixel2catch.mdp import rewards
-from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.mdp.control_step import Transition
 from pixel2catch.methods import METHODS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

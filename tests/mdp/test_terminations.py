@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from snapshots import privileged, transition
 
-from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.terminations import (
     HOLD_STEPS,
     EpisodeCfg,

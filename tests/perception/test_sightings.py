@@ -12,8 +12,8 @@ from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.mdp.observations import ObservationInputs, pixels
-from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import find_method
 from pixel2catch.perception.regions import PlausibilityCfg, find_blobs

@@ -10,8 +10,8 @@ from pixel2catch.camera.image import Verdict
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+from pixel2catch.mdp.control_step import Measurement
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction

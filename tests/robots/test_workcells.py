@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.mdp.tensors import count, put, take
+from pixel2catch.mdp.control_step import count, put, take
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method, methods_of
 from pixel2catch.policy import contract_of

@@ -14,7 +14,7 @@ from pixel2catch.camera.image import Pixels
 from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
-from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.mdp.control_step import Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import Method
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer

@@ -12,10 +12,8 @@ from torch import Tensor
 from pixel2catch.agents import commands_of
 from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
-from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
 from pixel2catch.mdp.observations import observe
-from pixel2catch.mdp.snapshot import BoxHistory, History, Measurement
-from pixel2catch.mdp.tensors import put
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import Method
 from pixel2catch.perception.regions import PlausibilityCfg

@@ -14,12 +14,19 @@ from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.control_step import (
+    ActionMap,
+    BoxHistory,
+    History,
+    Measurement,
+    Privileged,
+    Transition,
+    put,
+)
 from pixel2catch.mdp.observations import observe, privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.snapshot import BoxHistory, History, Measurement, Privileged, Transition
-from pixel2catch.mdp.tensors import DelayLine, assign, clone, put, select, write
+from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.scene.constants import CONTROL_DT

@@ -10,8 +10,8 @@ from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.camera_errors import scaled_box, tracked_position
+from pixel2catch.mdp.control_step import Privileged
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
-from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from pixel2catch.device_constants import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
+from pixel2catch.mdp.control_step import Columns, Transition, take
 from pixel2catch.mdp.randomization import (
     EpisodeParameters,
     RandomizationCfg,
@@ -18,8 +19,7 @@ from pixel2catch.mdp.randomization import (
     sample_parameters,
 )
 from pixel2catch.mdp.shaking import Shake, sample_shake
-from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.mdp.tensors import Columns, select, take
+from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT

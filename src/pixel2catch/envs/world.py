@@ -13,9 +13,9 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
+from pixel2catch.mdp.control_step import Columns, Privileged, merged, take
 from pixel2catch.mdp.randomization import EpisodeParameters
-from pixel2catch.mdp.snapshot import Privileged
-from pixel2catch.mdp.tensors import Columns, merged, take, write
+from pixel2catch.mdp.tensors import write
 from pixel2catch.mdp.terminations import reach_of
 from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry

@@ -23,8 +23,8 @@ from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.evaluation.recorded_throws import CAUGHT, LOST, RecordedThrow
-from pixel2catch.mdp.actions import JointCommand
-from pixel2catch.mdp.tensors import mapped, put, select, take
+from pixel2catch.mdp.control_step import JointCommand, put, take
+from pixel2catch.mdp.tensors import mapped, select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.robots.workcell import WorkcellSpec

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.mdp.snapshot import Privileged, Transition
+from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import (
     SURFACE_REACH,
     is_dropped,

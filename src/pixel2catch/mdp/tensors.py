@@ -1,20 +1,17 @@
-"""Operations on batched values: select and copy structures of tensors, take columns, delay values.
+"""Operations on batched values: select and copy structures of tensors, delay values.
 
 None of them waits for the device.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 T = TypeVar("T")
-
-Columns = tuple[slice, ...]
-"""Columns of a tensor as slices; an index tensor would have to be copied to the device."""
 
 
 def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
@@ -61,40 +58,6 @@ def mapped(function: Callable[..., Tensor], *values: Any) -> Any:
         return {name: mapped(function, *(value[name] for value in values)) for name in first}
     items = [mapped(function, *several) for several in zip(*values, strict=True)]
     return type(first)(*items) if hasattr(first, "_fields") else tuple(items)
-
-
-def merged(columns: Sequence[slice]) -> Columns:
-    """Return the same columns, with adjacent slices joined."""
-    whole: list[slice] = []
-    for each in columns:
-        if whole and whole[-1].stop == each.start:
-            whole[-1] = slice(whole[-1].start, each.stop)
-        elif each.stop > each.start:
-            whole.append(each)
-    return tuple(whole)
-
-
-def count(columns: Columns) -> int:
-    """Return the number of columns."""
-    return sum(each.stop - each.start for each in columns)
-
-
-def take(
-    values: Shaped[Tensor, "num_envs k *rest"], columns: Columns
-) -> Shaped[Tensor, "num_envs num_columns *rest"]:
-    """Return columns of a tensor, one after the other."""
-    parts = [values[:, each] for each in columns]
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
-
-
-def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
-    """Return the tensor with these parts as its columns: the inverse of `take`."""
-    placed = []
-    for columns, values in parts:
-        sizes = [each.stop - each.start for each in columns]
-        pieces = values.split(sizes, dim=1)
-        placed += [(each.start, piece) for each, piece in zip(columns, pieces, strict=True)]
-    return torch.cat([piece for _, piece in sorted(placed, key=lambda each: each[0])], dim=1)
 
 
 @dataclass(frozen=True)

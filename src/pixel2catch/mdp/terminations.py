@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.checks import Within
-from pixel2catch.mdp.snapshot import Privileged, Transition
+from pixel2catch.mdp.control_step import Privileged, Transition
 
 REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
 ONE_HAND_RADIUS = 0.07

@@ -16,9 +16,9 @@ from pixel2catch.agents import AgentSpec, agents_of, commands_of
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.files import decoded, shown
 from pixel2catch.mdp import observations, rewards
+from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.observations import ObservationInputs, ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm
-from pixel2catch.mdp.snapshot import BoxHistory, Measurement
 from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec

@@ -15,9 +15,9 @@ from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
+from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
-from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_lost, is_near
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders

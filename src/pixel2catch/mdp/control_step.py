@@ -1,6 +1,8 @@
-"""One control step as data: what the robot measures, what only the simulator has, and what changed.
+"""One control step as data: measurements, actions, what only the simulator has, and what changed.
 
-Policies observe a `Measurement` alone; value networks and rewards may also use `Privileged`.
+Policies observe a `Measurement` alone; value networks and rewards may also use `Privileged`. One affine map
+turns the actions in [-1, 1] of all joints into joint position targets. An arm's scaled action is added to the
+measured joint position; a hand's, rescaled to the joint limits, is the target. Source: paper, Sec. IV-D.
 """
 
 from collections.abc import Sequence
@@ -8,12 +10,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from pixel2catch.mdp.tensors import select
 from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.robots.spec import JointSpec
 from pixel2catch.scene.constants import CONTROL_DT
+
+Columns = tuple[slice, ...]
+"""Columns of a tensor as slices; an index tensor would have to be copied to the device."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,3 +136,88 @@ class Transition:
     #: Control steps since the start of the episode, this one included.
     episode_steps: Int[Tensor, " num_envs"]
     geometry: WorkcellGeometry  #: Forward kinematics of palms and arms.
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCommand:
+    """How an action becomes a target: `anchor * position + offset + scale * action`, within the limits."""
+
+    anchor: float  #: 1 if the action is relative to the measured position, 0 if it is absolute.
+    offset: float  #: Target at action 0 of an absolute joint [rad].
+    scale: float  #: Target change by action 1 [rad].
+    lower: float  #: Lowest target [rad].
+    upper: float  #: Highest target [rad].
+
+
+def relative_command(joint: JointSpec) -> JointCommand:
+    """Return targets relative to the measured position; action 1 is the speed limit in steady motion.
+
+    A heavily damped servo with stiffness k and damping d moves at k / d times the distance of its command.
+    The command ramps over the control step T, so at a steady speed v the target is v (d / k + T) ahead.
+
+    Source: paper (added to the current joint positions); the scale is ours: the paper gives none.
+    Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps.
+    """
+    scale = joint.velocity_limit * (joint.damping / joint.stiffness + CONTROL_DT)
+    return JointCommand(anchor=1.0, offset=0.0, scale=scale, lower=joint.lower, upper=joint.upper)
+
+
+def absolute_command(joint: JointSpec) -> JointCommand:
+    """Return targets over the whole range of the joint. Source: paper, Sec. IV-D."""
+    middle, half_range = (joint.upper + joint.lower) / 2, (joint.upper - joint.lower) / 2
+    return JointCommand(anchor=0.0, offset=middle, scale=half_range, lower=joint.lower, upper=joint.upper)
+
+
+@dataclass(frozen=True)
+class ActionMap:
+    """The commands of all joints as rows of a tensor."""
+
+    table: Float[Tensor, "5 num_joints"]  #: anchor, offset, scale, lower and upper, one row each.
+
+    @classmethod
+    def of(cls, commands: tuple[JointCommand, ...], device: torch.device) -> "ActionMap":
+        """Stack the commands of joints in joint order."""
+        rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands]
+        return cls(torch.tensor(rows, dtype=torch.float32, device=device).T.contiguous())
+
+    def joint_pos_target(
+        self, action: Float[Tensor, "num_envs num_joints"], joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """Return joint targets [rad] of actions, which are clipped to [-1, 1]."""
+        anchor, offset, scale, lower, upper = self.table
+        target = anchor * joint_pos + offset + scale * action.clamp(-1.0, 1.0)
+        return torch.clamp(target, lower, upper)
+
+
+def merged(columns: Sequence[slice]) -> Columns:
+    """Return the same columns, with adjacent slices joined."""
+    whole: list[slice] = []
+    for each in columns:
+        if whole and whole[-1].stop == each.start:
+            whole[-1] = slice(whole[-1].start, each.stop)
+        elif each.stop > each.start:
+            whole.append(each)
+    return tuple(whole)
+
+
+def count(columns: Columns) -> int:
+    """Return the number of columns."""
+    return sum(each.stop - each.start for each in columns)
+
+
+def take(
+    values: Shaped[Tensor, "num_envs k *rest"], columns: Columns
+) -> Shaped[Tensor, "num_envs num_columns *rest"]:
+    """Return columns of a tensor, one after the other."""
+    parts = [values[:, each] for each in columns]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+
+def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
+    """Return the tensor with these parts as its columns: the inverse of `take`."""
+    placed = []
+    for columns, values in parts:
+        sizes = [each.stop - each.start for each in columns]
+        pieces = values.split(sizes, dim=1)
+        placed += [(each.start, piece) for each, piece in zip(columns, pieces, strict=True)]
+    return torch.cat([piece for _, piece in sorted(placed, key=lambda each: each[0])], dim=1)
