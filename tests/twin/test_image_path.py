@@ -16,7 +16,7 @@ from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.stepped import in_step
 
-MOST_FILES = 25
+MOST_FILES = 24
 NUM_LOOKS = 40
 """Looks of the control loop that are counted, 2 to 3 control steps: images arrive, commands are sent."""
 

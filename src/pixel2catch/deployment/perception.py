@@ -68,10 +68,8 @@ class ImageChecks:
     def is_new(self, image: Image) -> bool:
         """Check the next image; return whether it differs from the previous one."""
         last, self._last, self._wrong_size = self._last, image, ""
-        try:
-            self._profile.require(image)
-        except DeploymentError as error:
-            self._wrong_size = str(error)
+        if image.format != self._profile.format:
+            self._wrong_size = self._profile.wrong_format(image)
         if last is None or self._wrong_size:
             self._num_equal = 1
             return not self._wrong_size

@@ -8,7 +8,7 @@ from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -159,6 +159,27 @@ _LAYOUT = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
 def float_array(values: Iterable[float]) -> bytes:
     """Encode numbers without names, such as the commands of a forward position controller."""
     return encode(FLOAT_ARRAY, _LAYOUT, float64(values))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommandLayout:
+    """Order of the joints in the commands of a driver."""
+
+    type: str  #: `FLOAT_ARRAY` or `JOINT_STATE`.
+    ids: Int[np.ndarray, " part_joints"]  #: Indices of the driver's joints in joint order.
+    places: Int[np.ndarray, " part_joints"]  #: Their indices in a command.
+    held_places: Int[np.ndarray, " num_held"]  #: Indices of the held joints in a command.
+
+    def encode(
+        self,
+        joint_pos: Float[np.ndarray, " num_joints"],
+        held: Float[np.ndarray, " num_held"],
+        stamp: float = 0.0,
+    ) -> bytes:
+        """Encode positions in joint order, and those of the held joints [rad]; joint states have no names."""
+        values = np.empty(len(self.places) + len(self.held_places))
+        values[self.places], values[self.held_places] = joint_pos[self.ids], held
+        return joint_state((), values, stamp) if self.type == JOINT_STATE else float_array(values)
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:

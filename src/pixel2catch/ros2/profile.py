@@ -17,7 +17,7 @@ from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import JointReading
+from pixel2catch.ros2.messages import CommandLayout, JointReading
 from pixel2catch.ros2.transport import Topic
 
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
@@ -157,28 +157,14 @@ class RobotPart:
         return np.array([joint.angle for joint in self.held.values()])
 
     @cached_property
-    def _places(self) -> Int[np.ndarray, " part_joints"]:
-        return np.array([joint.index_in_command for joint in self.joints.values()], dtype=np.int64)
-
-    def command(
-        self,
-        joint_pos_target: Float[np.ndarray, " num_joints"],
-        stamp: float = 0.0,
-        held: Float[np.ndarray, " num_held"] | None = None,
-    ) -> bytes:
-        """Encode the command of this part.
-
-        Args:
-            joint_pos_target: Commands of all joints, in joint order [rad].
-            stamp: For drivers that take joint states, which are sent without names [s].
-            held: Commands of the held joints [rad]; their angles if absent.
-        """
-        values = np.empty(self.command_size)
-        values[self._places] = joint_pos_target[self.ids]
-        values[[*self.held]] = self.held_angles if held is None else held
-        if self.command_topic.type == messages.JOINT_STATE:
-            return messages.joint_state((), values, stamp)
-        return messages.float_array(values)
+    def layout(self) -> CommandLayout:
+        """Order and type of its commands."""
+        return CommandLayout(
+            type=self.command_topic.type,
+            ids=self.ids,
+            places=np.array([joint.index_in_command for joint in self.joints.values()], dtype=np.int64),
+            held_places=np.array([*self.held], dtype=np.int64),
+        )
 
     def merge(
         self, reading: JointReading, joint_pos: Float[np.ndarray, " num_joints"]
@@ -232,18 +218,26 @@ class CameraProfile:
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
 
-    def require(self, reading: Image) -> None:
+    @cached_property
+    def format(self) -> str:
+        """Return width, height and encoding, as `Image.format`."""
+        return f"{self.width} x {self.height} {self.encoding}"
+
+    def wrong_format(self, image: Image) -> str:
+        """Return the error of an image with another format."""
+        return (
+            f"{self.image.name} sends {image.format}, the profile says {self.format}: set the camera's "
+            "driver to that."
+        )
+
+    def require(self, image: Image) -> None:
         """Refuse an image of another size or encoding.
 
         Raises:
             DeploymentError: The driver must be set differently.
         """
-        height, width, _ = reading.pixels.shape
-        if (width, height, reading.encoding) != (self.width, self.height, self.encoding):
-            raise DeploymentError(
-                f"{self.image.name} sends {width} x {height} {reading.encoding}, the profile says "
-                f"{self.width} x {self.height} {self.encoding}: set the camera's driver to that."
-            )
+        if image.format != self.format:
+            raise DeploymentError(self.wrong_format(image))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -249,7 +249,7 @@ class CommandPublisher:
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
         for part in parts:
-            part.command(np.zeros(setup.limits.num_joints))
+            part.layout.encode(np.zeros(setup.limits.num_joints), part.held_angles)
 
     def send(self, command: Command, held: Sequence[np.ndarray]) -> None:
         """Send a command, if it has positions. Held joints go from their positions [rad] to their angles."""
@@ -262,8 +262,8 @@ class CommandPublisher:
             left = part.held_angles - self._held[number]
             self._held[number] = self._held[number] + left.clip(-self._held_step, self._held_step)
             if self._tick % period == 0:
-                data = part.command(command.joint_pos_command, self._clock.stamp(), self._held[number])
-                publisher.publish(data)
+                positions, stamp = command.joint_pos_command, self._clock.stamp()
+                publisher.publish(part.layout.encode(positions, self._held[number], stamp))
         self._tick += 1
 
 
