@@ -87,11 +87,6 @@ def box(text: str, verdict: str) -> str:
     return f'<div class="box {verdict}">{element("p", text)}</div>'
 
 
-def folded(summary: str, text: str) -> str:
-    """Return preformatted text that a click on its summary shows."""
-    return f"<details>{element('summary', summary)}{element('pre', text)}</details>"
-
-
 def table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
     """Return a table."""
     head = "".join(element("th", column) for column in columns)

@@ -30,7 +30,7 @@ from pixel2catch.evaluation.comparison import (
     write_comparison,
 )
 from pixel2catch.evaluation.curves import Columns, binned, gather
-from pixel2catch.evaluation.figures import line, look
+from pixel2catch.evaluation.figures import look
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.report import as_csv, read_rows
 from pixel2catch.methods import METHODS, PROPOSED
@@ -224,8 +224,9 @@ def test_mean_and_deviation_over_seeds_by_hand():
 
 
 def test_no_two_methods_look_alike():
-    for drawn in (look, line):
-        assert len({str(drawn(method)) for method in METHODS}) == len(METHODS)
+    looks = [look(method) for method in METHODS]
+    assert len({str(each) for each in looks}) == len(METHODS)
+    assert len({(each["color"], each["linestyle"]) for each in looks}) == len(METHODS)
 
 
 def test_report_of_a_whole_study(study: ComparisonFolder):

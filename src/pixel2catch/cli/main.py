@@ -43,6 +43,7 @@ REMOVED_OPTIONS = {
     "deploy --seconds": "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'",
     "doctor --camera": "run 'pixel2catch track 0 --seconds 3'",
     "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",
+    "evaluate --html": "give --out FILE.json; 'pixel2catch play' draws throws",
     "evaluate --physics-hz": "give --env.scene.physics-hz",
     "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
     "identify --hold-out": "leave it out; the last recording judges the fit",

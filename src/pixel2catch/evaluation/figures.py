@@ -1,4 +1,4 @@
-"""Pictures of results: learning curves, rates of objects, rates as a coloured table, landing points."""
+"""Pictures of results: learning curves, rates of objects, rates as a coloured table."""
 
 from collections.abc import Callable, Sequence
 from itertools import groupby, pairwise
@@ -8,20 +8,14 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from pixel2catch.evaluation.curves import Curves
-from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, ThrowCollection
 from pixel2catch.evaluation.report import Row
 from pixel2catch.evaluation.result_tables import MAIN_RATES
-from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours for readers with any kind of colour vision. Source: Okabe and Ito 2008; grey: ours."""
-
-COLORS = dict(zip(OUTCOMES, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#CC79A7", "#3C3C3C"), strict=True))
-"""Colours of outcomes. Source: as `PALETTE`."""
 
 MARKERS = "oDPsv^X<>p*hd8"  #: Marks beside the colours, for print without colour.
 LINES = ("-", (0, (4, 1.5)))  #: Line styles: of the first methods, and of others in the same colours.
@@ -44,21 +38,14 @@ ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.5  #: Size of a cell [inch].
 
 
 def look(method: str) -> dict[str, Any]:
-    """Return the colour and mark of a method, the same in every picture."""
-    number = _number(method)
-    return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
-
-
-def line(method: str) -> dict[str, Any]:
-    """Return the colour and line style of a method's curve."""
-    number = _number(method)
-    style = LINES[number // len(PALETTE) % len(LINES)]
-    return {"color": PALETTE[number % len(PALETTE)], "linestyle": style, "linewidth": 1.8}
-
-
-def _number(method: str) -> int:
+    """Return colour, mark and line style of a method, the same in every picture."""
     names, name = list(METHODS), method.partition("+")[0]
-    return names.index(name) if name in names else len(names)
+    number = names.index(name) if name in names else len(names)
+    return {
+        "color": PALETTE[number % len(PALETTE)],
+        "marker": MARKERS[number % len(MARKERS)],
+        "linestyle": LINES[number // len(PALETTE) % len(LINES)],
+    }
 
 
 def curves_figure(curves: Curves) -> Figure:
@@ -70,10 +57,11 @@ def curves_figure(curves: Curves) -> Figure:
         for axes, (title, name) in zip(panels, MAIN_RATES.items(), strict=True):
             for method in curves.rates:
                 mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
-                drawn, between = line(method), (mean - deviation, mean + deviation)
+                drawn, between = look(method), (mean - deviation, mean + deviation)
                 axes.fill_between(millions, *between, color=drawn["color"], alpha=0.2, linewidth=0)
-                alone = {"marker": "o", "markersize": 3} if np.isfinite(mean).sum() == 1 else {}
-                axes.plot(millions, mean, label=method.replace("_", " "), **drawn, **alone)
+                is_point = np.isfinite(mean).sum() == 1
+                drawn |= {"marker": "o" if is_point else "", "markersize": 3, "linewidth": 1.8}
+                axes.plot(millions, mean, label=method.replace("_", " "), **drawn)
             axes.set(title=f"{title} in training", xlabel="transitions [millions]")
             axes.set(xlim=(0.0, curves.edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()
@@ -112,11 +100,10 @@ def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> No
             rate,
             [names.index(row["object"]) + offset for row in own],
             xerr=np.maximum(0.0, np.stack((rate - 100.0 * bounds[:, 0], 100.0 * bounds[:, 1] - rate))),
-            linestyle="none",
             elinewidth=1.2,
             markersize=4.5,
             label=method.replace("_", " "),
-            **look(method),
+            **look(method) | {"linestyle": "none"},
         )
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -164,35 +151,6 @@ def heat_map(
         bar.set_label("S.R. [% of throws]")
         bar.outline.set_visible(False)  # type: ignore[operator]
     return figure
-
-
-def landing_figure(throws: ThrowCollection) -> Figure:
-    """Draw the landing points of throws by outcome, misses over catches."""
-    paper = ThrowCfg()
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.6), layout="constrained")
-        axes = figure.subplots()
-        corner = (paper.aim_y[0], paper.aim_x[0])
-        size = (paper.aim_y[1] - paper.aim_y[0], paper.aim_x[1] - paper.aim_x[0])
-        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8A8A8A", linestyle="--"))
-        for outcome, text in OUTCOMES.items():
-            if points := throws.landings.get(outcome):
-                is_caught = outcome == CAUGHT
-                axes.scatter(
-                    *np.array(points).T[::-1],
-                    s=14 if is_caught else 42,
-                    marker="o" if is_caught else "X",
-                    color=COLORS[outcome],
-                    alpha=0.45 if is_caught else 1.0,
-                    zorder=2 if is_caught else 3,
-                    linewidth=0.0,
-                    label=f"{text} ({len(points):,})",
-                )
-        axes.set(xlabel="y [m]", ylabel="x [m], from the robot to the thrower", aspect="equal")
-        axes.invert_xaxis()
-        axes.grid(visible=True)
-        figure.legend(loc="outside lower center", ncols=2)
-        return figure
 
 
 def _add_legend(figure: Figure, axes: Axes) -> None:

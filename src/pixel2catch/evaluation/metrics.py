@@ -14,7 +14,6 @@ from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
-from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.methods import Method
 from pixel2catch.scene.objects import OBJECTS
 
@@ -71,11 +70,10 @@ def assess(
     cfg: EvaluationCfg,
     on_round: Callable[[Trials], None] = lambda _: None,
     on_share: Callable[[float], None] = lambda _: None,
-    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Metrics:
     """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
     started = time.perf_counter()
-    trials = evaluate(actor, method, cfg, on_round, on_share, on_throws)
+    trials = evaluate(actor, method, cfg, on_round, on_share)
     return {
         "method": method.name,
         "objects_thrown": list(cfg.objects),

@@ -147,7 +147,6 @@ def evaluate(
     cfg: EvaluationCfg,
     on_round: Callable[[Trials], None] = lambda _: None,
     on_share: Callable[[float], None] = lambda _: None,
-    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
     *,
     env: CatchEnv | None = None,
     is_seeded: bool = False,
@@ -160,29 +159,20 @@ def evaluate(
         cfg: The throws.
         on_round: Called with the trials of every round.
         on_share: Called after every control step with the share of all rounds that is done.
-        on_throws: Called with the recorded throws of every round; without it, none is recorded.
         env: Environments, which are closed at the end. Default: those of `cfg.make_env`.
         is_seeded: Whether each round has its own seed, one after the other, so that all policies get the same
             throws. Otherwise the throws of later rounds depend on when the holds of earlier ones are decided.
     """
     env, rounds = env or cfg.make_env(method), []
+    num_steps = cfg.trials * ROUND_STEPS
     try:
         for number in range(cfg.trials):
             if is_seeded:
                 env.seed(cfg.seed + number)
-            recorder = ThrowRecorder(env) if on_throws else None
-            done = itertools.count(number * ROUND_STEPS + 1)
-
-            def watch(step: Step, state: RoundState, recorder=recorder, done=done) -> None:
-                on_share(next(done) / (cfg.trials * ROUND_STEPS))
-                if recorder:
-                    recorder.watch(step, state)
-
-            rounds.append(run_round(env, actor, watch))
+            steps = itertools.count(number * ROUND_STEPS + 1)
+            rounds.append(run_round(env, actor, lambda *_, steps=steps: on_share(next(steps) / num_steps)))
             on_round(rounds[-1])
             on_share((number + 1) / cfg.trials)
-            if recorder and on_throws:
-                on_throws(recorder.throws(rounds[-1]))
     finally:
         env.close()
     return Trials.concatenate(rounds)
@@ -190,9 +180,12 @@ def evaluate(
 
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:
     """Return the recorded throws of one round; arguments as of `evaluate`."""
-    throws: list[RecordedThrow] = []
-    evaluate(actor, method, replace(cfg, trials=1), on_throws=throws.extend)
-    return throws
+    env = cfg.make_env(method)
+    try:
+        recorder = ThrowRecorder(env)
+        return recorder.throws(run_round(env, actor, recorder.watch))
+    finally:
+        env.close()
 
 
 class ThrowRecorder:
