@@ -22,7 +22,7 @@ from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.mdp.control_step import Privileged
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.perception.labels import Phase, Truth
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.regions import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera

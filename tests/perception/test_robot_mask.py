@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from pixel2catch.camera.pinhole import back_project
-from pixel2catch.perception import robot_mask
-from pixel2catch.perception.robot_mask import MARGIN, RobotMask
+from pixel2catch.perception import regions
+from pixel2catch.perception.regions import MARGIN, RobotMask
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -102,7 +102,7 @@ def test_every_robot_can_be_masked(workcell: WorkcellSpec):
 
 def test_geoms_that_others_hide_are_left_out_and_not_missed(monkeypatch: pytest.MonkeyPatch):
     robot = RobotMask(UR5E_ALLEGRO, margin=0)
-    monkeypatch.setattr(robot_mask, "HIDDEN", -1.0)
+    monkeypatch.setattr(regions, "HIDDEN", -1.0)
     whole = RobotMask(UR5E_ALLEGRO, margin=0)
     for joint_pos in poses():
         mask, all_of_it = robot.at(joint_pos), whole.at(joint_pos)

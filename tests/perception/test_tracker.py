@@ -13,8 +13,7 @@ from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
 from pixel2catch.camera.image import Box, Edges, Image, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
-from pixel2catch.perception.regions import Blob
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.regions import Blob, RobotMask
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ColorRange,

@@ -37,7 +37,7 @@ def make_pipeline(
     """Build perception and policy for a robot and a camera, a live one or a recorded one."""
     from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
     from pixel2catch.evaluation.loading import load_policy
-    from pixel2catch.perception.robot_mask import RobotMask
+    from pixel2catch.perception.regions import RobotMask
     from pixel2catch.workcells import find_workcell
 
     policy, _ = load_policy(policy_path)

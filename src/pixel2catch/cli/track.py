@@ -92,8 +92,7 @@ class Track:
     def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
         """Follow the object, write video and table until the end or Ctrl-C, and return its scores."""
         from pixel2catch.evaluation.box_scores import scored
-        from pixel2catch.perception.regions import PlausibilityCfg
-        from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
         from pixel2catch.perception.sightings import follow
         from pixel2catch.perception.sources import SourceCfg, is_camera, ticks_of
         from pixel2catch.perception.tracker import ObjectTracker

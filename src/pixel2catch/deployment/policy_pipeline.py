@@ -16,8 +16,7 @@ from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measure
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import Method
-from pixel2catch.perception.regions import PlausibilityCfg
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.policy import LoadedPolicy, contract_of, method_of

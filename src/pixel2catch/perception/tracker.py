@@ -12,8 +12,15 @@ import numpy as np
 from pixel2catch.camera.image import Box, Edges, Image, Mask, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import Foreground, Weakness
-from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, closed, find_blobs, is_jump
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.regions import (
+    USUAL,
+    Blob,
+    PlausibilityCfg,
+    RobotMask,
+    closed,
+    find_blobs,
+    is_jump,
+)
 from pixel2catch.perception.segmenter import (
     LARGEST_CHANGE,
     BoxPrompt,

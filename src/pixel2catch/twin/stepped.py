@@ -22,7 +22,7 @@ from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipel
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.regions import RobotMask
 from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
 from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import LoadedPolicy
