@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
 STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
-NUM_THROWS = 200  #: Throws whose paths are compared.
+NUM_THROWS = 200  #: Throws at whose points the calibrated camera is compared with the policy's.
 
 LARGEST_RMS = 1.5
 """Error above which the cause can be found [px]. Source: ours; corners of sharp images are found within a few

@@ -33,7 +33,7 @@ class Replay:
     recording: Positional[Path]  #: Recording of `deploy --record` or `rehearse --record`, with images.
     #: New folder for the recording (MCAP) of the new decisions; needed without --web.
     out: NewFolder | None = None
-    web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding again.
+    web: bool = False  #: Whether to show the recording on a page only, without perception and policy.
     page: PageCfg = field(default_factory=PageCfg)  #: Address of that page.
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: PolicyPath | None = None

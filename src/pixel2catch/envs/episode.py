@@ -74,7 +74,8 @@ class EpisodeRecord:
     #: Height of the object at its first contact with the hand [m]; 0 before.
     contact_height: Float[Tensor, " num_envs"]
     contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
-    penetration_sum: Float[Tensor, " num_envs"]  #: Deepest overlap of each of them, summed [m].
+    #: Deepest overlap of the object with anything in each step of `contact_steps`, summed over them [m].
+    penetration_sum: Float[Tensor, " num_envs"]
     #: Deepest overlap of the object with anything, over all physics steps [m].
     max_penetration: Float[Tensor, " num_envs"]
     max_table_penetration: Float[Tensor, " num_envs"]  #: Likewise of robot and table [m].

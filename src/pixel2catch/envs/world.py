@@ -38,7 +38,7 @@ MASS_POWER = {
     **dict.fromkeys(("body_mass", "body_subtreemass", "body_inertia", "dof_M0"), 1),
     **dict.fromkeys(("body_invweight0", "dof_invweight0"), -1),
 }
-"""Powers of the mass in the object's model fields."""
+"""Exponent by field: a change of the object's mass by a factor changes the field by factor ** exponent."""
 
 
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.

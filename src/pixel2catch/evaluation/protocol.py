@@ -41,8 +41,9 @@ LEAST_PARTS = 2  #: Parts of the hand (palm, fingers) that must touch a held obj
 SHAKE_FREQUENCY = 3.0  #: Frequency of the shake [Hz]: one and a half periods. Source: ours.
 
 SHAKE_LEAD = (0.058, 0.058)
-"""Distance of the arm joints' targets from their positions in the shake [rad]: pan moves the palm sideways,
-lift up and down. Source: ours, a peak acceleration of the palm of about 5 m/s² without action noise."""
+"""Largest distance of the arm joints' targets from their positions in the shake [rad]: pan moves the palm
+sideways, lift up and down. Source: ours, a peak acceleration of the palm of about 5 m/s² without action
+noise."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,8 +96,8 @@ def _reality(rows: Sequence[Row]) -> str:
 class Order:
     """Two orders of the same methods, best first."""
 
-    simulated: tuple[str, ...]  #: By S.R. in simulation.
-    real: tuple[str, ...]  #: By S.R. on the real robot.
+    simulated: tuple[str, ...]  #: The methods in the order of their success rates in simulation.
+    real: tuple[str, ...]  #: The methods in the order of their success rates on the real robot.
     tau: float  #: Kendall's tau-b: 1 for the same order, -1 for the opposite one, 0 if all rates are equal.
     #: Mean over the methods of the largest difference on the real robot [points] from a method that is in
     #: the wrong order with it. Source: mean maximum rank violation of SIMPLER (Li et al. 2024).

@@ -20,7 +20,7 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 LARGEST_AGE = 2.5 * CONTROL_DT
 """Age up to which a box is fresh [s]. Source: release; in training boxes are one or two steps old."""
 
-STAGES = ("robot", "segment", "box", "total")  #: Stages of the tracker, in the order in which they run.
+STAGES = ("robot", "segment", "box", "total")  #: Timed stages of the tracker, in order; total has all.
 BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
 COLUMNS = (

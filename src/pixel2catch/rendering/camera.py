@@ -41,7 +41,7 @@ class CameraCfg:
     shot_noise: float = 0.05
 
 
-FAST_CAMERA = CameraCfg(part_length=8.0)  #: Fewer pictures per exposure: two of the fastest objects.
+FAST_CAMERA = CameraCfg(part_length=8.0)  #: Fewer pictures per exposure: two for the fastest objects.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,7 +73,7 @@ class MakerPart:
     inertials: dict[str, Inertial]  #: Mass properties of our bodies, in their frames, without massless ones.
     geoms: tuple[MakerGeom, ...]
     distance: float  #: Largest distance of an axis from ours [m].
-    angle: float  #: Largest angle of an axis with ours [rad].
+    angle: float  #: Largest angle between a joint axis of the maker and ours [rad].
 
 
 def add_maker_bodies(

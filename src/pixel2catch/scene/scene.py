@@ -129,7 +129,7 @@ class ObjectTable:
     """The object's rows of every model field that depends on the object."""
 
     names: tuple[str, ...]  #: The objects, in the order of the first axis of each array.
-    indices: ObjectIndices  #: Indices of these rows in the model.
+    indices: ObjectIndices  #: Where the object's rows are in the arrays of the model.
     fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
 
 

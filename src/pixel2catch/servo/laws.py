@@ -52,9 +52,9 @@ SLACK_LAGS = 3.0
 FROZEN_ANGLE = 0.01
 """Motion of a command during which the measurement must change by at least one bit [rad]. Source: ours."""
 
-FROZEN_TIME = (
-    0.15  #: Time that a measurement has to change [s]. Source: ours, more than the lag of any servo.
-)
+FROZEN_TIME = 0.15
+"""Longest time in which the measurement stays the same, once the command moved by `FROZEN_ANGLE` [s]. Source:
+ours, more than the lag of any servo."""
 LAG_MARGIN = 1.05
 """Factor on the estimated lag. Source: ours, half of the margin of the speed."""
 

@@ -102,7 +102,7 @@ class Outcome:
 
     seed: int  #: Seed of the throw.
     object: str | None  #: Object that was thrown; none if it was not thrown.
-    is_tracked: bool  #: Whether the palm came near the object.
+    is_tracked: bool  #: Whether the palm reached the object, as the tracking rate counts it.
     is_success: bool  #: Whether it was caught.
     stops: list[str]  #: Reasons for which the robot stopped without a request.
     problem: str  #: Why it could not be thrown; empty if it was.

@@ -46,7 +46,8 @@ HOP = 0.0005
 Source: ours, for DDS between two processes.
 """
 
-GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
+GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
+"""Background and object in plain images, and the colours by which perception finds the object."""
 NOISE, NUM_SHIFTS = 4, 32
 """Largest noise of plain images [levels]; number of different shifts of it along a row."""
 
