@@ -266,11 +266,7 @@ def find_excitation(
 
 
 def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
-    """Draw one trajectory without a test in simulation; `shrunk` are factors on the motion, by joint.
-
-    Raises:
-        InvalidValueError: Too little time is left for the kinds of motion.
-    """
+    """Draw one trajectory without a test in simulation; `shrunk` are factors on the motion, by joint."""
     rng = np.random.default_rng(cfg.seed)
     joints = joints_of(cfg.workcell, cfg.robot)
     envelope = Envelope.of(joints, cfg.speed, shrunk, cfg.workcell)

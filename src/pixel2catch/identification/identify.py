@@ -121,10 +121,6 @@ def start_of_fit(
     """Return the start of a fit of a part, from a dynamics file if there is one.
 
     Without a file, the servo behind a filter that is to be fitted is stiff.
-
-    Raises:
-        UnknownNameError: There is no such part.
-        InvalidValueError: The file cannot be read, or the filter of a hand is to be fitted.
     """
     joints, groups = joints_of(workcell, part), groups_of(workcell)
     if fits_filter and any(groups[joint].role != "arm" for joint in joints):
@@ -151,11 +147,7 @@ def stiff(nominal: JointDynamics) -> JointDynamics:
 
 
 def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:
-    """Check recordings; the last of several judges the fit.
-
-    Raises:
-        InvalidValueError: A recording is given twice.
-    """
+    """Check recordings; the last of several judges the fit."""
     names = [str(Path(recording.name)) for recording in recordings]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -49,11 +49,7 @@ class RecordedNames:
 
     @classmethod
     def of(cls, profile: Profile, joints: Sequence[str]) -> "RecordedNames":
-        """Return the names that the drivers of a profile have for some joints and their topics.
-
-        Raises:
-            RecordingError: Their states are on several topics.
-        """
+        """Return the names that the drivers of a profile have for some joints and their topics."""
         drivers = [part for part in profile.robots if {*part.joints} & {*joints}]
         measured = sorted({part.state_topic.name for part in drivers})
         if len(measured) != 1:

@@ -138,11 +138,7 @@ class Recording:
         return held(self.t_cmd, self.q_cmd, time)
 
     def select(self, joints: tuple[str, ...], *, is_partial: bool = False) -> "Recording":
-        """Return the motion of some of the joints, in the order given; a partial one needs one of them only.
-
-        Raises:
-            RecordingError: The recording lacks one of them.
-        """
+        """Return the motion of some joints in the given order; a partial one needs one of them only."""
         if is_partial:
             joints = tuple(joint for joint in joints if joint in self.joints) or joints
         require_joints(self.name, joints, self.joints)
@@ -230,11 +226,6 @@ def require_motion(
         positions: Positions [rad], shape (rows, joints).
         others: Other values of that shape, such as speeds.
         workcell: Work cell of the joints.
-
-    Raises:
-        RecordingError: There are no rows, shapes differ, a value is not finite, time runs backwards or a
-            position is beyond every joint's reach.
-        UnknownNameError: The work cell has no such joint.
     """
     groups = groups_of(workcell)
     if unknown := [joint for joint in joints if joint not in groups]:

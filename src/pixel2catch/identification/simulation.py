@@ -271,11 +271,7 @@ class RecordedMotion:
     """Recordings of the same joints that can be simulated under any dynamics."""
 
     def __init__(self, recordings: Sequence[Recording], physics_dt: float = FIT_DT) -> None:
-        """Build the model of the recorded joints, which are the same in all, with a time step [s].
-
-        Raises:
-            RecordingError: There is no recording, one is too short, or they are of different joints.
-        """
+        """Build the model of the recorded joints, which are the same in all, with a time step [s]."""
         if not recordings:
             raise RecordingError("there is no recording to simulate; give at least one.")
         self.joints, workcell = recordings[0].joints, recordings[0].workcell

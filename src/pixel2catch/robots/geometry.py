@@ -42,11 +42,7 @@ class Chain:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Read the chain from a model; `home` are the start positions of its joints [rad].
-
-        Raises:
-            InvalidValueError: A joint that moves the site is no hinge, or `home` has the wrong length.
-        """
+        """Read the chain from a model; `home` are the start positions of its joints [rad]."""
         self.joints, matrices = _read(model, site)
         if len(self.joints) != len(home):
             raise InvalidValueError(

@@ -58,12 +58,7 @@ class JointDynamics:
             self._check(name)
 
     def require(self, joints: Sequence[JointSpec]) -> None:
-        """Require that all joints belong to a robot, in its order.
-
-        Raises:
-            UnknownNameError: A joint is not the robot's.
-            InvalidValueError: The order differs.
-        """
+        """Require that all joints belong to a robot, in its order."""
         known = [joint.name for joint in joints]
         for name in self.joints:
             if name not in known:
@@ -141,11 +136,7 @@ class JointDynamics:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "JointDynamics":
-        """Convert from the result of `to_dict`.
-
-        Raises:
-            InvalidValueError: A value is out of range, or an entry is missing or unknown.
-        """
+        """Convert from the result of `to_dict`."""
         return decoded(cls, content)
 
     @property

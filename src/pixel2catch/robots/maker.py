@@ -22,12 +22,13 @@ from pixel2catch.robots.poses import (
     Inertial,
     Pose,
     combined,
+    inertial_of,
     pose_matrix,
     pose_of,
     principal_axes,
     quaternion,
-    rotation_matrix,
     sphere_points,
+    vertices_of,
 )
 from pixel2catch.robots.spec import RobotSpec
 from pixel2catch.robots.workcell import (
@@ -79,11 +80,7 @@ class MakerPart:
 def add_maker_bodies(
     spec: mujoco.MjSpec, workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface
 ) -> None:
-    """Replace the bodies of the robots in a scene by makers' models.
-
-    Raises:
-        InvalidValueError: A file is no model of a part of the robots, or cannot be read.
-    """
+    """Replace the bodies of the robots in a scene by makers' models; raise as `maker_parts` does."""
     _exchange(spec, maker_parts(workcell, files, surface))
     named = {tuple(sorted((pair.bodyname1, pair.bodyname2))) for pair in spec.excludes}
     for pair in _overlapping(workcell, files, surface) - named:
@@ -97,7 +94,7 @@ def maker_parts(
     """Return the makers' parts by prefix and name of our part; one file may match several parts.
 
     Raises:
-        InvalidValueError: As `add_maker_bodies`.
+        InvalidValueError: A file is no model of a part of the robots, or cannot be read.
     """
     ours = {(prefix, part.name): part for prefix, part in parts_of(workcell)}
     found: dict[tuple[str, str], MakerPart] = {}
@@ -182,14 +179,13 @@ def _part(
         if _is_of(theirs, geom, surface)
     )
     inertials = {
-        ours.body(body).name: combined([_inertial(theirs, i, to_ours[body] @ frames[i]) for i in members])
+        ours.body(body).name: combined([inertial_of(theirs, i, to_ours[body] @ frames[i]) for i in members])
         for body, members in bodies.items()
         if theirs.body_mass[members].sum() > MASSLESS
     }
     names = tuple(ours.body(body).name for body in bodies)
-    distance, angle = misfit
     return MakerPart(
-        bodies=names, axes=axes, inertials=inertials, geoms=geoms, distance=distance, angle=angle
+        bodies=names, axes=axes, inertials=inertials, geoms=geoms, distance=misfit[0], angle=misfit[1]
     )
 
 
@@ -278,25 +274,14 @@ def _misfit(ours: list[Line], theirs: list[Line], root: Pose) -> tuple[float, fl
     return float(np.linalg.norm(gaps[:, :3], axis=1).max()), float(np.arcsin(np.minimum(sines, 1.0)).max())
 
 
-def _inertial(model: mujoco.MjModel, body: int, pose: Pose) -> Inertial:
-    """Return the mass properties of a body, seen from the frame in which it has this pose."""
-    axes = pose[:3, :3] @ rotation_matrix(model.body_iquat[body])
-    center = pose[:3, :3] @ model.body_ipos[body] + pose[:3, 3]
-    return float(model.body_mass[body]), center, axes @ np.diag(model.body_inertia[body]) @ axes.T
-
-
 def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom:
-    kind, vertices = mujoco.mjtGeom(model.geom_type[geom]), np.zeros((0, 3))
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
-        outermost = (vertices @ sphere_points(HULL_POINTS).T).argmax(axis=0)
-        vertices = vertices[np.unique(outermost)]
+    vertices = vertices_of(model, geom)
+    if len(vertices):
+        vertices = vertices[np.unique((vertices @ sphere_points(HULL_POINTS).T).argmax(axis=0))]
     material = model.geom_matid[geom]
     return MakerGeom(
         body=body,
-        type=kind,
+        type=mujoco.mjtGeom(model.geom_type[geom]),
         size=np.array(model.geom_size[geom]),
         vertices=vertices,
         pose=frame @ pose_matrix(model.geom_pos[geom], model.geom_quat[geom]),

@@ -1,4 +1,4 @@
-"""Poses as homogeneous matrices, and mass properties of rigid bodies."""
+"""Poses as homogeneous matrices, mass properties of rigid bodies, vertices of meshes."""
 
 from collections.abc import Sequence
 
@@ -38,6 +38,22 @@ def pose_of(pos: ndarray, rotation: ndarray) -> Pose:
 def pose_matrix(pos: Sequence[float] | ndarray, quat: Sequence[float] | ndarray) -> Pose:
     """Return the pose of a position [m] and a quaternion (w, x, y, z) of any length."""
     return pose_of(np.asarray(pos), rotation_matrix(np.asarray(quat, dtype=float) / np.linalg.norm(quat)))
+
+
+def inertial_of(model: mujoco.MjModel, body: int, pose: Pose) -> Inertial:
+    """Return the mass properties of a body of a model, seen from the frame in which it has this pose."""
+    axes = pose[:3, :3] @ rotation_matrix(model.body_iquat[body])
+    center = pose[:3, :3] @ model.body_ipos[body] + pose[:3, 3]
+    return float(model.body_mass[body]), center, axes @ np.diag(model.body_inertia[body]) @ axes.T
+
+
+def vertices_of(model: mujoco.MjModel, geom: int) -> Float[ndarray, "num_vertices 3"]:
+    """Return the vertices of a mesh geom [m]; none for other geoms."""
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
+        return np.zeros((0, 3))
+    mesh = model.geom_dataid[geom]
+    first = model.mesh_vertadr[mesh]
+    return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
 
 
 def combined(bodies: Sequence[Inertial]) -> Inertial:

@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Literal
-from xml.parsers import expat
+from xml.etree import ElementTree
 
 import mujoco
 
@@ -104,11 +105,7 @@ class WorkcellSpec:
         return tuple(joint.name for joint in self.joints)
 
     def columns(self, group: str) -> slice:
-        """Return the columns of a joint group.
-
-        Raises:
-            UnknownNameError: There is no such group.
-        """
+        """Return the columns of a joint group."""
         first = 0
         for each in self.groups:
             if each.name == group:
@@ -170,11 +167,7 @@ def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> No
 
 
 def robot_mjcf(robot: RobotSpec, visuals: bool = True) -> mujoco.MjSpec:
-    """Return the MJCF of a robot with its tools.
-
-    Raises:
-        InvalidValueError: `read_mjcf` cannot read a file, or the site that carries the tool is missing.
-    """
+    """Return the MJCF of a robot with its tools."""
     spec = read_mjcf(robot.mjcf)
     if not visuals:
         for geom in spec.geoms:
@@ -239,32 +232,22 @@ def _find_mesh(name: str, folder: Path) -> Path:
 @lru_cache(maxsize=8)  # scenes with different objects share their robots
 def _require_simple(content: bytes) -> str:
     """Return the name of the outermost element of a model without forbidden content."""
-    depth = num_elements = 0
-    root = ""
-
-    def begin(name: str, _: object) -> None:
-        nonlocal depth, num_elements, root
-        root = root or name
-        depth, num_elements = depth + 1, num_elements + 1
-        if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
-            raise InvalidValueError(
-                f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
-            )
-        if name in GROWING:
-            raise InvalidValueError(f"it has the element '{name}'; write out the elements that it creates")
-
-    def end(_: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def declare(*_: object) -> None:
+    if b"<!DOCTYPE" in content:
         raise InvalidValueError("it declares a document type or entities; remove them")
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.StartDoctypeDeclHandler = declare
+    root, depth, num_elements = "", 0, 0
     try:
-        parser.Parse(content, True)
-    except expat.ExpatError as error:
+        for event, element in ElementTree.iterparse(BytesIO(content), ("start", "end")):
+            root, name = root or element.tag, element.tag
+            depth += 1 if event == "start" else -1
+            num_elements += event == "start"
+            if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
+                raise InvalidValueError(
+                    f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
+                )
+            if name in GROWING:
+                raise InvalidValueError(
+                    f"it has the element '{name}'; write out the elements that it creates"
+                )
+    except ElementTree.ParseError as error:
         raise InvalidValueError(f"it is not XML ({error})") from error
     return root

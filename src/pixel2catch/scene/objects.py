@@ -69,11 +69,7 @@ def make_object(
 
 
 def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"], mass: float) -> ObjectSpec:
-    """Return an object that collides as its parts, with a mass [kg] and the moments of a solid.
-
-    Raises:
-        InvalidValueError: The mass is not positive.
-    """
+    """Return an object that collides as its parts, with a mass [kg] and the moments of a solid."""
     if not mass > 0.0:
         raise InvalidValueError(f"object '{name}' has a mass of {mass} kg; it must be greater than 0.")
     inertia = shapes.inertia(solid, mass)
@@ -105,89 +101,72 @@ def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
     return make_object(name, long_bar, short_bar)
 
 
-def _by_name(*specs: ObjectSpec) -> dict[str, ObjectSpec]:
-    return {spec.name: spec for spec in specs}
-
-
-_SEEN = _by_name(
-    make_object("cone_s", shapes.cone(0.04, 0.08)),
-    make_object("cone_l", shapes.cone(0.045, 0.09)),
-    make_object("cylinder_s", shapes.cylinder(0.03, 0.06)),
-    make_object("cylinder_l", shapes.cylinder(0.035, 0.07)),
-    make_object("cube_s", shapes.box(0.05, 0.05, 0.05)),
-    make_object("cube_l", shapes.box(0.06, 0.06, 0.06)),
-    make_object("sphere_s", shapes.sphere(0.035)),
-    make_object("sphere_l", shapes.sphere(0.04)),
-    make_object("capsule_s", shapes.capsule(0.025, 0.04)),
-    make_object("capsule_l", shapes.capsule(0.03, 0.05)),
-)
-
-_UNSEEN = _by_name(
-    _l_block("l_block", 0.07, 0.03, 0.05),
-    make_object("triangular_prism", shapes.prism(3, 0.07, 0.06)),
-    make_object("hexagonal_prism", shapes.prism(6, 0.035, 0.06)),
-    make_object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
-    make_object(
-        "cross",
-        shapes.box(0.08, 0.03, 0.05),
-        shapes.box(0.03, 0.08, 0.05),
-        overlap=shapes.box(0.03, 0.03, 0.05),
+_GROUPS: dict[str, tuple[ObjectSpec, ...]] = {
+    # Training objects: five shapes in two sizes. Source: release.
+    "seen": (
+        make_object("cone_s", shapes.cone(0.04, 0.08)),
+        make_object("cone_l", shapes.cone(0.045, 0.09)),
+        make_object("cylinder_s", shapes.cylinder(0.03, 0.06)),
+        make_object("cylinder_l", shapes.cylinder(0.035, 0.07)),
+        make_object("cube_s", shapes.box(0.05, 0.05, 0.05)),
+        make_object("cube_l", shapes.box(0.06, 0.06, 0.06)),
+        make_object("sphere_s", shapes.sphere(0.035)),
+        make_object("sphere_l", shapes.sphere(0.04)),
+        make_object("capsule_s", shapes.capsule(0.025, 0.04)),
+        make_object("capsule_l", shapes.capsule(0.03, 0.05)),
     ),
+    # Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours.
+    "unseen": (
+        _l_block("l_block", 0.07, 0.03, 0.05),
+        make_object("triangular_prism", shapes.prism(3, 0.07, 0.06)),
+        make_object("hexagonal_prism", shapes.prism(6, 0.035, 0.06)),
+        make_object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
+        make_object(
+            "cross",
+            shapes.box(0.08, 0.03, 0.05),
+            shapes.box(0.03, 0.08, 0.05),
+            overlap=shapes.box(0.03, 0.03, 0.05),
+        ),
+    ),
+    # Objects of the real experiment. Source: shapes: paper; sizes: ours.
+    "real": (
+        make_object("real_cube", shapes.box(0.06, 0.06, 0.06)),
+        _l_block("real_l_block", 0.08, 0.035, 0.06),
+        make_object("real_triangle", shapes.prism(3, 0.08, 0.06)),
+    ),
+    # Balls and boxes for one hand and for two, named by their longest extent [cm]. Source: ours: toy balls
+    # and parcels, the large ones of 20 to 70 kg/m³.
+    "sizes": (
+        make_object("ball_6", shapes.sphere(0.03), mass=0.03),
+        make_object("ball_10", shapes.sphere(0.05), mass=0.05),
+        make_object("ball_16", shapes.sphere(0.08), mass=0.1),
+        make_object("ball_22", shapes.sphere(0.11), mass=0.18),
+        make_object("ball_28", shapes.sphere(0.14), mass=0.28),
+        make_object("box_6", shapes.box(0.06, 0.05, 0.04), mass=0.03),
+        make_object("box_10", shapes.box(0.1, 0.08, 0.06), mass=0.05),
+        make_object("box_16", shapes.box(0.16, 0.14, 0.11), mass=0.1),
+        make_object("box_22", shapes.box(0.22, 0.18, 0.15), mass=0.18),
+        make_object("box_28", shapes.box(0.28, 0.22, 0.18), mass=0.28),
+    ),
+    # Objects of similar sizes, not used in training. Source: ours.
+    "sizes_unseen": (
+        make_object("ball_8", shapes.sphere(0.04), mass=0.04),
+        make_object("ball_19", shapes.sphere(0.095), mass=0.14),
+        make_object("ball_25", shapes.sphere(0.125), mass=0.22),
+        make_object("cube_20", shapes.box(0.2, 0.2, 0.2), mass=0.2),
+        make_object("drum_24", shapes.cylinder(0.1, 0.24), mass=0.22),
+    ),
+}
+
+OBJECTS: dict[str, ObjectSpec] = catalogue(
+    ObjectSpec, {spec.name: spec for group in _GROUPS.values() for spec in group}
 )
-
-_REAL = _by_name(
-    make_object("real_cube", shapes.box(0.06, 0.06, 0.06)),
-    _l_block("real_l_block", 0.08, 0.035, 0.06),
-    make_object("real_triangle", shapes.prism(3, 0.08, 0.06)),
-)
-
-_SIZES = _by_name(
-    make_object("ball_6", shapes.sphere(0.03), mass=0.03),
-    make_object("ball_10", shapes.sphere(0.05), mass=0.05),
-    make_object("ball_16", shapes.sphere(0.08), mass=0.1),
-    make_object("ball_22", shapes.sphere(0.11), mass=0.18),
-    make_object("ball_28", shapes.sphere(0.14), mass=0.28),
-    make_object("box_6", shapes.box(0.06, 0.05, 0.04), mass=0.03),
-    make_object("box_10", shapes.box(0.1, 0.08, 0.06), mass=0.05),
-    make_object("box_16", shapes.box(0.16, 0.14, 0.11), mass=0.1),
-    make_object("box_22", shapes.box(0.22, 0.18, 0.15), mass=0.18),
-    make_object("box_28", shapes.box(0.28, 0.22, 0.18), mass=0.28),
-)
-
-_SIZES_UNSEEN = _by_name(
-    make_object("ball_8", shapes.sphere(0.04), mass=0.04),
-    make_object("ball_19", shapes.sphere(0.095), mass=0.14),
-    make_object("ball_25", shapes.sphere(0.125), mass=0.22),
-    make_object("cube_20", shapes.box(0.2, 0.2, 0.2), mass=0.2),
-    make_object("drum_24", shapes.cylinder(0.1, 0.24), mass=0.22),
-)
-
-SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two sizes. Source: release.
-
-UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
-"""Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours."""
-
-REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
-
-SIZES: tuple[str, ...] = tuple(_SIZES)
-"""Balls and boxes for one hand and for two; the number is the longest extent [cm].
-
-Source: ours: toy balls and parcels, the large ones of 20 to 70 kg/m³.
-"""
-
-SIZES_UNSEEN: tuple[str, ...] = tuple(_SIZES_UNSEEN)  #: Objects of similar sizes, not used in training.
-
-OBJECTS: dict[str, ObjectSpec] = catalogue(ObjectSpec, _SEEN | _UNSEEN | _REAL | _SIZES | _SIZES_UNSEEN)
 """All objects by name, in the order of the object table; those of user files are last."""
 
-OBJECT_GROUPS: dict[str, tuple[str, ...]] = {
-    "seen": SEEN,
-    "unseen": UNSEEN,
-    "real": REAL,
-    "sizes": SIZES,
-    "sizes_unseen": SIZES_UNSEEN,
-}
-"""Groups of objects, by name."""
+OBJECT_GROUPS = {name: tuple(spec.name for spec in group) for name, group in _GROUPS.items()}
+"""Names of the objects of each group."""
+
+SEEN, UNSEEN, REAL, SIZES, SIZES_UNSEEN = OBJECT_GROUPS.values()
 
 
 def largest_radius(names: Iterable[str], scale: float = 1.0) -> float:
@@ -226,9 +205,6 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
 
     The first points are all vertices, or those of the common hull if there are too many; they bound the
     outline in an image exactly. The others are uniformly distributed over the outer surface.
-
-    Raises:
-        InvalidValueError: The hull has more vertices than `num_points`.
     """
     vertices = np.concatenate([part.vertices for part in spec.parts])
     if num_points < len(vertices):

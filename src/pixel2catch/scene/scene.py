@@ -49,11 +49,7 @@ DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")  #: Model fields that de
 
 
 def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
-    """Compose the scene with one object.
-
-    Raises:
-        UnknownNameError: The object, the work cell or another choice does not exist.
-    """
+    """Compose the scene with one object."""
     if object_name not in OBJECTS:
         raise UnknownNameError("object", object_name, OBJECTS)
     workcell = find_workcell(cfg.workcell)
@@ -174,11 +170,7 @@ def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:
 
 
 def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
-    """Write the model as a self-contained .xml with six digits, or as an exact binary .mjb.
-
-    Raises:
-        InvalidValueError: The path has another ending.
-    """
+    """Write the model as a self-contained .xml with six digits, or as an exact binary .mjb."""
     match Path(path).suffix:
         case ".xml":
             spec = build_spec(cfg, object_name)

@@ -43,12 +43,7 @@ class DrakeCopy(EngineCopy):
     """A multibody plant with its scene graph."""
 
     def __init__(self, world: RigidWorld) -> None:
-        """Build the plant.
-
-        Raises:
-            DeviceUnavailableError: Drake is not installed.
-            InvalidValueError: The object has a restitution, or gravity acts on some links only.
-        """
+        """Build the plant."""
         if world.restitution > 1e-6:
             raise InvalidValueError(
                 f"the object's restitution is {world.restitution:g}; engine 'drake' supports 0 only: give "
@@ -227,11 +222,7 @@ class _Builder:
 
 @cache
 def load_drake() -> dict[str, Any]:
-    """Import the modules of Drake.
-
-    Raises:
-        DeviceUnavailableError: It is not installed.
-    """
+    """Import the modules of Drake."""
     with needs_extra("drake", "engine 'drake' needs Drake, which cannot be imported", DeviceUnavailableError):
         modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
     logging.getLogger("drake").setLevel(

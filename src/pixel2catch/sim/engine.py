@@ -76,11 +76,7 @@ class EngineSimulation(Simulation):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, make_copy: Callable[[RigidWorld], EngineCopy]
     ) -> None:
-        """Create the environments at the model's defaults; the first step builds the copies.
-
-        Raises:
-            InvalidValueError: `num_envs` is too large, or the engine does not support the model.
-        """
+        """Create the environments at the model's defaults; the first step builds the copies."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
         if num_envs > MOST_ENVS:
             raise InvalidValueError(
@@ -146,11 +142,7 @@ class EngineSimulation(Simulation):
         return self._described.ray(origin, directions, groups, mask)
 
     def check(self) -> None:
-        """Raise if the engine diverged.
-
-        Raises:
-            NonFiniteError: With the number of environments that did.
-        """
+        """Raise if the engine diverged."""
         if lost := int((~np.isfinite(self._state())).any(axis=1).sum()):
             raise NonFiniteError(
                 f"{lost} of {self.num_envs} environments have NaN or infinity in their state"

@@ -48,12 +48,7 @@ def make_simulation(
 
 
 def require_engine(engine: str) -> None:
-    """Raise if an engine is unknown or not installed.
-
-    Raises:
-        DeviceUnavailableError: It is not installed; the message has the command that installs it.
-        UnknownNameError: There is no such engine.
-    """
+    """Raise if an engine is unknown or not installed."""
     if engine not in ENGINES:
         raise UnknownNameError("engine", engine, ENGINES)
     if engine == "physx":
@@ -67,11 +62,7 @@ def require_engine(engine: str) -> None:
 
 
 def require_cuda(device: str) -> None:
-    """Raise if PyTorch does not find a CUDA device.
-
-    Raises:
-        DeviceUnavailableError: With the number of devices and the fix.
-    """
+    """Raise if PyTorch does not find a CUDA device."""
     count = torch.cuda.device_count()
     index = torch.device(device).index or 0
     if index >= count:

@@ -18,9 +18,6 @@ def fused(
     """Return the function with fused tensor operations; the steps of the simulation are not compiled.
 
     The first call compiles for about a minute. `backend` is a back end of torch.compile.
-
-    Raises:
-        DeviceUnavailableError: The device is a CPU and there is no C++ compiler.
     """
     if simulation.device.type == "cpu" and backend == "inductor":
         require_compiler()
@@ -32,11 +29,7 @@ def fused(
 
 
 def require_compiler() -> None:
-    """Require the C++ compiler that torch.compile needs for a CPU.
-
-    Raises:
-        DeviceUnavailableError: There is none.
-    """
+    """Require the C++ compiler that torch.compile needs for a CPU."""
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.exc import InvalidCxxCompiler
 

@@ -56,12 +56,7 @@ class PhysxCopy(EngineCopy):
     """A PhysX scene on the CPU."""
 
     def __init__(self, world: RigidWorld, cfg: PhysxCfg = PhysxCfg()) -> None:
-        """Build articulations and free bodies.
-
-        Raises:
-            DeviceUnavailableError: SAPIEN is not installed.
-            InvalidValueError: Too many pairs of bodies are excluded from collision.
-        """
+        """Build articulations and free bodies."""
         if len(world.excluded) > MOST_EXCLUDED:
             raise InvalidValueError(
                 f"{len(world.excluded)} pairs of bodies are excluded from collision; PhysX supports at most "
@@ -260,11 +255,7 @@ def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[nda
 
 @cache
 def load_sapien() -> Any:
-    """Import SAPIEN.
-
-    Raises:
-        DeviceUnavailableError: It is not installed.
-    """
+    """Import SAPIEN."""
     with (
         needs_extra("physx", "engine 'physx' needs SAPIEN, which cannot be imported", DeviceUnavailableError),
         warnings.catch_warnings(action="ignore"),  # a missing graphics driver; nothing is rendered

@@ -12,7 +12,15 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.poses import Inertial, Pose, combined, pose_of, principal_axes, sphere_points
+from pixel2catch.robots.poses import (
+    Pose,
+    combined,
+    inertial_of,
+    pose_of,
+    principal_axes,
+    sphere_points,
+    vertices_of,
+)
 from pixel2catch.scene.cfg import restitution_of
 
 ELLIPSOID_POINTS = 200
@@ -90,7 +98,6 @@ def rigid_world(model: mujoco.MjModel) -> RigidWorld:
     _refuse(model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
     bodies = tuple(_body(model, data, body) for body in moving)
     first = int(np.argmax(model.geom_priority))
@@ -114,33 +121,34 @@ def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
 
 
 def _refuse(model: mujoco.MjModel) -> None:
-    found = [name for name in REFUSED if getattr(model, name)]
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
-    found += [
-        f"joint '{model.joint(i).name}'" for i, kind in enumerate(model.jnt_type) if kind not in (hinge, free)
-    ]
-    found += [
-        f"body '{model.body(i).name}' with several joints" for i in np.flatnonzero(model.body_jntnum > 1)
-    ]
+    kinds, gravcomp = model.jnt_type, model.body_gravcomp
     servos = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = sorted(model.actuator_trnid[servos, 0].tolist())
-    if not servos.all() or driven != np.flatnonzero(model.jnt_type == hinge).tolist():
-        found.append("joints without one servo each")
-    found += [
-        f"gravcomp of body '{model.body(i).name}'"
-        for i, g in enumerate(model.body_gravcomp)
-        if g not in (0, 1)
+    limited = model.actuator_ctrllimited.all() and model.actuator_forcelimited.all()
+    others = np.flatnonzero((kinds != hinge) & (kinds != free))
+    found = [
+        *(name for name in REFUSED if getattr(model, name)),
+        *(f"joint '{model.joint(i).name}'" for i in others),
+        *(f"body '{model.body(i).name}' with several joints" for i in np.flatnonzero(model.body_jntnum > 1)),
+        *(
+            f"gravcomp of body '{model.body(i).name}'"
+            for i in np.flatnonzero((gravcomp != 0) & (gravcomp != 1))
+        ),
+        *(
+            name
+            for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness")
+            if getattr(model, name).any()
+        ),
     ]
-    if not (model.actuator_ctrllimited.all() and model.actuator_forcelimited.all()):
-        found.append("servos without limits")
-    for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness"):
-        if getattr(model, name).any():
-            found.append(name)
-    if (model.geom_type > int(mujoco.mjtGeom.mjGEOM_MESH)).any():
-        found.append("signed distance fields")
-    if model.qpos0[model.jnt_qposadr[model.jnt_type == hinge]].any():
-        found.append("a reference angle other than 0")
-    if found:
+    faults = {
+        "joints without one servo each": not servos.all()
+        or driven != np.flatnonzero(kinds == hinge).tolist(),
+        "servos without limits": not limited,
+        "signed distance fields": (model.geom_type > int(mujoco.mjtGeom.mjGEOM_MESH)).any(),
+        "a reference angle other than 0": model.qpos0[model.jnt_qposadr[kinds == hinge]].any(),
+    }
+    if found := [*found, *(text for text, is_there in faults.items() if is_there)]:
         raise InvalidValueError(
             f"the model has {', '.join(found)}, which other engines do not support; use engine 'mujoco'."
         )
@@ -149,17 +157,19 @@ def _refuse(model: mujoco.MjModel) -> None:
 def _body(model: mujoco.MjModel, data: mujoco.MjData, number: int) -> Body:
     """Return the rigid body that begins with a body of the model."""
     members = np.flatnonzero(model.body_weldid == number)
-    origin = pose_of(data.xpos[number], data.xmat[number])
     parent = int(model.body_weldid[model.body_parentid[number]])
-    carrier = pose_of(data.xpos[parent], data.xmat[parent])
-    mass, center, inertia = combined([_inertial(model, data, member, origin) for member in members.tolist()])
+    poses = {body: pose_of(data.xpos[body], data.xmat[body]) for body in (parent, *members.tolist())}
+    origin = poses[number]
+    mass, center, inertia = combined(
+        [inertial_of(model, body, np.linalg.inv(origin) @ poses[body]) for body in members.tolist()]
+    )
     moments, axes = principal_axes(inertia)
     joint = int(model.body_jntadr[number])
     is_free = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE)
     return Body(
         number=number,
         parent=parent,
-        pose=np.linalg.inv(carrier) @ origin,
+        pose=np.linalg.inv(poses[parent]) @ origin,
         joint=None if is_free else _joint(model, joint),
         qpos=int(model.jnt_qposadr[joint]),
         dof=int(model.jnt_dofadr[joint]),
@@ -169,13 +179,6 @@ def _body(model: mujoco.MjModel, data: mujoco.MjData, number: int) -> Body:
         has_weight=not model.body_gravcomp[members].any(),
         geoms=_geoms(model, data, members, origin),
     )
-
-
-def _inertial(model: mujoco.MjModel, data: mujoco.MjData, body: int, origin: Pose) -> Inertial:
-    """Return the mass properties of a body in a frame."""
-    axes = origin[:3, :3].T @ data.ximat[body].reshape(3, 3)
-    center = origin[:3, :3].T @ (data.xipos[body] - origin[:3, 3])
-    return float(model.body_mass[body]), center, axes @ np.diag(model.body_inertia[body]) @ axes.T
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> Joint:
@@ -204,12 +207,8 @@ def _geoms(model: mujoco.MjModel, data: mujoco.MjData, bodies: ndarray, origin: 
 
 def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), np.array(model.geom_size[geom])
-    vertices = np.zeros((0, 3))
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        vertices = np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], dtype=float)
-    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+    vertices = vertices_of(model, geom)
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * sphere_points(ELLIPSOID_POINTS)
     return Geom(
         type=kind,

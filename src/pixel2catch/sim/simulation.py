@@ -34,11 +34,7 @@ class Simulation(ABC):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
     ) -> None:
-        """Store the attributes of all back ends.
-
-        Raises:
-            InvalidValueError: `num_envs` is not positive.
-        """
+        """Store the attributes of all back ends."""
         if num_envs < 1:
             raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1.")
         self.model = model  #: The common model.

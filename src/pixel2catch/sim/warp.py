@@ -125,11 +125,7 @@ class WarpSimulation(Simulation):
         return self._recorded(function, generator) if self._device.is_cuda else function
 
     def check(self) -> None:
-        """Raise if an environment overflowed its contact or constraint buffers.
-
-        Raises:
-            NonFiniteError: With the kind of overflow and the number of environments.
-        """
+        """Raise if an environment overflowed its contact or constraint buffers."""
         overflow = wp.to_torch(self._data.overflow) & ~_HARMLESS
         flags = int(torch.unique(overflow).sum().item()) if bool(overflow.any()) else 0
         if flags:
