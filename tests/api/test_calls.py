@@ -35,12 +35,7 @@ OWN = p2c.CatchEnvCfg(
     ("given", "name"),
     [
         ({"method": None}, "method is None"),
-        ({"num_envs": 0}, "num_envs is 0"),
         ({"num_envs": 1.5}, "num_envs is 1.5"),
-        ({"num_envs": "4"}, "num_envs is '4'"),
-        ({"num_envs": True}, "num_envs is True"),
-        ({"seed": None}, "seed is None"),
-        ({"task": None}, "task is None"),
         ({"workcell": 5}, "name is 5"),
         ({"objects": [3]}, "name is 3"),
         ({"device": "gpu"}, "device is 'gpu'"),

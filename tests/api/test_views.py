@@ -71,16 +71,6 @@ def test_a_vector_of_robots_goes_on_after_the_end():
     env.close()
 
 
-def test_a_wrong_action_is_named():
-    env = p2c.CatchVectorEnv(p2c.make("single_agent", num_envs=2, task=SHORT))
-    with pytest.raises(InvalidValueError, match=r"has shape \(2, 18\); it must be \(2, 19\)"):
-        env.step(np.zeros((2, 18)))
-    with pytest.raises(InvalidValueError, match="an action of agent 'robot' is NaN"):
-        env.step(np.full((2, 19), np.nan))
-    assert env.render() is None
-    env.close()
-
-
 def test_a_view_needs_what_its_library_knows():
     several = p2c.make("proposed", num_envs=2, task=SHORT)
     with pytest.raises(InvalidValueError, match=r"agents arm, hand; Gymnasium has one: make 'single_agent'"):

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.methods import METHODS
 
@@ -31,10 +31,3 @@ def test_what_is_left_out_hides_nothing(monkeypatch: pytest.MonkeyPatch):
         env.step({name: 2.0 * torch.rand(64, size, generator=generator) - 1.0 for name, size in sizes})
     assert num_hidden > 100
     assert sum(shares) / len(shares) < 0.7
-
-
-def test_no_ray_may_be_cast():
-    simulation = CatchEnv(CatchEnvCfg(), METHODS["proposed"], num_envs=2).world.simulation
-    nowhere, directions = torch.zeros(2, dtype=torch.bool), torch.ones(2, 3, 3, dtype=torch.float64)
-    hit = simulation.ray(torch.zeros(3, dtype=torch.float64), directions, (0, 3), nowhere)
-    assert hit.tolist() == [[-1.0] * 3] * 2

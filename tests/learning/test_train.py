@@ -3,11 +3,7 @@
 import csv
 import dataclasses
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -18,10 +14,8 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv
 
-from domains import PATIENCE
 from pixel2catch.errors import (
     CheckpointError,
-    DeviceUnavailableError,
     InvalidValueError,
     NonFiniteError,
     PolicyMismatchError,
@@ -143,8 +137,10 @@ def test_no_empty_folder_stays_behind(tmp_path: Path) -> None:
 
 def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
     train(SMALL, ReachingEnv, CONTRACT, tmp_path)
-    with pytest.raises(PolicyMismatchError, match="method: policy 'reaching', here 'other'"):
+    with pytest.raises(PolicyMismatchError, match=r"method: .*'reaching'.*'other'"):
         train(SMALL, ReachingEnv, dataclasses.replace(CONTRACT, method="other"), tmp_path, resume=True)
+    with pytest.raises(CheckpointError, match=r"'nominal'.*'wide'"):
+        train(SMALL, ReachingEnv, dataclasses.replace(CONTRACT, task="wide"), tmp_path, resume=True)
     with pytest.raises(CheckpointError, match=r"(?s)does not fit this configuration.*size mismatch"):
         train(dataclasses.replace(SMALL, hidden=(64, 32)), ReachingEnv, CONTRACT, tmp_path, resume=True)
     checkpoint = tmp_path / "checkpoint.pt"
@@ -161,19 +157,11 @@ def test_environment_that_does_not_fit(tmp_path: Path) -> None:
         train(SMALL, ReachingEnv, SOLO_CONTRACT, tmp_path / "b")
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
-def test_missing_gpu(tmp_path: Path) -> None:
-    with pytest.raises(DeviceUnavailableError, match="use 'cpu'"):
-        train(dataclasses.replace(SMALL, device="cuda"), ReachingEnv, CONTRACT, tmp_path)
-
-
 @pytest.mark.parametrize(
     ("quantity", "step", "name"),
     [
         ("hand/reward", 20, "reward of agent 'hand'"),
         ("arm/position", 20, "observation term 'position' of agent 'arm'"),
-        ("hand/pixel", 32, "observation term 'pixel' of agent 'hand'"),
-        ("any/state", 17, "value input"),
         ("any/state", 32, "value input"),
     ],
 )
@@ -264,34 +252,23 @@ def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:
     assert [row["transitions"] for row in rows(tmp_path)] == ["10", "20", "30", "40", "60"]
 
 
-def test_interruption(tmp_path: Path) -> None:
-    """One Ctrl-C in the middle of a training: checkpoint, policy, summary, and it can go on."""
-    script = (
-        "import dataclasses, pathlib, sys, reaching, pixel2catch.learning.train as learning\n"
-        "cfg = dataclasses.replace(reaching.SMALL, transitions=10**9, report_seconds=0.0)\n"
-        "result = learning.train(cfg, reaching.ReachingEnv, reaching.CONTRACT, pathlib.Path(sys.argv[1]))\n"
-        "print('status', result.status)\n"
-    )
-    paths = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "src"), *sys.path]
-    command = [sys.executable, "-c", script, str(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-    assert process.stdout is not None
-    assert "transitions" in process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    started = time.monotonic()
-    output, _ = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0
-    assert time.monotonic() - started < 20
-    assert "status interrupted" in output
-    assert "go on with --resume" in output
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["status"] == "interrupted"
-    assert summary["transitions"] >= 1024
+class InterruptedEnv(ReachingEnv):
+    """Ctrl-C is pressed in the third rollout."""
+
+    def step(self, actions: dict[str, torch.Tensor]) -> Any:
+        if self.num_steps == 2 * SMALL.rollout_steps + 3:
+            signal.raise_signal(signal.SIGINT)
+        return super().step(actions)
+
+
+def test_interruption(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """After one Ctrl-C there are checkpoint, policy and summary, and the training can go on."""
+    result = train(SMALL, InterruptedEnv, CONTRACT, tmp_path)
+    assert (result.status, result.transitions) == ("interrupted", 2048)
+    assert "--resume" in capsys.readouterr().out
+    assert json.loads((tmp_path / "summary.json").read_text())["status"] == "interrupted"
     assert Policy.load(tmp_path / "policy").contract == CONTRACT
-    cfg = dataclasses.replace(SMALL, transitions=summary["transitions"] + 1024)
-    resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path, resume=True)
-    assert resumed.transitions == summary["transitions"] + 1024
+    assert train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 4096
 
 
 def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
@@ -312,5 +289,4 @@ def test_the_simulation_is_checked_once_a_rollout(tmp_path: Path) -> None:
         return made[-1]
 
     train(SMALL, make, CONTRACT, tmp_path)
-    with (tmp_path / "metrics.csv").open() as file:
-        assert made[0].num_checks == len(list(csv.DictReader(file))) > 1
+    assert made[0].num_checks == len(rows(tmp_path)) == 4

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
+from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.agents import commands_of
 from pixel2catch.mdp.control_step import ActionMap, JointCommand, relative_command
 from pixel2catch.scene.constants import CONTROL_DT
@@ -76,8 +76,3 @@ def test_action_one_moves_an_arm_joint_at_its_speed_limit(joint):
     steady_lag = speed * joint.damping / joint.stiffness
     assert relative_command(joint).scale == pytest.approx(steady_lag + speed * CONTROL_DT)
     assert relative_command(joint).anchor == 1.0
-
-
-def test_commands_are_in_joint_order():
-    assert [command.anchor for command in COMMANDS] == [1.0] * len(ARM_JOINTS) + [0.0] * len(HAND_JOINTS)
-    assert [(command.lower, command.upper) for command in COMMANDS] == [(j.lower, j.upper) for j in JOINTS]

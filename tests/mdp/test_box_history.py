@@ -87,7 +87,6 @@ def test_stamps_of_even_steps_give_the_history_of_a_simulation(is_found, latency
 
 PATH = torch.tensor([[0.05, -0.1], [0.2, 0.6], [0.4, 2.0]])  # direction, speed, half of the acceleration
 GROWTH = 0.8
-MOTION = ("du", "dv", "ddu", "ddv", "growth", "residual")
 
 
 def uneven_ages(num_envs: int = 4) -> torch.Tensor:

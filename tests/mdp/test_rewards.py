@@ -169,18 +169,6 @@ def test_hand_reward_is_equation_4():
     assert reward(HAND, eventful_step()).item() == pytest.approx(expected, abs=1e-6)
 
 
-def test_weights_are_the_papers_and_a_grasp():
-    weights = {
-        agent.name: {term.name: term.weight for part in agent.parts for term in part.reward}
-        for agent in (ARM, HAND)
-    }
-    common = {"success": 10.0, "drop": -5.0, "table_contact": -5.0, "action_square": -0.01}
-    assert weights == {
-        "arm": {**common, "elapsed_time": -0.01, "palm_approach": 1.0, "nearness": 0.1},
-        "hand": {**common, "palm_approach": 1 / 5, "fingertips_approach": 1 / 5, "grasp": 0.2},
-    }
-
-
 @given(st.integers(0, 2**31), st.integers(0, 25))
 def test_the_single_and_the_sharing_agents_get_the_sum_of_both(seed, held_steps):
     generator = torch.Generator().manual_seed(seed)

@@ -72,13 +72,3 @@ def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
 def test_a_camera_with_images_of_another_size_is_refused():
     with pytest.raises(InvalidValueError, match="1280 x 480 pixels; policies need 640 x 480"):
         SensingCfg(camera=CameraFile(camera=replace(RGB_CAMERA, width=1280)))
-
-
-def test_numbers_of_the_task():
-    cfg = SensingCfg()
-    assert (cfg.corner_noise, cfg.latency_steps, cfg.joint_noise, cfg.joint_bias) == (
-        5.0,
-        (1, 2),
-        0.005,
-        0.001,
-    )

@@ -11,7 +11,7 @@ from snapshots import tensors
 from torch import Tensor
 
 from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
+from pixel2catch.mdp.tensors import DelayLine, clone, select, write
 
 NUM_ENVS = 4
 MASKS = st.lists(st.booleans(), min_size=NUM_ENVS, max_size=NUM_ENVS).map(torch.tensor)
@@ -54,12 +54,6 @@ def test_writing_is_selecting_in_place(mask: Tensor, new_seed: int, old_seed: in
     assert [each.data_ptr() for each in tensors(target)] == memory
 
 
-def test_writing_into_columns_of_another_type():
-    whole = torch.zeros(3, 2, dtype=torch.float64)
-    write(torch.tensor([True, False, True]), torch.tensor([1.0, 2.0, 3.0]), whole[:, 1])
-    assert whole.tolist() == [[0.0, 1.0], [0.0, 0.0], [0.0, 3.0]]
-
-
 @given(MASKS, SEEDS)
 def test_laws_of_selection(mask, seed):
     new, old = tree(seed), tree(seed + 1)
@@ -75,17 +69,6 @@ def test_nan_in_what_is_not_chosen_does_not_leak():
     nan = torch.full((NUM_ENVS, 2), torch.nan)
     chosen = select(torch.tensor([True, False, True, False]), torch.zeros(NUM_ENVS, 2), nan)
     assert chosen.isnan().any(dim=-1).tolist() == [False, True, False, True]
-
-
-@given(SEEDS)
-def test_assign_copies_values_into_the_same_memory(seed):
-    target, source = tree(seed), tree(seed + 1)
-    addresses = [tensor.data_ptr() for tensor in tensors(target)]
-    assign(target, source)
-    assert are_equal(target, source)
-    assert [tensor.data_ptr() for tensor in tensors(target)] == addresses
-    source.matrix.add_(1.0)
-    assert not are_equal(target, source)
 
 
 @given(SEEDS)
@@ -165,18 +148,3 @@ def test_interpolation_by_hand():
     arrived = sent(8.0, 2.0, 5.0, 1.0, num_envs=5).interpolated(delay)
     expected = torch.tensor([1.0, 2.0, 3.5, 6.5, 8.0])[:, None].expand(5, 19)
     torch.testing.assert_close(arrived, expected)
-
-
-@given(st.lists(st.floats(-3.0, 3.0, width=32), min_size=1, max_size=5), st.data())
-def test_whole_delays_are_exact_and_others_between_their_neighbours(numbers, data):
-    targets = sent(*numbers, num_envs=2)
-    whole = data.draw(st.integers(0, len(numbers) - 1))
-    delays = torch.full((2,), float(whole))
-    assert torch.equal(targets.interpolated(delays), targets.delivered(delays))
-    fraction = data.draw(st.floats(0.0, 1.0, width=32)) if whole else 0.0
-    neighbours = numbers[::-1][max(whole - 1, 0)], numbers[::-1][whole]
-    arrived = targets.interpolated(delays - fraction)
-    assert min(neighbours) - 1e-5 <= arrived.min()
-    assert arrived.max() <= max(neighbours) + 1e-5
-    expected = fraction * neighbours[0] + (1.0 - fraction) * neighbours[1]
-    torch.testing.assert_close(arrived, torch.full((2, 19), expected), atol=1e-5, rtol=0)

@@ -10,7 +10,6 @@ from snapshots import privileged, transition
 
 from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.terminations import (
-    HOLD_STEPS,
     EpisodeCfg,
     is_dropped,
     is_ended,
@@ -19,13 +18,7 @@ from pixel2catch.mdp.terminations import (
     near_palms,
     reach_of,
 )
-from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN
-
-
-def test_numbers_of_the_task():
-    assert HOLD_STEPS == 20
-    assert EpisodeCfg().max_steps * CONTROL_DT == pytest.approx(3.0)
 
 
 @given(st.floats(0.0, 0.2), st.floats(-3.14, 3.14), st.floats(-1.57, 1.57))
