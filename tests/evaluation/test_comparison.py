@@ -217,7 +217,7 @@ def test_bins_by_hand(columns: Columns, edges: tuple[float, ...], expected: list
 
 def test_mean_and_deviation_over_seeds_by_hand():
     """0.2 and 0.4: mean 0.3, sample deviation 0.1414; where one seed has nothing yet, there is no mean."""
-    logs = {0: log([5, 15], [1, 1], [0.2, 0.5]), 1: log([5], [1], [0.4])}
+    logs = [log([5, 15], [1, 1], [0.2, 0.5]), log([5], [1], [0.4])]
     mean, deviation = gather({"proposed": logs}).mean_and_deviation("proposed", "success_rate")
     assert mean == pytest.approx([0.3, np.nan], nan_ok=True)
     assert deviation == pytest.approx([0.141421, np.nan], nan_ok=True, abs=1e-6)
@@ -239,7 +239,6 @@ def test_report_of_a_whole_study(study: ComparisonFolder):
         "table.csv",
         "objects.csv",
         "trainings.csv",
-        "curves.csv",
     }
     assert {path.name for path in report.iterdir()} == tables | {"curves.png", "objects.png"}
     for name in ("curves.png", "objects.png"):
@@ -257,9 +256,6 @@ def test_report_of_a_whole_study(study: ComparisonFolder):
     ):
         assert words in text
     assert read_rows(report / "table.json")[2]["success_rate"]["values"] == [0.2, 0.4]
-    rows = list(csv.DictReader((report / "curves.csv").read_text().splitlines()))
-    last = {(row["method"], row["seed"]): row["success_rate"] for row in rows if row["transitions"] == "250"}
-    assert float(last["proposed", "1"]) == pytest.approx(0.275)  # 0.2 of 10 and 0.3 of 30 episodes
 
 
 def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
@@ -271,7 +267,7 @@ def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
     assert write_comparison(folder) == []
     write_training(folder, replace(RUN, seed=1))
     write_comparison(folder)
-    assert (tmp_path / "report" / "curves.csv").read_text().splitlines()[1].startswith("proposed,1,50,")
+    assert (tmp_path / "report" / "curves.png").exists()
 
 
 def test_an_earlier_study_is_read(tmp_path: Path):

@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from pixel2catch.evaluation.slots import (
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
 
 
-def write(file: Path, device: str, on_share: Callable[[float], None]) -> None:
+def write(file: Path, device: str) -> None:
     """Note the order of the calls, print, and write the result."""
     with open(file.parent / "order", "a") as order:
         order.write(f"{file.name} ")
@@ -35,19 +34,19 @@ def write(file: Path, device: str, on_share: Callable[[float], None]) -> None:
     file.write_text(device)
 
 
-def fail(file: Path, device: str, on_share: Callable[[float], None]) -> None:
+def fail(file: Path, device: str) -> None:
     raise InvalidValueError("too bad")
 
 
-def write_nothing(file: Path, device: str, on_share: Callable[[float], None]) -> None:
+def write_nothing(file: Path, device: str) -> None:
     pass
 
 
-def die(file: Path, device: str, on_share: Callable[[float], None]) -> None:
+def die(file: Path, device: str) -> None:
     os._exit(1)
 
 
-def save_when_stopped(file: Path, device: str, on_share: Callable[[float], None]) -> None:
+def save_when_stopped(file: Path, device: str) -> None:
     signal.signal(signal.SIGTERM, lambda *_: (file.with_name("saved").touch(), sys.exit(0)))
     file.with_name("ready").touch()
     while True:

@@ -1,7 +1,6 @@
 """The stress suite: its settings, the same throws for all, the report by hand, and the command."""
 
 import csv
-import io
 import json
 import os
 import pickle
@@ -11,26 +10,24 @@ from typing import Any
 
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import InvalidValueError, NonFiniteError, UnknownNameError
-from pixel2catch.evaluation import policy_cells
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.policy_cells import PolicyEntry, find_policies, plan_results, throw_rounds
-from pixel2catch.evaluation.protocol import EvaluationCfg, Trials
-from pixel2catch.evaluation.report import Row, as_markdown, png, read_rows
+from pixel2catch.evaluation.protocol import EvaluationCfg
+from pixel2catch.evaluation.report import Row, as_markdown, read_rows
 from pixel2catch.evaluation.stress.suite import AXES, select_settings
 from pixel2catch.evaluation.stress_report import (
     REAL_ROBOT,
     SHOWN,
-    compare_orders,
+    compare_order,
     stress_rows,
     stress_sections,
 )
-from pixel2catch.methods import METHODS, PROPOSED, Method
+from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.workcells import find_workcell, workcells
 
@@ -38,7 +35,6 @@ EARLIER = Path(__file__).parents[2] / "experiments" / "results"
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()
 SIZE = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s", "sphere_l")
-SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}
 
 
 class Still:
@@ -83,8 +79,6 @@ def test_every_level_is_for_every_work_cell(name: str):
 def test_values_by_hand():
     assert changed("camera_position-2").sensing == replace(TASK.sensing, camera_offset=0.02)
     assert changed("camera_rotation-1").sensing.camera_turn == pytest.approx(0.0174533)
-    assert changed("focal_length-5").sensing.focal_error == pytest.approx(0.05)
-    assert changed("drops-15").sensing.drop_rate == pytest.approx(0.15)
     assert changed("mass-60").randomization.mass_scale == (2.0, 2.0)
     assert changed("restitution-0.75").randomization.restitution == (0.75, 0.75)
     assert changed("clock_error-20_ms").sensing.clock_error == pytest.approx(0.02)
@@ -103,7 +97,7 @@ def test_values_by_hand():
 def test_settings_come_in_the_order_of_the_tables():
     names = [setting.name for setting in select_settings(("mass", "nominal"))]
     assert names == ["nominal", "mass-15", "mass-60"]
-    with pytest.raises(UnknownNameError, match="camera_position"):
+    with pytest.raises(UnknownNameError):
         select_settings(("camera_positon",))
 
 
@@ -156,7 +150,6 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     cells = {f"cells/{policy}/{name}.json" for policy in ("first", "second") for name in settings}
     assert set(before) == cells | {"table.json", "table.csv", "table.md", "heatmap.png"}
     assert before["table.md"].decode() == printed.out
-    assert "not computed" in printed.out
     rows = list(csv.DictReader(before["table.csv"].decode().splitlines()))
     assert [(row["setting"], row["policy"], row["method"], row["trials"]) for row in rows[:2]] == [
         ("nominal", "first", "proposed", "2"),
@@ -169,25 +162,6 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     assert main(arguments(policies, tmp_path, "--jobs", "2")) == 0
     assert capsys.readouterr().err.count(" of 4: ") == 1
     assert files(tmp_path) == before
-
-
-def test_a_cell_that_fails_does_not_lose_the_others(
-    policies: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-):
-    def diverge(actor: Policy, method: Method, *args: Any, **options: Any) -> Trials:
-        if method.name == "proposed":
-            raise NonFiniteError("the simulation diverged")
-        return throw_rounds(actor, method, *args, **options)
-
-    monkeypatch.setattr(policy_cells, "throw_rounds", diverge)
-    assert main(arguments(policies, tmp_path)) == 2
-    printed = capsys.readouterr()
-    assert "first-nominal failed: the simulation diverged" in printed.err
-    assert "| nominal | 0.0 [" in printed.out
-    assert (tmp_path / "cells" / "second" / "nominal.json").exists()
 
 
 def test_a_damaged_cell_and_another_policy_are_refused(
@@ -248,42 +222,32 @@ def test_the_order_is_that_of_the_setting_closest_to_reality(tmp_path: Path):
     """Camera mount, detector, flight, reality: only the last counts."""
     successes = {"proposed": [0, 0, 0, 150], "object_position": [190, 190, 190, 90]}
     _, order, _ = stress_sections(rows_of(tmp_path, successes, "together"))
-    assert "proposed > object_position, agrees" in order.text
+    assert order.rows[0]["order of S.R."] == "proposed > object_position"
+
+
+def order_of(**rates: float) -> Row:
+    """The order of methods with these rates of 10,000 throws."""
+    rows = [{"method": name, "trials": 10_000, "success_rate": rate} for name, rate in rates.items()]
+    order = compare_order(rows)
+    assert order is not None
+    return order
 
 
 def test_two_neighbours_exchanged():
     """One of ten pairs is the other way round: tau = (9 - 1) / 10."""
-    same = compare_orders({method: [rate] for method, rate in REAL_ROBOT.items()}, SURE)
-    assert same is not None
-    assert (same.tau, same.num_settled, same.simulated) == (pytest.approx(1.0), 10, same.real)
-    swapped = {**REAL_ROBOT, "proposed": 41.0, "object_position": 52.0}
-    order = compare_orders({method: [rate] for method, rate in swapped.items()}, SURE)
-    assert order is not None
-    assert order.tau == pytest.approx(0.8)
-    assert order.simulated[:2] == ("object_position", "proposed")
-    assert "does not agree" in order.sentence()
+    real = {method: rate / 100 for method, rate in REAL_ROBOT.items()}
+    same = order_of(**real)
+    assert (same["tau"], same["num_settled"]) == (pytest.approx(1.0), 10)
+    assert same["simulated"] == same["real"]
+    order = order_of(**{**real, "proposed": 0.41, "object_position": 0.52})
+    assert order["tau"] == pytest.approx(0.8)
+    assert order["simulated"][:2] == ("object_position", "proposed")
 
 
-def test_equal_rates_are_no_order_and_intervals_may_overlap():
-    intervals = {"proposed": (0.4, 0.6), "only_wh": (0.5, 0.7)}
-    order = compare_orders({"proposed": [0.5], "only_wh": [0.5]}, intervals)
-    assert order is not None
-    assert (order.tau, order.num_settled) == (0.0, 0)
-    mean = compare_orders({"proposed": [0.2, 0.4], "only_wh": [0.35]}, SURE)
-    assert mean is not None
-    assert mean.simulated == ("only_wh", "proposed")
-    assert compare_orders({"proposed": [0.9], "without_pf": [0.1]}, SURE) is None
-
-
-def test_the_picture_of_many_policies_stays_readable(tmp_path: Path):
-    """30 policies under two settings: one line for each policy, and no text that is too small."""
-    rows = rows_of(tmp_path, {"proposed": [180, 20], "only_wh": [10, 0]}, "nominal", "edge_noise")
-    many = [{**row, "policy": f"{row['policy']}-{number}"} for row in rows for number in range(15)]
-    sections = [stress_sections(each)[0] for each in (rows, many)]
-    sizes = [Image.open(io.BytesIO(png(each.figure))).size for each in sections if each.figure]
-    assert sizes[0][0] < 1000
-    assert sizes[1][0] < 1000
-    assert sizes[1][1] > 800
+def test_equal_rates_are_no_order_and_one_method_neither():
+    order = order_of(proposed=0.5, only_wh=0.5)
+    assert (order["tau"], order["num_settled"]) == (0.0, 0)
+    assert compare_order([{"method": "proposed", "trials": 1, "success_rate": 1.0}]) is None
 
 
 @pytest.mark.parametrize(

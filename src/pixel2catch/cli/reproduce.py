@@ -232,9 +232,7 @@ class Reproduce:
             ),
         ]
 
-    def _evaluate(
-        self, folder: "ComparisonFolder", run: "Training", group: str, device: str, _: object
-    ) -> None:
+    def _evaluate(self, folder: "ComparisonFolder", run: "Training", group: str, device: str) -> None:
         """Evaluate the policy of a run on a set of objects, and write the metrics."""
         from pixel2catch.cli.evaluate import Evaluate
 
@@ -249,7 +247,7 @@ class Reproduce:
         ).run()
 
 
-def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str, _: object) -> None:
+def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
     """Train a method on a device, from the checkpoint in its folder if there is one."""
     from pixel2catch.api.training import run
     from pixel2catch.methods import find_method

@@ -48,9 +48,6 @@ def run_grid(
 
     if grid.missing:
         with progress_bar(name) as bar:
-            for slot in slots:
-                if isinstance(slot, ThisProcess):
-                    slot.on_share = lambda share: bar.show(grid.share_done + share / len(shown))
             grid.run(slots, watch, logs)
 
 

@@ -7,10 +7,10 @@ from statistics import fmean, stdev
 from typing import Any
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.curves import Curves, gather, read_metrics
+from pixel2catch.evaluation.curves import Columns, Curves, gather, read_metrics
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
-from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import Metrics, pooled_counts, rate, wilson_interval
 from pixel2catch.evaluation.report import DASH, Cells, Row, Section, percent, table, write_files, write_report
 from pixel2catch.evaluation.result_tables import CONTACT_RATES, MAIN_RATES, PAPER, RATES
 from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading
@@ -207,7 +207,6 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
         part = Section(title="S.R. by object", text=OBJECTS_NOTE, rows=lines)
         sections.insert(2, replace(part, figure=objects_figure(objects), file="objects.png"))
     if curves:
-        data["curves"] = curves.rows()
         part = Section(title="Learning curves", text=CURVES_NOTE)
         sections.insert(2, replace(part, figure=curves_figure(curves), file="curves.png"))
     write_report(folder.path / "report", "Comparison of methods", sections, data)
@@ -238,12 +237,10 @@ def object_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
             for method, seeds in results.items():
                 thrown = [result["objects"][name] for result in seeds if name in result["objects"]]
                 if thrown:
-                    row: dict[str, Any] = {"object": name, "objects": group, "method": method}
+                    row: Json = {"object": name, "objects": group, "method": method}
                     row["trials"] = sum(rates["trials"] for rates in thrown)
                     for metric in MAIN_RATES.values():
-                        successes, trials = pooled_counts(thrown, metric)
-                        interval = list(wilson_interval(successes, trials))
-                        row |= {metric: successes / trials, f"{metric}_interval": interval}
+                        row |= rate(metric, *pooled_counts(thrown, metric))
                     yield row
 
 
@@ -257,25 +254,22 @@ def training_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
 
 def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
     """Return the curves of all trainings with a log, or nothing without any."""
-    logs: dict[str, dict[int, Any]] = {}
+    logs: dict[str, list[Columns]] = {}
     for run in plan.runs():
-        columns = read_metrics(path) if (path := folder.metrics(run)).exists() else {"transitions": ()}
-        if len(columns["transitions"]):
-            logs.setdefault(run.method, {})[run.seed] = columns
+        if (path := folder.metrics(run)).exists() and len((columns := read_metrics(path))["transitions"]):
+            logs.setdefault(run.method, []).append(columns)
     return gather({method: logs[method] for method in plan.methods if method in logs}) if logs else None
-
-
-def mean_and_deviation(values: Sequence[float]) -> tuple[float, float | None]:
-    """Return mean and sample deviation (divisor n - 1); one value has no deviation."""
-    return fmean(values), stdev(values) if len(values) > 1 else None
 
 
 def pooled(rates: Sequence[Metrics], name: str) -> Json:
     """Return a rate over seeds: `mean`, `deviation`, `values`, and the 95 % `interval` over all trials."""
     values = [result[name] for result in rates]
-    mean, deviation = mean_and_deviation(values)
-    interval = wilson_interval(*pooled_counts(rates, name))
-    return {"mean": mean, "deviation": deviation, "interval": list(interval), "values": values}
+    return {
+        "mean": fmean(values),
+        "deviation": stdev(values) if len(values) > 1 else None,  # divisor n - 1
+        "interval": list(wilson_interval(*pooled_counts(rates, name))),
+        "values": values,
+    }
 
 
 def _paper(method: str, group: str) -> Row | None:

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.report import Row
 from pixel2catch.evaluation.result_tables import MAIN_RATES
 from pixel2catch.files import read_text, reading
 
@@ -27,7 +26,6 @@ class Curves:
     """Rates in training, with the stochastic policy, in bins of transitions."""
 
     edges: Float[ndarray, " num_edges"]  #: Edges of the bins [transitions].
-    seeds: dict[str, tuple[int, ...]]  #: Seeds with a log, by method.
     #: By method and name of the rate, one row for each seed; NaN where a seed has no value.
     rates: dict[str, dict[str, Float[ndarray, "num_seeds num_bins"]]]
 
@@ -43,17 +41,6 @@ class Curves:
         values = self.rates[method][name]
         several = len(values) > 1
         return values.mean(axis=0), values.std(axis=0, ddof=1) if several else np.zeros(values.shape[1])
-
-    def rows(self) -> list[Row]:
-        """Return one row for each method, seed and bin, rates as shares."""
-        return [
-            {"method": method, "seed": seed, "transitions": round(transitions)}
-            | {name: None if np.isnan(values[bin]) else float(values[bin]) for name, values in lines.items()}
-            for method, rates in self.rates.items()
-            for number, seed in enumerate(self.seeds[method])
-            for lines in [{name: values[number] for name, values in rates.items()}]
-            for bin, transitions in enumerate(self.transitions)
-        ]
 
 
 def read_metrics(path: Path, names: Sequence[str] = COLUMNS) -> Columns:
@@ -88,16 +75,15 @@ def binned(columns: Columns, name: str, edges: Float[ndarray, " num_edges"]) -> 
     return np.interp(bins, filled, events[filled] / total[filled], left=np.nan, right=np.nan)
 
 
-def gather(logs: Mapping[str, Mapping[int, Columns]]) -> Curves:
-    """Return the curves of all methods on common bins, from the metrics by method and seed."""
-    columns = [each for seeds in logs.values() for each in seeds.values()]
+def gather(logs: Mapping[str, Sequence[Columns]]) -> Curves:
+    """Return the curves of all methods on common bins, from the metrics of the seeds of each."""
+    columns = [each for seeds in logs.values() for each in seeds]
     longest = max((each["transitions"] for each in columns), key=lambda transitions: transitions[-1])
     edges = np.linspace(0.0, longest[-1], min(NUM_BINS, len(longest)) + 1)
     rates = {
         method: {
-            name: np.stack([binned(each, name, edges) for each in seeds.values()])
-            for name in MAIN_RATES.values()
+            name: np.stack([binned(each, name, edges) for each in seeds]) for name in MAIN_RATES.values()
         }
         for method, seeds in logs.items()
     }
-    return Curves(edges=edges, seeds={method: tuple(seeds) for method, seeds in logs.items()}, rates=rates)
+    return Curves(edges=edges, rates=rates)

@@ -93,6 +93,7 @@ def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> No
     names = list(dict.fromkeys(row["object"] for row in rows))
     for number, method in enumerate(methods):
         own = [row for row in rows if row["method"] == method]
+        style: dict[str, Any] = look(method) | {"linestyle": "none"}
         offset = 0.7 * ((number + 0.5) / len(methods) - 0.5)
         rate = np.array([100.0 * row["success_rate"] for row in own])
         bounds = np.array([row["success_rate_interval"] for row in own]).reshape(-1, 2)
@@ -103,7 +104,7 @@ def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> No
             elinewidth=1.2,
             markersize=4.5,
             label=method.replace("_", " "),
-            **look(method) | {"linestyle": "none"},
+            **style,
         )
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)

@@ -22,9 +22,7 @@ from pixel2catch.files import read_json_object
 from pixel2catch.interruption import StopRequest
 
 Json = dict[str, Any]
-
-
-Work = Callable[[str, Callable[[float], None]], None]
+Work = Callable[[str], None]
 
 
 class Status(Enum):
@@ -42,8 +40,7 @@ class StudyCell:
     """One result of a study."""
 
     name: str  #: Name in messages, and of the log.
-    #: Computes the result on a device and writes it; calls its second argument with the share that is done.
-    #: It can be pickled: a partial of a module's function.
+    #: Computes the result on a device and writes it. It can be pickled: a partial of a module's function.
     work: Work
     is_done: Callable[[], bool]  #: Returns whether the result is there.
     kind: str = ""  #: Which slots compute it.
@@ -147,14 +144,12 @@ class StudyGrid:
         self._running.clear()
 
 
-def compute(
-    work: Work, device: str, log: Path | None, on_share: Callable[[float], None] = lambda _: None
-) -> str | None:
+def compute(work: Work, device: str, log: Path | None) -> str | None:
     """Compute a cell, and return the text of its error, if there was one."""
     try:
         with _printing_to(log):
             try:
-                work(device, on_share)
+                work(device)
             except Exception:
                 traceback.print_exc()
                 raise

@@ -1,7 +1,7 @@
 """Metrics of trials: rates with their intervals, failure modes, quality of contacts."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import comb, isfinite, sqrt
 from statistics import NormalDist, median
 from typing import Any
@@ -58,7 +58,7 @@ def paired_difference(home: str, other: str) -> Metrics:
     }
 
 
-def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
+def pooled_counts(rates: Sequence[Mapping[str, Any]], name: str) -> tuple[int, int]:
     """Return the number of events of a rate, and of trials, over several metrics."""
     trials = sum(each["trials"] for each in rates)
     return sum(round(each[name] * each["trials"]) for each in rates), trials

@@ -134,22 +134,14 @@ def measure(
     summarize: Callable[[Trials], Metrics],
     is_alone: bool,
     device: str,
-    on_share: Callable[[float], None],
 ) -> None:
     """Compute a result on a device, and write it."""
     torch.set_num_threads(1)
-    trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone, on_share=on_share)
+    trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone)
     write_files(result.file.parent, {result.file.name: json_text(origin | {"metrics": summarize(trials)})})
 
 
-def throw_rounds(
-    actor: Actor,
-    method: Method,
-    cfg: EvaluationCfg,
-    *,
-    is_alone: bool = True,
-    on_share: Callable[[float], None] = lambda _: None,
-) -> Trials:
+def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
     """Evaluate a policy, each round with a seed of its own, so that all policies get the same throws.
 
     Disturbances are drawn after the throws, which are therefore those of the nominal setting. A policy that
@@ -157,7 +149,7 @@ def throw_rounds(
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    return evaluate(actor, method, cfg, on_share=on_share, env=env, is_seeded=True)
+    return evaluate(actor, method, cfg, env=env, is_seeded=True)
 
 
 def evaluation_of(

@@ -62,12 +62,11 @@ class ThisProcess(Slot):
     """Computes cells one after the other in this process."""
 
     is_here, poll_seconds = True, 0.0
-    on_share: Callable[[float], None] | None = None  #: Called with the share of a cell that is done.
 
     def submit(self, function: Call, *args: Any) -> Any:
         """Call the function and wait for it."""
         future = Future[str | None]()
-        future.set_result(function(*args, *([self.on_share] if self.on_share else [])))
+        future.set_result(function(*args))
         return future
 
     def stop(self) -> None:

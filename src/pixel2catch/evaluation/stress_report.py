@@ -1,17 +1,16 @@
 """The report of the stress suite, and the order of the methods in simulation beside the real robot's."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import combinations
-from math import isnan
+from math import comb, isnan
 from statistics import fmean
 
 from scipy.stats import kendalltau
 
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import pooled_counts, wilson_interval
 from pixel2catch.evaluation.policy_cells import PolicyResult
-from pixel2catch.evaluation.report import Row, Section, percent, table
+from pixel2catch.evaluation.report import Cells, Row, Section, percent, table
 from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.evaluation.stress.trained import is_trained_on
 
@@ -27,7 +26,13 @@ REAL_ROBOT: dict[str, float] = {
 }
 """S.R. [%] on the real robot by method, means over 360 throws. Source: the paper's journal version."""
 
-Interval = tuple[float, float]
+ORDER_NOTE = (
+    f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
+    f"{', '.join(f'{rate:g}' for rate in REAL_ROBOT.values())} % over 360 throws each. Kendall's tau is 1 "
+    "for the same order and -1 for the opposite one. Rank violation: mean over the methods of the largest "
+    "difference on the real robot [points] from a method that is in the wrong order with it. A pair is "
+    "settled if its 95 % intervals in simulation do not overlap."
+)
 
 
 def stress_rows(results: Sequence[PolicyResult]) -> list[Row]:
@@ -40,8 +45,7 @@ def stress_rows(results: Sequence[PolicyResult]) -> list[Row]:
             rows.append(
                 {"setting": each.setting.name, "axis": axis.name, "level": level.label, "unit": axis.unit}
                 | {"title": each.setting.title, "source": level.source}
-                | {name: getattr(each.policy, name) for name in ("method", "task")}
-                | {"policy": each.policy.name}
+                | {"method": each.policy.method, "task": each.policy.task, "policy": each.policy.name}
                 | {"is_trained_on": is_trained_on(find_task(each.policy.task), level.change)}
                 | {name: content["metrics"][name] for name in kept}
             )
@@ -65,11 +69,15 @@ def stress_sections(rows: Sequence[Row]) -> list[Section]:
     if len(policies) > len(sources):  # the picture is higher than it is wide
         by, group = ("policy", "title"), "method"
     figure = heat_map(rows, by, group, _mark)
-    return [
+    order = compare_order([row for row in rows if row["level"] == REALITY])
+    sections = [
         Section(title="Success rates", text=text, rows=lines, figure=figure, file="heatmap.png"),
-        Section(title="Order of the methods", text=_reality(rows)),
         Section(title="Sources", rows=[{"title": name, "source": each} for name, each in sources.items()]),
     ]
+    if order:
+        note = f"In the setting '{REALITY}'. {ORDER_NOTE}"
+        sections.insert(1, Section(title="Order of the methods", text=note, rows=[order_line(order)]))
+    return sections
 
 
 def _mark(row: Row) -> str:
@@ -80,74 +88,42 @@ def _percent(row: Row) -> str:
     return f"{percent(row['success_rate'], row['success_rate_interval'])} {_mark(row)}".rstrip()
 
 
-def _reality(rows: Sequence[Row]) -> str:
-    """Describe the order in the setting that is closest to reality, beside that of the real robot."""
-    by_method: dict[str, list[Metrics]] = {}
-    for row in rows:
-        if row["level"] == REALITY:
-            by_method.setdefault(row["method"], []).append(dict(row))
-    if not by_method:
-        return f"The setting '{REALITY}' was not computed: no order to compare."
-    order = compare_methods(by_method)
-    return order.sentence() if order else "Fewer than two methods that the real robot tried."
+def compare_order(rows: Sequence[Row]) -> Row | None:
+    """Compare the order of the methods by mean S.R. with that of the real robot.
 
-
-@dataclass(frozen=True, kw_only=True)
-class Order:
-    """Two orders of the same methods, best first."""
-
-    simulated: tuple[str, ...]  #: The methods in the order of their success rates in simulation.
-    real: tuple[str, ...]  #: The methods in the order of their success rates on the real robot.
-    tau: float  #: Kendall's tau-b: 1 for the same order, -1 for the opposite one, 0 if all rates are equal.
-    #: Mean over the methods of the largest difference on the real robot [points] from a method that is in
-    #: the wrong order with it. Source: mean maximum rank violation of SIMPLER (Li et al. 2024).
-    rank_violation: float
-    num_settled: int  #: Pairs of methods whose 95 % intervals in simulation do not overlap.
-
-    def sentence(self) -> str:
-        """Describe the comparison."""
-        pairs = len(self.real) * (len(self.real) - 1) // 2
-        verdict = "agrees" if self.tau > 1.0 - 1e-9 else "does not agree"
-        return (
-            f"The order in simulation, {' > '.join(self.simulated)}, {verdict} with that of the real robot, "
-            f"{' > '.join(self.real)}: Kendall's tau {self.tau:.2f} over {len(self.real)} methods, mean "
-            f"maximum rank violation {self.rank_violation:.1f} points. "
-            f"{self.num_settled} of {pairs} pairs differ by more than their 95 % intervals in simulation."
-        )
-
-
-def compare_methods(results: Mapping[str, Sequence[Metrics]]) -> Order | None:
-    """Compare the methods, from the metrics of every policy of each; see `compare_orders`."""
-    return compare_orders(
-        {name: [each["success_rate"] for each in several] for name, several in results.items()},
-        {name: wilson_interval(*pooled_counts(each, "success_rate")) for name, each in results.items()},
-    )
-
-
-def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str, Interval]) -> Order | None:
-    """Compare the order of the methods with that of the real robot; return nothing for fewer than two.
-
-    Args:
-        rates: The S.R. of every policy of each method.
-        intervals: The 95 % interval of each method's S.R.
+    Returns:
+        Nothing for fewer than two methods. Else the methods in the order of their success rates, best first,
+        as `simulated` and `real`; Kendall's tau-b, 0 if all rates are equal, as `tau`; the mean maximum rank
+        violation of SIMPLER (Li et al. 2024) [points] as `rank_violation`; the number of settled pairs as
+        `num_settled`.
     """
-    methods = [method for method in REAL_ROBOT if method in rates]
-    if len(methods) < 2:
+    found = {method: [row for row in rows if row["method"] == method] for method in REAL_ROBOT}
+    found = {method: several for method, several in found.items() if several}
+    if len(found) < 2:
         return None
-    simulated = {method: fmean(rates[method]) for method in methods}
-    bounds = [intervals[method] for method in methods]
-    result = kendalltau(list(simulated.values()), [REAL_ROBOT[method] for method in methods])
+    real = {method: REAL_ROBOT[method] for method in found}
+    rates = {method: fmean(row["success_rate"] for row in several) for method, several in found.items()}
+    bounds = [wilson_interval(*pooled_counts(several, "success_rate")) for several in found.values()]
+    result = kendalltau(list(rates.values()), list(real.values()))
     tau = float(result.statistic)  # pyright: ignore[reportAttributeAccessIssue] (made at run time)
-    return Order(
-        simulated=tuple(sorted(methods, key=lambda method: -simulated[method])),
-        real=tuple(methods),
-        tau=0.0 if isnan(tau) else tau,
-        rank_violation=fmean(_largest_violation(each, simulated) for each in methods),
-        num_settled=sum(a[1] < b[0] or b[1] < a[0] for a, b in combinations(bounds, 2)),
-    )
+    violations = [
+        max(abs(real[a] - real[b]) * ((real[a] < real[b]) != (rates[a] < rates[b])) for b in found)
+        for a in found
+    ]
+    return {
+        "simulated": tuple(sorted(found, key=lambda method: -rates[method])),
+        "real": tuple(found),
+        "tau": 0.0 if isnan(tau) else tau,
+        "rank_violation": fmean(violations),
+        "num_settled": sum(a[1] < b[0] or b[1] < a[0] for a, b in combinations(bounds, 2)),
+    }
 
 
-def _largest_violation(method: str, simulated: Mapping[str, float]) -> float:
-    """Return the largest difference on the real robot from a method in the opposite order [points]."""
-    real = {other: REAL_ROBOT[method] - REAL_ROBOT[other] for other in simulated}
-    return max(abs(real[o]) * ((real[o] < 0.0) != (simulated[method] < simulated[o])) for o in simulated)
+def order_line(order: Row) -> Cells:
+    """Return the line of a table for the result of `compare_order`."""
+    return {
+        "order of S.R.": " > ".join(order["simulated"]),
+        "Kendall's tau": f"{order['tau']:.2f}",
+        "rank violation": f"{order['rank_violation']:.1f}",
+        "settled pairs": f"{order['num_settled']} of {comb(len(order['real']), 2)}",
+    }

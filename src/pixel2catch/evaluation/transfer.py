@@ -1,8 +1,7 @@
 """Transfer of policies to other physics engines: engines by restitutions, the same throws in all."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
-from math import comb
+from dataclasses import replace
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.grid import Json
@@ -12,7 +11,7 @@ from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import Cells, Row, Section, percent
 from pixel2catch.evaluation.result_tables import RATES
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
-from pixel2catch.evaluation.stress_report import REAL_ROBOT, compare_methods
+from pixel2catch.evaluation.stress_report import ORDER_NOTE, compare_order, order_line
 from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
@@ -22,14 +21,6 @@ PAIRED = {
     "verified_hold_rate": "is_verified",
 }
 """Rates that are compared throw by throw, with the name of the event of each throw."""
-
-REAL_ORDER = (
-    f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
-    f"{', '.join(f'{rate:g}' for rate in REAL_ROBOT.values())} % over 360 throws each. Kendall's tau is 1 "
-    "for the same order, and the mean maximum rank violation, in points of the real robot's S.R., is 0. "
-    "A pair is settled if its 95 % intervals do not overlap; the order of other pairs may be chance. Equal "
-    "rates stand in the real robot's order."
-)
 
 
 def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
@@ -117,13 +108,9 @@ def transfer_rows(results: Sequence[PolicyResult], num_rounds: int) -> list[Row]
 
 def order_rows(rows: Sequence[Row]) -> Iterator[Row]:
     """Yield the order of the methods in every engine at every restitution, beside the real robot's."""
-    for engine, label in dict.fromkeys((row["engine"], row["restitution"]) for row in rows):
-        of_method: dict[str, list[Metrics]] = {}
-        for row in rows:
-            if (row["engine"], row["restitution"]) == (engine, label):
-                of_method.setdefault(row["method"], []).append(dict(row))
-        if order := compare_methods(of_method):
-            yield {"engine": engine, "restitution": label, **asdict(order)}
+    for place in dict.fromkeys((row["engine"], row["restitution"]) for row in rows):
+        if order := compare_order([row for row in rows if (row["engine"], row["restitution"]) == place]):
+            yield {"engine": place[0], "restitution": place[1], **order}
 
 
 def transfer_sections(rows: Sequence[Row], orders: Sequence[Row]) -> list[Section]:
@@ -142,8 +129,10 @@ def transfer_sections(rows: Sequence[Row], orders: Sequence[Row]) -> list[Sectio
     lines = [_line(row) for row in rows]
     sections = [Section(title="Engines", text=text, rows=lines, figure=figure, file="heatmap.png")]
     if orders:
-        lines = [_order_line(row) for row in orders]
-        sections.append(Section(title="Order of the methods", text=REAL_ORDER, rows=lines))
+        lines = [
+            {"engine": row["engine"], "restitution": row["restitution"], **order_line(row)} for row in orders
+        ]
+        sections.append(Section(title="Order of the methods", text=ORDER_NOTE, rows=lines))
     return sections
 
 
@@ -159,17 +148,6 @@ def _line(row: Row) -> Cells:
         counts, p = f"{change['lost']}, {change['won']}", f"{change['p_value']:.2g}"
     line |= {"difference": difference, "lost, won": counts, "p": p}
     return line | {name.replace("_", " "): f"{100.0 * rate:.1f}" for name, rate in row["failures"].items()}
-
-
-def _order_line(row: Row) -> Cells:
-    return {
-        "engine": row["engine"],
-        "restitution": row["restitution"],
-        "order of S.R.": " > ".join(row["simulated"]),
-        "Kendall's tau": f"{row['tau']:.2f}",
-        "rank violation": f"{row['rank_violation']:.1f}",
-        "settled pairs": f"{row['num_settled']} of {comb(len(row['real']), 2)}",
-    }
 
 
 def _difference(row: Row) -> str:
