@@ -1,19 +1,13 @@
-"""What `rclpy_node` uses of rclpy, on the network in memory: it raises on what the real one does not have.
-
-`rclpy_api.json` says what that is: names and parameters, read from the version that it states.
-"""
+"""The part of rclpy that `rclpy_node` uses, on the network in memory; names and parameters of rclpy 7.1."""
 
 import inspect
-import json
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import wraps
 from importlib.util import find_spec, module_from_spec
-from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -23,29 +17,7 @@ from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import RealClock, Topic
 
-API: dict[str, Any] = json.loads(Path(__file__).with_name("rclpy_api.json").read_text())
-
 POLL = 0.002  #: How often an executor without messages looks for tasks [s].
-
-
-def signature(name: str) -> inspect.Signature:
-    """The parameters of a function of rclpy; a default that is no plain value is `...`."""
-    return inspect.signature(eval(f"lambda {API['functions'][name][1:-1]}: None"))
-
-
-def as_in_rclpy(name: str) -> Callable[[Any], Any]:
-    """Let a function be called as the real one of this name can be, and not otherwise."""
-    parameters = signature(name)
-
-    def decorate(function: Any) -> Any:
-        @wraps(function)
-        def call(*args: Any, **options: Any) -> Any:
-            parameters.bind(*args[function.__name__ == "__init__" :], **options)
-            return function(*args, **options)
-
-        return call
-
-    return decorate
 
 
 class Network:
@@ -70,21 +42,15 @@ class Context(Destroyable):
     network: ClassVar[Network]
     is_usable = False
 
-    @as_in_rclpy("rclpy.context.Context")
     def __init__(self) -> None: ...
 
 
-def enumeration(name: str) -> Any:
-    return Enum(name.rpartition(".")[2], API["members"][name])
-
-
-Durability = enumeration("rclpy.qos.QoSDurabilityPolicy")
-Reliability = enumeration("rclpy.qos.QoSReliabilityPolicy")
-Signals = enumeration("rclpy.signals.SignalHandlerOptions")
+Durability = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
+Reliability = Enum("QoSReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
+Signals = Enum("SignalHandlerOptions", ["NO"])
 
 
 class QoSProfile:
-    @as_in_rclpy("rclpy.qos.QoSProfile")
     def __init__(self, *, depth: int, reliability: Any, durability: Any) -> None:
         self._depth, self.durability = depth, durability
         self._is_latched = durability is Durability["TRANSIENT_LOCAL"]
@@ -119,7 +85,6 @@ class Publisher(Endpoint):
         super().__init__(*described)
         self._publisher = node.publisher(self.topic)
 
-    @as_in_rclpy("rclpy.publisher.Publisher.publish")
     def publish(self, msg: bytes) -> None:
         self.require_usable()
         if not isinstance(msg, bytes):
@@ -140,7 +105,7 @@ class Subscription(Endpoint):
 
     def spin(self, delay: int) -> None:
         for message in self.messages.take():
-            info = dict.fromkeys(API["members"]["message info"], time.time_ns() - delay)
+            info = {"source_timestamp": time.time_ns() - delay}
             self._callback(message.data, info)
 
 
@@ -153,12 +118,10 @@ class Node(Destroyable):
         self._publishers: list[Publisher] = []
         self._subscriptions: list[Subscription] = []
 
-    @as_in_rclpy("rclpy.node.Node.create_publisher")
     def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Publisher:
         self._publishers.append(Publisher(self.memory, msg_type, topic, qos_profile))
         return self._publishers[-1]
 
-    @as_in_rclpy("rclpy.node.Node.create_subscription")
     def create_subscription(
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
     ) -> Subscription:
@@ -166,32 +129,26 @@ class Node(Destroyable):
         self._subscriptions.append(Subscription(self.memory, callback, msg_type, topic, qos_profile))
         return self._subscriptions[-1]
 
-    @as_in_rclpy("rclpy.node.Node.count_publishers")
     def count_publishers(self, topic_name: str) -> int:
         with self._network.broker.lock:
             publishers = (each for node in self._network.broker.nodes for each in node.publishers)
             return sum(publisher.topic.name == topic_name for publisher in publishers)
 
-    @as_in_rclpy("rclpy.node.Node.get_name")
     def get_name(self) -> str:
         return self._name
 
-    @as_in_rclpy("rclpy.node.Node.get_topic_names_and_types")
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
         both = (each for node in self._network.nodes for each in (*node._publishers, *node._subscriptions))
         return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in both}]
 
-    @as_in_rclpy("rclpy.node.Node.get_publishers_info_by_topic")
     def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         found = [(node, each) for node in self._network.nodes for each in node._publishers]
         return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
 
-    @as_in_rclpy("rclpy.node.Node.get_subscriptions_info_by_topic")
     def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         found = [(node, each) for node in self._network.nodes for each in node._subscriptions]
         return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
 
-    @as_in_rclpy("rclpy.node.Node.destroy_node")
     def destroy_node(self) -> None:
         self._network.nodes.remove(self)
         for handle in (self, *self._publishers):
@@ -204,22 +161,18 @@ class Node(Destroyable):
 
 
 class SingleThreadedExecutor:
-    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor")
     def __init__(self, *, context: Context) -> None:
         context.require_usable()
         self._nodes: list[Node] = []
         self._tasks: deque[Callable[[], Any]] = deque()
 
-    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.add_node")
     def add_node(self, node: Node) -> bool:
         self._nodes.append(node)
         return True
 
-    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.create_task")
     def create_task(self, callback: Callable[[], Any]) -> None:
         self._tasks.append(callback)
 
-    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.spin_once")
     def spin_once(self) -> None:
         (node,) = self._nodes
         while not self._tasks:
@@ -227,20 +180,17 @@ class SingleThreadedExecutor:
                 return node.spin()
         return self._tasks.popleft()()
 
-    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.shutdown")
     def shutdown(self) -> bool:
         self._nodes.clear()
         return True
 
 
-@as_in_rclpy("rclpy.init")
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
     assert args == [], "else it reads those of the command line"
     assert signal_handler_options is Signals["NO"], "a command has its own"
     context.is_usable = True
 
 
-@as_in_rclpy("rclpy.create_node")
 def create_node(
     node_name: str, *, context: Context, enable_rosout: bool, start_parameter_services: bool
 ) -> Node:
@@ -248,12 +198,10 @@ def create_node(
     return Node(node_name, context)
 
 
-@as_in_rclpy("rclpy.try_shutdown")
 def try_shutdown(*, context: Context) -> None:
     context.is_usable = False
 
 
-@as_in_rclpy("rosidl_runtime_py.utilities.get_message")
 def get_message(identifier: str) -> type:
     try:
         return STORE.types[identifier]

@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def played(folder: Path, topic: Topic, reader: Callable[[bytes], Any]) -> list[tuple[float, Any]]:
-    """When each message of a topic arrived, and what the reader makes of it."""
+    """Return the arrival and the content of each message of a topic."""
     clock, broker = StepClock(lambda _: None), Broker()
     subscription, received = broker.node(clock).subscription(topic, 10), []
     with BagPlayer(folder, broker.node(clock), {topic}) as player:
@@ -48,7 +48,7 @@ def played(folder: Path, topic: Topic, reader: Callable[[bytes], Any]) -> list[t
     return received
 
 
-def test_messages_come_in_their_order_at_their_time(folder: Path):
+def test_messages_are_played_in_order_and_time(folder: Path):
     arrivals, values = zip(*played(folder, NUMBER, messages.read_number), strict=True)
     assert values == (0.0, 1.0, 2.0)
     np.testing.assert_allclose(np.diff(arrivals), PERIOD, atol=TICK + 1e-6)
@@ -61,14 +61,14 @@ def test_messages_come_in_their_order_at_their_time(folder: Path):
         (IMAGE, lambda data: messages.read_image(data).stamp),
     ],
 )
-def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
+def test_stamps_keep_their_age(folder: Path, topic: Topic, stamp):
     ages = [arrival - stamp for arrival, stamp in played(folder, topic, stamp)]
     assert len(ages) == 3
     assert 0.01 - 1e-6 <= min(ages) <= max(ages) <= 0.01 + TICK + 1e-6
 
 
-def test_jpeg_images_come_as_raw_ones(tmp_path: Path):
-    """And one that is damaged does not come."""
+def test_jpeg_images_are_played_as_raw_ones(tmp_path: Path):
+    """A damaged one is left out."""
     pixels = np.full((48, 64, 3), (200, 30, 20), dtype=np.uint8)
     with BagRecorder(tmp_path / "throw") as bag:
         for data in (messages.image(pixels, EPOCH), b"\x00\x01\x00\x00", messages.image(pixels, EPOCH + 1)):

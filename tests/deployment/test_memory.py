@@ -1,4 +1,4 @@
-"""The transport in memory where several threads use it; `test_transports` has what all transports promise."""
+"""The transport in memory in several threads; `test_transports` has the laws of all transports."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Messages as bytes: hand-worked ones, round trips, and what damaged ones do."""
+"""Messages as bytes: by hand, round trips, and damaged ones."""
 
 import json
 from pathlib import Path
@@ -36,15 +36,15 @@ EXAMPLES = {
 }
 
 RCLPY = json.loads(Path(__file__).with_name("rclpy_bytes.json").read_text())
-"""What `rclpy.serialization.serialize_message` makes of the examples, and in which version."""
+"""Bytes of the examples from `rclpy.serialization.serialize_message`, and its version."""
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_message_is_the_bytes_that_rclpy_makes_of_it(name: str):
+def test_a_message_has_the_bytes_of_rclpy(name: str):
     assert EXAMPLES[name].hex() == RCLPY["cdr"][name]
 
 
-def test_controllers_that_are_active_are_known_by_their_state():
+def test_active_controllers_by_hand():
     """A header of the year 1970, two controllers with number, name and label each, and no hardware."""
     data = messages.activity({"up": messages.ACTIVE, "down": 2}, 0.0)
     empty = b"\0\0\0\0\0\0\0\0\1\0\0\0\0\0\0\0"
@@ -54,7 +54,7 @@ def test_controllers_that_are_active_are_known_by_their_state():
     assert messages.read_active_controllers(data) == {"up"}
 
 
-def test_what_is_read_is_what_was_written():
+def test_messages_are_read_as_written():
     reading = messages.read_joint_state(EXAMPLES["joint_state"])
     assert (reading.names, reading.position.tolist(), reading.stamp) == (("a", "bc"), [0.5, -1.0], 3.25)
     assert messages.read_float_array(EXAMPLES["float_array"]).tolist() == [1.0, 2.0]
@@ -70,12 +70,6 @@ def test_stamps_keep_microseconds(stamp: float):
     assert messages.read_joint_state(messages.joint_state([], [], stamp)).stamp == pytest.approx(
         stamp, abs=1e-6
     )
-
-
-def test_numbers_that_are_none_are_passed_on_for_the_servo_to_refuse():
-    reading = messages.read_joint_state(messages.joint_state(["a", "b"], [np.nan, np.inf], 0.0))
-    assert np.isnan(reading.position[0])
-    assert np.isinf(reading.position[1])
 
 
 def test_a_joint_state_without_a_position_for_every_name_is_refused():
@@ -114,7 +108,6 @@ def test_an_image_without_padding_is_not_copied():
     [
         (image_message(PIXELS, "mono8", 15), "encoded as 'mono8'"),
         (image_message(PIXELS, "rgb8", 15, height=5), "image of 5 x 5 has 60 bytes"),
-        (image_message(PIXELS[:, :0], "rgb8", 0), "image of 0 x 4"),
         (image_message(PIXELS, "rgb8", 15, height=0), "image of 5 x 0"),
     ],
 )
@@ -123,14 +116,14 @@ def test_an_image_that_cannot_be_read_is_refused(data: bytes, message: str):
         messages.read_image(data)
 
 
-def test_the_camera_keeps_its_lens_and_ros_gets_its_own_pixel_coordinates():
+def test_the_lens_is_sent_in_pixel_coordinates_of_ros():
     data = messages.camera_info(RGB_CAMERA, 1.0)
     reading = messages.read_camera_info(data)
     for name in ("width", "height", "fx", "fy", "cx", "cy"):
         assert getattr(reading.camera, name) == pytest.approx(getattr(RGB_CAMERA, name))
     assert reading.distortion == ()
     matrix = messages.STORE.deserialize_cdr(data, messages.CAMERA_INFO).k  # pyright: ignore[reportAttributeAccessIssue]
-    assert matrix[2] == RGB_CAMERA.cx - 0.5, "ROS calls the middle of the first pixel 0"
+    assert matrix[2] == RGB_CAMERA.cx - 0.5
 
 
 def test_a_camera_that_is_not_calibrated_is_refused():

@@ -1,4 +1,4 @@
-"""What the servo's limits make of a simulated arm, whose joints pull each other: its own speeds and stops."""
+"""Speeds and stops of a simulated arm under the servo's limits."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -19,9 +19,9 @@ PHYSICS_HZ = 510.0
 """A tick of the servo is a step of the physics; it must be a multiple of the control rate."""
 
 FASTEST = 3.14  #: Speed limit of a UR5e's joints [rad/s]; its specification here has 2.79.
-SPUN_OUT = 14  #: Ticks in which what came before a stop, such as a swing's end, still accelerates joints.
+SPUN_OUT = 14  #: Ticks in which motion from before a stop still accelerates joints.
 SWING = np.array([0.5, 0.3, 0.3, 0.5, 0.5])
-"""From side to side of the start pose, as far as no joint comes to the end of its travel."""
+"""Swing to each side of the start pose [rad]; no joint reaches the end of its travel."""
 
 
 class PhysicalLab(Lab):
@@ -41,25 +41,25 @@ class PhysicalLab(Lab):
 
 @contextmanager
 def physical_lab(lag: float | None, share: float = 1.0, is_identified: bool = True) -> Iterator[PhysicalLab]:
-    """A running lab with the nominal lags of all joints, or another one, of which the limits know or not."""
+    """Return a running lab with a lag, nominal if absent, which is in the limits if it is identified."""
     nominal = dynamics = JointDynamics.nominal()
     if lag is not None:
         dynamics = nominal.with_values(stiffness=nominal.damping / lag)
     task = replace(CatchEnvCfg(), dynamics=dynamics)
     task = replace(task, scene=replace(task.scene, physics_hz=PHYSICS_HZ))
-    told = dynamics if is_identified else nominal
+    known = dynamics if is_identified else nominal
     with closing(SimulatedLab(task, seed=0)) as robot:
-        joints = JointLimits.of(UR5E_ALLEGRO, share, told, is_identified=is_identified)
+        joints = JointLimits.of(UR5E_ALLEGRO, share, known, is_identified=is_identified)
         lab = PhysicalLab(robot, joints)
         lab.started()
         yield lab
 
 
 def check_swings(lab: PhysicalLab, share: float) -> None:
-    """From side to side at the largest speed that it has, and then stopped in the middle of it.
+    """Swing from side to side at the largest speed, and stop in the middle.
 
-    An arm with a short lag cannot follow as its lag says, for its torque, and may stop by itself for that;
-    with a long one fingers are so soft that a swing flings them out of their place, which stops it, too.
+    Two faults are allowed: torque limits keep an arm with a short lag from following, and a swing moves
+    fingers with a long lag.
     """
     for swing in range(4):
         lab.target[0, :5] = HOME[:5] + (SWING if swing % 2 else -SWING)

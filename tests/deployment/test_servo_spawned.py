@@ -1,4 +1,4 @@
-"""The servo as the process that it is, over DDS, against a laboratory in this process."""
+"""A servo process over DDS, with a laboratory in this process."""
 
 import os
 import re
@@ -22,7 +22,7 @@ from pixel2catch.servo.link import Fault, Mode, flag_names
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
 
 RATE = 0.25
-"""Rate of the clock; nothing depends on it but how long a test takes."""
+"""Rate of the clock: the servo runs slower than real time on a busy machine."""
 
 AGES = ("tick_age", "image_age", "target_age", "operator_age")
 LIMITS = replace(
@@ -30,21 +30,20 @@ LIMITS = replace(
     joints=replace(LIMITS.joints, position_age=np.full(LIMITS.num_joints, PATIENCE)),
     **dict.fromkeys(AGES, PATIENCE),
 )
-"""A servo for which nothing is ever late: `test_servo_process` has what is, in time that does not pass by
-itself."""
+"""Limits under which nothing is late; `test_servo_process` tests ages with a stepped clock."""
 
 
-class Theatre:
+class RealTimeLab:
     """A servo process and a laboratory that steps in real time."""
 
     def __init__(self, servo: RunningServo, lab: WireLab) -> None:
         self.servo, self.lab = servo, lab
 
     def until(self, holds: Callable[[], bool], seconds: float = PATIENCE) -> None:
-        """Let time pass until something holds."""
+        """Step the laboratory in real time until a condition holds."""
         begun, due = time.monotonic(), self.lab.clock.now()
         while not holds():
-            assert time.monotonic() - begun < seconds, self.story
+            assert time.monotonic() - begun < seconds, self.last_ticks
             self.lab.step()
             due = max(due + LIMITS.dt, self.lab.clock.now())
             self.lab.clock.sleep_until(due)
@@ -54,21 +53,21 @@ class Theatre:
         return bool(commands) and commands[-1].mode == mode
 
     def run(self, holds: Callable[[], bool]) -> None:
-        """Everybody is heard of, the operator arms, and the arm moves until something holds."""
+        """Arm, and move the arm until a condition holds."""
         self.until(lambda: bool(self.lab.ticks))
         self.lab.target, asked = HOME + 0.1, [-1.0]
 
         def has_come() -> bool:
             if self.is_in(Mode.IDLE) and self.lab.clock.now() > asked[-1] + 2.0 * STOP_TIME:
-                self.lab.ask_to_arm()  # whoever has not been heard of yet is asked again
+                self.lab.ask_to_arm()  # again, if a status was not received in time
                 asked.append(self.lab.clock.now())
             return holds()
 
         self.until(has_come)
 
     @property
-    def story(self) -> list[str]:
-        """What was found last, for the message of a test that fails."""
+    def last_ticks(self) -> list[str]:
+        """Modes and faults of the last ticks, for the message of a failing test."""
         return [
             str((each.mode, *tuple(flag_names(Fault, each.found | each.stopped_by))))
             for each in self.lab.ticks[-5:]
@@ -76,46 +75,36 @@ class Theatre:
 
 
 @pytest.fixture
-def theatre(monkeypatch: pytest.MonkeyPatch) -> Iterator[Theatre]:
+def real_time_lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[RealTimeLab]:
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(RATE)
     setup = ServoSetup(profile=profile, limits=LIMITS)
     with start_servo(setup, partial(join, "servo"), RATE) as servo, join("laboratory", clock) as transport:
-        yield Theatre(servo, WireLab(transport, servo.link, profile, clock))
+        yield RealTimeLab(servo, WireLab(transport, servo.link, profile, clock))
 
 
 def join(name: str, clock: RealClock) -> Transport:
     return make_transport("dds", name, LOOPBACK, clock)
 
 
-def leave(theatre: Theatre) -> None:
-    theatre.lab.silent.add("brain")
-    theatre.servo.link.close()
-
-
-def terminate(theatre: Theatre) -> None:
-    theatre.servo.process.terminate()
-
-
-@pytest.mark.parametrize("end", [leave, terminate])
-def test_however_it_ends_it_stops_the_robot_first(end: Callable[[Theatre], None], theatre: Theatre):
-    """Armed and run; Ctrl-C and Ctrl-Z are not for it; the control loop goes, or it is to end."""
-    process, lab = theatre.servo.process, theatre.lab
-    theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
+def test_a_terminated_servo_stops_the_robot_first(real_time_lab: RealTimeLab):
+    """Ctrl-C and Ctrl-Z are ignored."""
+    process, lab = real_time_lab.servo.process, real_time_lab.lab
+    real_time_lab.run(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
     assert process.pid is not None
     os.kill(process.pid, signal.SIGINT)
     ignored = re.search(r"SigIgn:\s*(\w+)", Path(f"/proc/{process.pid}/status").read_text())
     assert ignored
     assert int(ignored[1], 16) >> (signal.SIGTSTP - 1) & 1
-    theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
+    real_time_lab.run(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
     num_sent = len(lab.commands["arm"])
-    end(theatre)
-    theatre.until(lambda: not process.is_alive())
+    process.terminate()
+    real_time_lab.until(lambda: not process.is_alive())
     assert process.exitcode == 0
 
     def steps() -> np.ndarray:
         return np.abs(np.diff(lab.commands["arm"], axis=0)).max(axis=-1)
 
-    theatre.until(lambda: not steps()[-2:].any())  # what is still on its way is the stop
+    real_time_lab.until(lambda: not steps()[-2:].any())  # what is still on its way is the stop
     assert steps()[:num_sent].max() > 1e-4
     assert len(lab.commands["arm"]) - num_sent < 2.0 * STOP_TIME / LIMITS.dt

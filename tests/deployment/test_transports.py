@@ -1,4 +1,4 @@
-"""What every transport promises; the same laws for memory, DDS and rclpy."""
+"""Laws of all transports: memory, DDS and rclpy."""
 
 import gc
 import threading
@@ -37,15 +37,7 @@ def wait_for(node: Transport, subscription: Subscription) -> bytes:
     return message.data
 
 
-def wait_until(is_so: Callable[[], bool]) -> None:
-    """Who has come or gone is found by some networks a little later."""
-    end = time.monotonic() + PATIENCE
-    while not is_so():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
-def test_what_is_only_watched_ends_no_wait(make: MakeNode):
+def test_a_watching_subscription_does_not_end_a_wait(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
     sender.publisher(NUMBER).publish(messages.number(1.5))
@@ -54,7 +46,7 @@ def test_what_is_only_watched_ends_no_wait(make: MakeNode):
     assert numbers(recorded) == [1.5]
 
 
-def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: MakeNode):
+def test_the_newest_messages_are_kept_in_order(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     last, three = receiver.subscription(NUMBER), receiver.subscription(NUMBER, depth=3)
     end = receiver.subscription(END)
@@ -69,6 +61,14 @@ def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: Make
     assert numbers(three) == [4.0, 5.0, 6.0]
 
 
+def wait_until(is_so: Callable[[], bool]) -> None:
+    """Wait until the network has found an endpoint or its end."""
+    end = time.monotonic() + PATIENCE
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
 def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
     sender = make("sender")
     latched, fleeting = sender.publisher(MODE), sender.publisher(NUMBER)
@@ -81,24 +81,7 @@ def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
     assert numbers(missed) == []
 
 
-def test_who_wants_latched_messages_hears_no_publisher_that_does_not_keep_them(make: MakeNode):
-    sender, receiver = make("sender"), make("receiver")
-    wanting = receiver.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))
-    content = receiver.subscription(NUMBER)
-    sender.publisher(NUMBER).publish(messages.number(2.0))
-    assert receiver.wait(PATIENCE)
-    assert (numbers(content), numbers(wanting)) == ([2.0], [])
-
-
-def test_topics_of_another_type_are_other_topics(make: MakeNode):
-    sender, receiver = make("sender"), make("receiver")
-    texts = receiver.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
-    sender.publisher(NUMBER).publish(messages.number(2.0))
-    assert not receiver.wait(0.05)
-    assert texts.take() == []
-
-
-def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
+def test_other_publishers_are_counted(make: MakeNode):
     mine, other, third = make("mine"), make("other"), make("third")
     assert mine.num_other_publishers(NUMBER) == 0
     publishers = [node.publisher(NUMBER) for node in (mine, mine, other, third)]
@@ -109,8 +92,8 @@ def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
         publishers[-1].publish(messages.number(0.0))
 
 
-def test_publishers_of_others_are_named_and_messages_say_which_of_them_sent_them(make: MakeNode):
-    """As far as the network tells: rclpy does not tell who sent a message."""
+def test_other_publishers_are_named_and_messages_have_their_sender(make: MakeNode):
+    """With rclpy, messages have no sender."""
     mine, other, third = make("mine"), make("other"), make("third")
     heard = mine.subscription(NUMBER, depth=2)
     mine.publisher(NUMBER)
@@ -129,7 +112,7 @@ def test_publishers_of_others_are_named_and_messages_say_which_of_them_sent_them
     assert mine.other_publishers(NUMBER).items() <= names.items()
 
 
-def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
+def test_subscribers_are_counted_except_watching_ones(make: MakeNode):
     mine, other, third, watcher = (make(name) for name in ("mine", "other", "third", "pixel2catch"))
     publisher = mine.publisher(NUMBER)
     assert publisher.num_subscribers() == 0
@@ -138,7 +121,7 @@ def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
     for node in (other, third):
         node.subscription(NUMBER)
     third.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
-    third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not hear us
+    third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not fit
     wait_until(lambda: publisher.num_subscribers() == 2)
     publisher.publish(messages.number(1.0))
     wait_until(lambda: numbers(watching) == [1.0])
@@ -146,7 +129,7 @@ def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
     wait_until(lambda: publisher.num_subscribers() == 1)
 
 
-def test_publishers_and_subscriptions_of_others_are_listed_and_own_ones_are_not(make: MakeNode):
+def test_endpoints_of_others_are_listed(make: MakeNode):
     node, other = make("node"), make("other")
     node.publisher(NUMBER)
     node.subscription(IMAGE)
@@ -163,17 +146,6 @@ def test_publishers_and_subscriptions_of_others_are_listed_and_own_ones_are_not(
     wait_until(lambda: not found())
 
 
-def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
-    sender, receiver = make("sender"), make("receiver")
-    subscription = receiver.subscription(NUMBER, depth=5)
-    sender.publisher(NUMBER).publish(messages.number(1.0))
-    assert receiver.wait(PATIENCE)
-    sender.close()
-    assert numbers(subscription) == [1.0]
-    assert not receiver.wait(0.02)
-    assert subscription.take() == []
-
-
 def test_a_publisher_lives_as_long_as_its_node(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     sender.publisher(MODE).publish(messages.safety_mode(1))
@@ -183,7 +155,7 @@ def test_a_publisher_lives_as_long_as_its_node(make: MakeNode):
     assert messages.read_safety_mode(wait_for(receiver, subscription)) == 1
 
 
-def test_waiting_ends_when_a_message_arrives_and_not_before(make: MakeNode):
+def test_waiting_ends_when_a_message_arrives(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     subscription, publisher = receiver.subscription(NUMBER), sender.publisher(NUMBER)
     begin = time.perf_counter()
@@ -193,6 +165,6 @@ def test_waiting_ends_when_a_message_arrives_and_not_before(make: MakeNode):
     begin = time.perf_counter()
     assert receiver.wait(2.0 * PATIENCE)
     assert time.perf_counter() - begin < PATIENCE
-    assert receiver.wait(0.0), "it waits to be taken still"
+    assert receiver.wait(0.0)
     assert numbers(subscription) == [1.0]
     assert not receiver.wait(0.0)

@@ -129,11 +129,6 @@ def without_elbow(reading: messages.JointReading) -> messages.JointReading:
     )
 
 
-def with_nan(reading: messages.JointReading) -> messages.JointReading:
-    """The same with no number for the last joint."""
-    return replace(reading, position=np.append(reading.position[:-1], np.nan))
-
-
 def twice(reading: messages.JointReading) -> messages.JointReading:
     """The same with its first joint once more."""
     return replace(

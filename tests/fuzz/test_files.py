@@ -1,10 +1,10 @@
-"""Files of every kind, changed at random: one clear error or a value, soon, and in little memory."""
+"""Files of every kind, changed at random: an error or a value, soon, and in little memory."""
 
 import gc
 import random
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
@@ -20,8 +20,15 @@ MOST_MEMORY = 500 * 2**10  #: That a kind of file may add to the process at its 
 LONGEST_MESSAGE = 10_000  #: Characters of an error.
 
 
+@pytest.fixture(scope="module", autouse=True)
+def closed_files() -> Iterator[None]:
+    """Close the files that libraries left open: they warn here, and not in later tests."""
+    yield
+    gc.collect()
+
+
 def read_changed(kind: Kind, folder: Path, goes_on: Callable[[int], bool]) -> None:
-    """Change a file and read it, again and again; every number gives the same change in every run."""
+    """Change a file and read it, many times; a number gives the same change in each run."""
     file = kind.write(folder)
     valid = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     kind.read(file)
@@ -40,11 +47,10 @@ def read_changed(kind: Kind, folder: Path, goes_on: Callable[[int], bool]) -> No
             assert len(message) < LONGEST_MESSAGE
         assert time.thread_time() - start < LONGEST_TIME, number
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak < MOST_MEMORY
-    gc.collect()  # files that a library left open are told here, not in a test after this one
 
 
 @pytest.mark.parametrize("name", KINDS)
-@pytest.mark.filterwarnings("ignore")  # what libraries say of damage is theirs
+@pytest.mark.filterwarnings("ignore")  # of libraries
 def test_a_changed_file_is_read_or_refused(name: str, tmp_path: Path):
     read_changed(KINDS[name], tmp_path, lambda number: number < NUM_CHANGES)
 

@@ -1,4 +1,4 @@
-"""Files that were made to do harm: each is refused by its own words, before it costs time or memory."""
+"""Harmful files: each is refused before it costs time or memory."""
 
 import io
 import json
@@ -31,46 +31,32 @@ from pixel2catch.ros2.profile import Profile
 
 COMMANDS = {
     "evaluate --dynamics {}": ".json",
-    "evaluate --camera {}": ".json",
     "evaluate {}": ".onnx",
-    "evaluate  {}": "",
     "deploy --dry-run --profile {}": ".yaml",
-    "deploy --dry-run --dynamics {}": ".json",
     "identify {} --robot ur5e --out {out}": ".npz",
     "identify {}  --robot ur5e --out {out}": ".mcap",
-    "identify {}   --robot ur5e --out {out}": ".db3",
-    "replay {} --out {out}": ".mcap",
     "track {} --out {out}": ".mp4",
-    "track {}  --out {out}": ".db3",
     "calibrate views.csv --intrinsics {} --out {out}": ".yaml",
     "calibrate {} --intrinsics lens.yaml --out {out}": ".csv",
     "record {} --out {out}": ".npz",
-    "export {} --format lerobot --out {out}": ".mcap",
     "train --resume --out {}": "",
-    "twin --dynamics {}": ".json",
     "--import {} evaluate": ".py",
 }
 """Commands that read a file, and how its name ends."""
 
 
-def words_only(file: Path) -> None:
-    file.write_text("hello\nworld")
-
-
 PLACES: dict[str, Callable[[Path], object]] = {
-    "words": words_only,
-    "two bytes": lambda file: file.write_bytes(b"\x89P"),
+    "words": lambda file: file.write_text("hello\nworld"),
     "folder": lambda file: file.mkdir(),
     "pipe": os.mkfifo,
     "loop": lambda file: file.symlink_to(file),
     "endless": lambda file: file.symlink_to("/dev/zero"),
-    "nothing": lambda file: None,
 }
-"""What is where a file should be."""
+"""Contents in the place of a file."""
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_whatever_is_in_the_place_of_a_file_is_refused(
+def test_what_is_not_a_file_of_the_kind_is_refused(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
@@ -128,15 +114,13 @@ def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".bmp"])
-def test_an_image_is_not_unpacked_if_it_is_too_large(suffix: str, tmp_path: Path):
+def test_an_image_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
     """Its header says 20,000 x 20,000."""
-    data = bytearray(cv2.imencode(suffix, PIXELS)[1].tobytes())
-    place, order = (16, ">II") if suffix == ".png" else (18, "<II")
-    data[place : place + 8] = struct.pack(order, 20_000, 20_000)
-    (tmp_path / f"bomb{suffix}").write_bytes(data)
+    data = bytearray(cv2.imencode(".png", PIXELS)[1].tobytes())
+    data[16:24] = struct.pack(">II", 20_000, 20_000)
+    (tmp_path / "bomb.png").write_bytes(data)
     with pytest.raises(PerceptionError):
-        read_image(tmp_path / f"bomb{suffix}")
+        read_image(tmp_path / "bomb.png")
     message = messages.encode(
         messages.COMPRESSED_IMAGE, messages.header(0.0), "png", np.frombuffer(data, np.uint8)
     )
@@ -153,8 +137,8 @@ def test_a_video_names_no_other_file(text: str, tmp_path: Path):
         KINDS["mp4"].read(tmp_path / "list.mp4")
 
 
-def packed_bag(path: Path, size: int, mode: CompressionMode) -> Path:
-    """A bag with one message of so many zeros, compressed."""
+def packed_bag(path: Path, size: int, mode: CompressionMode = CompressionMode.STORAGE) -> Path:
+    """Write a bag with one message of zeros, compressed."""
     bag = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.set_compression(mode, CompressionFormat.ZSTD)
     with bag:
@@ -163,24 +147,18 @@ def packed_bag(path: Path, size: int, mode: CompressionMode) -> Path:
     return next(path.glob("bag.mcap*"))
 
 
-def test_a_chunk_of_a_bag_is_not_unpacked_if_it_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    file = packed_bag(tmp_path / "bag", 2**21, CompressionMode.STORAGE)
-    monkeypatch.setattr(bags, "MOST_CHUNK", 2**20)
-    with (
-        pytest.raises(PerceptionError, match="its chunks are too large"),
-        bags.opened_bag(file),
-    ):
-        pass
+def test_large_chunks_of_a_bag_are_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One is too large, or all of one time together."""
+    file = packed_bag(tmp_path / "bag", 2**21)
+    for limit in ("MOST_CHUNK", "MOST_AT_ONCE"):
+        with monkeypatch.context() as patch:
+            patch.setattr(bags, limit, 2**20)
+            with pytest.raises(PerceptionError, match=r"too large|together"), bags.opened_bag(file):
+                pass
     monkeypatch.setattr(bags, "_require_chunks", lambda chunks: None)
+    monkeypatch.setattr(bags, "MOST_CHUNK", 2**20)
     with pytest.raises(PerceptionError, match="Chunk size mismatch"), bags.opened_bag(file) as reader:
         list(reader.messages())
-
-
-def test_chunks_of_one_time_are_counted_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    file = packed_bag(tmp_path / "bag", 2**21, CompressionMode.STORAGE)
-    monkeypatch.setattr(bags, "MOST_AT_ONCE", 2**20)
-    with pytest.raises(PerceptionError, match="1,048,576 together"), bags.opened_bag(file):
-        pass
 
 
 def test_a_bag_is_not_unpacked_to_the_disk(tmp_path: Path):
@@ -205,7 +183,7 @@ def test_networks_of_a_billion_neurons_take_no_memory(tmp_path: Path):
             KINDS["policy"].read(file)
 
 
-def test_an_operation_that_is_not_ours_is_refused(tmp_path: Path):
+def test_an_unknown_onnx_operation_is_refused(tmp_path: Path):
     import onnx
 
     file = KINDS["onnx"].write(tmp_path)
@@ -245,13 +223,9 @@ def test_a_file_may_be_as_long_as_its_bound(tmp_path: Path):
         read_bytes(Path("/dev/zero"), 10)
 
 
-NESTED = 70 * "<body>" + 70 * "</body>"
-
-
 @pytest.mark.parametrize(
     "content",
     [
-        f"<mujoco><worldbody>{NESTED}</worldbody></mujoco>",
         "<mujoco>" + 20_001 * "<a/>" + "</mujoco>",
         '<mujoco><worldbody><replicate count="9999999"/></worldbody></mujoco>',
         '<mujoco><include file="/dev/zero"/></mujoco>',

@@ -4,6 +4,7 @@ import json
 import random
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import av
@@ -104,10 +105,15 @@ def _weights(folder: Path) -> Path:
     return _policy(folder).with_name("policy.safetensors")
 
 
-def _onnx(folder: Path) -> Path:
+@cache
+def _exported() -> bytes:
     torch.manual_seed(0)
+    return to_onnx(Policy(contract_of(find_method("catch+fit")), hidden=(8,)))
+
+
+def _onnx(folder: Path) -> Path:
     file = folder / "policy.onnx"
-    file.write_bytes(to_onnx(Policy(contract_of(find_method("catch+fit")), hidden=(8,))))
+    file.write_bytes(_exported())
     return file
 
 
@@ -270,12 +276,8 @@ KINDS = {
     ),
     "png": Kind(write=_image(".png"), read=read_image),
     "jpeg": Kind(write=_image(".jpg"), read=read_image),
-    "tiff": Kind(write=_image(".tiff"), read=read_image),
     "mp4": Kind(
         write=_video(".mp4", "libx264", "yuv420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
-    ),
-    "avi": Kind(
-        write=_video(".avi", "mjpeg", "yuvj420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
     ),
     "metrics": Kind(write=_text("metrics.csv", METRICS), read=read_metrics, change=changed_csv),
     "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
