@@ -20,7 +20,7 @@ from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.twin.stepped import in_step
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.twin import TwinPage
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

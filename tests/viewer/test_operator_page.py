@@ -21,7 +21,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image
 from pixel2catch.viewer.visitors import HeldButton
 

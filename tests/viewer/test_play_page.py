@@ -12,8 +12,8 @@ import pytest
 from domains import PATIENCE, free_port
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.viewer.config import PageCfg, PlayCfg
-from pixel2catch.viewer.play import PlayPage
+from pixel2catch.viewer import PageCfg
+from pixel2catch.viewer.play import PlayCfg, PlayPage
 
 
 class Visited:
@@ -54,7 +54,7 @@ def test_a_throw_is_shown_counted_kept_and_shown_again(visited: Visited):
     visited.wait_for(lambda: page.stage.num_pictures >= num_frames)
     page.show_again(1)
     visited.wait_for(lambda: page.stage.num_pictures >= 2 * num_frames)
-    assert "again: throw 1" in page.stage.text.content
+    visited.wait_for(lambda: "throw 1: cube_s **caught" in page.stage.text.content)
     assert len(page.throws) == 1
     caught = page.throws[1].frames[-1]
     palm = np.array(page.stage.view.bodies["palm"].position)
@@ -102,7 +102,7 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
     page.is_repeated.value = False
     browser_page.get_by_role("tab", name="Throws").click()
     browser_page.get_by_role("button", name=re.compile("^1 ")).click()
-    browser_page.get_by_text("again: throw 1").wait_for()
+    browser_page.get_by_text("throw 1: cube_s caught").wait_for()
     assert not wrong
 
 

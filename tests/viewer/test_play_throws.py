@@ -50,10 +50,7 @@ def test_what_is_set_is_read_back(disturbance):
 
 
 def test_a_throw_flies_along_its_path_is_caught_and_comes_again_from_its_seed(thrower: ThrowPlayer):
-    throwing = thrower.throw(order(air_density=1.2), seed=3)
-    for _ in throwing.run():
-        pass
-    first = throwing.played()
+    *_, first = thrower.run(order(air_density=1.2), seed=3)
     assert first.outcome == "caught and held"
     assert first.is_success
     flight = [frame for frame in first.frames if 0.0 <= frame.time < 0.7 * first.flight_time]
@@ -61,9 +58,9 @@ def test_a_throw_flies_along_its_path_is_caught_and_comes_again_from_its_seed(th
     for frame in flight[::4]:
         on_path = [np.interp(frame.time, times, first.path[:, axis]) for axis in range(3)]
         assert frame.object_pos == pytest.approx(on_path, abs=0.02)  # the path has corners
-    again = thrower.throw(order(air_density=1.2), seed=3)
+    *_, again = islice(thrower.run(order(air_density=1.2), seed=3), 15)
     assert again.number == first.number + 1
-    for frame, same in zip(islice(again.run(), 15), first.frames, strict=False):
+    for frame, same in zip(again.frames, first.frames, strict=False):
         assert (frame.exposure.moment.qpos == same.exposure.moment.qpos).all()
 
 
@@ -73,9 +70,8 @@ def test_a_throw_begins_where_it_is_told_to_and_passes_the_robot(thrower: ThrowP
     ordered = ThrowOrder(
         policy="catch_alone+fit", objects="cube_s", settings=AS_TRAINED, release_pos=(2.2, 0.5, 1.1)
     )
-    throwing = thrower.throw(ordered, 0)
-    frame = next(throwing.run())
-    assert frame.object_pos == pytest.approx((2.2, 0.5, 1.1), abs=1e-3)
+    throw = next(thrower.run(ordered, 0))
+    assert throw.frames[0].object_pos == pytest.approx((2.2, 0.5, 1.1), abs=1e-3)
     (low, high), height = TASK.throws.aim_x, TASK.throws.aim_z
-    assert low < throwing.path[-1, 0] < high
-    assert height[0] < throwing.path[-1, 2] < height[1]
+    assert low < throw.path[-1, 0] < high
+    assert height[0] < throw.path[-1, 2] < height[1]

@@ -13,7 +13,7 @@ from websockets.typing import Origin, Subprotocol
 
 from domains import PATIENCE, free_port
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.server import OwnPage, PageServer, open_server, page_files
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")

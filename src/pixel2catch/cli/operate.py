@@ -14,7 +14,7 @@ from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.operator import OperatorConsole, Press

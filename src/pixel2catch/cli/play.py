@@ -12,7 +12,7 @@ from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +68,8 @@ class Play:
             raise InvalidValueError(
                 "--web simulates the robots of this package only; leave out --robot-model."
             )
-        from pixel2catch.viewer.config import PlayCfg
-
         prepare("cpu")
         with needs_extra("viewer"):
-            from pixel2catch.viewer.play import PlayPage
-            from pixel2catch.viewer.process import serve_until_interrupted
+            from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
         args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
-        cfg = PlayCfg(**args, dynamics=self.task.dynamics, camera=self.task.camera)
-        serve_until_interrupted(lambda: PlayPage(cfg))
+        serve_until_interrupted(PlayCfg(**args, dynamics=self.task.dynamics, camera=self.task.camera))

@@ -3,23 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder
 from pixel2catch.cli.deploy import make_pipeline, summary_lines
 from pixel2catch.cli.link import Robot
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text
 from pixel2catch.installation import needs_extra
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
-from pixel2catch.viewer.config import PageCfg
-
-if TYPE_CHECKING:
-    from pixel2catch.ros2.profile import Profile
-    from pixel2catch.scene.constants import CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,10 +25,7 @@ class Replay:
     """
 
     recording: Positional[Path]  #: Recording of `deploy --record` or `rehearse --record`, with images.
-    #: New folder for the recording (MCAP) of the new decisions; needed without --web.
-    out: NewFolder | None = None
-    web: bool = False  #: Whether to show the recording on a page only, without perception and policy.
-    page: PageCfg = field(default_factory=PageCfg)  #: Address of that page.
+    out: NewFolder  #: New folder for the recording (MCAP) of the new decisions.
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: PolicyPath | None = None
     json: bool = False  #: Print the report as one JSON object.
@@ -48,12 +39,6 @@ class Replay:
             from pixel2catch.workcells import find_workcell
         notes: list[str] = []
         profile, camera = self.robot.load(), self.perception.camera_spec(notes)
-        if self.web:
-            return self._show(profile, camera)
-        if self.out is None:
-            raise InvalidValueError(
-                "there is no folder to write to: add --out FOLDER, or --web to look at the recording."
-            )
         self.perception.prepare()
         pipeline = make_pipeline(self.perception, self.policy, profile, camera, is_live=False)
         statistics = replay(self.recording, self.out, profile, camera, pipeline)
@@ -63,12 +48,6 @@ class Replay:
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
         print(json_text(report) if self.json else "\n".join([*notes, *_lines(report)]) + "\n", end="")
-
-    def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
-        with needs_extra("viewer"):
-            from pixel2catch.viewer.process import serve_until_interrupted
-            from pixel2catch.viewer.replay import RecordingPage
-        serve_until_interrupted(lambda: RecordingPage(self.page, self.recording, profile, camera))
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:

@@ -1,9 +1,7 @@
 """`pixel2catch train`: learn a policy."""
 
 import argparse
-import os
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +11,8 @@ from tyro.conf import Fixed, Positional, Suppress
 from pixel2catch.checks import CameraPath, DynamicsPath, ResultsFolder, require_valid
 from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.installation import needs_extra
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.own_files import import_files
-from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.learning.experiment import Experiment
@@ -54,8 +50,6 @@ class Train:
     camera: CameraPath | None = None
     out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     resume: bool = False  #: Go on from the last checkpoint in that folder, with its configuration.
-    web: bool = False  #: Serve a page with curves and with throws of the newest policy.
-    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     train: TrainCfg = field(default_factory=TrainCfg)  #: How the policy learns.
     #: Any field of the task, such as --env.sensing.latency-steps 1 3. All fields: train --env.help.
     env: TaskFields = None
@@ -111,27 +105,16 @@ class Train:
         if self.train.device.startswith("cuda"):
             require_cuda(self.train.device)
         method = find_method(self.method, find_workcell(self.env.scene.workcell))
-        with self._page(folder):
-            result = run(
-                Experiment(env=self.env, train=self.train),
-                method,
-                folder,
-                resume=self.resume,
-                preset=self.preset,
-                inputs={"dynamics": self.dynamics, "camera": self.camera},
-            )
+        result = run(
+            Experiment(env=self.env, train=self.train),
+            method,
+            folder,
+            resume=self.resume,
+            preset=self.preset,
+            inputs={"dynamics": self.dynamics, "camera": self.camera},
+        )
         if result.status == "interrupted":
             raise KeyboardInterrupt
-
-    def _page(self, folder: Path) -> AbstractContextManager[None]:
-        """Return the page of this training; of several processes only the first has one."""
-        if not self.web or os.environ.get("RANK", "0") != "0":
-            return nullcontext()
-
-        with needs_extra("viewer"):
-            from pixel2catch.viewer.process import page_process
-            from pixel2catch.viewer.train import serve_training
-        return page_process(serve_training, self.page, folder.resolve(), self.train.transitions)
 
 
 def _folder(method: str, seed: int | str) -> Path:

@@ -11,7 +11,7 @@ from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin import TaskArgs
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.twin.lab_node import LabNode
@@ -56,11 +56,9 @@ class Twin:
             stop = stack.enter_context(StopRequest())
             if self.web:
                 with needs_extra("viewer"):
-                    from pixel2catch.viewer.process import page_process
-                    from pixel2catch.viewer.twin import serve_page
+                    from pixel2catch.viewer.twin import twin_page
                 profile = twin_profile(find_workcell(task.scene.workcell))
-                args = (task.scene, profile, self.clock)
-                stack.enter_context(page_process(serve_page, self.page, *args, niceness=0))  # has a switch
+                stack.enter_context(twin_page(self.page, task.scene, profile, self.clock))
             counts = serve(task, self.seed, self.clock, on_cycle)
         late = f"{counts.num_late:,} of them late, the worst by {1000 * counts.worst:.0f} ms"
         say(f"{counts.num_cycles:,} cycles, {late}")

@@ -1,21 +1,28 @@
 """The page of `pixel2catch play --web`: throws to play with, in one process."""
 
+import time
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event
 from typing import Any, final
 
 import numpy as np
+import torch
 import viser
 
+from pixel2catch.checks import Seed
 from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
-from pixel2catch.viewer.config import PlayCfg
-from pixel2catch.viewer.process import PlayingPage
-from pixel2catch.viewer.server import PageServer, open_server
-from pixel2catch.viewer.stage import Stage
+from pixel2catch.viewer import PageCfg
+from pixel2catch.viewer.server import open_server
+from pixel2catch.viewer.stage import Playback, Stage
 from pixel2catch.viewer.throws import DISTURBANCES, HINTS, PlayedThrow, Setting, ThrowOrder, ThrowPlayer
 
 NUM_KEPT = 50  #: Number of throws that can be shown again.
@@ -24,12 +31,24 @@ RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Limits of the release
 GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of catches and misses.
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlayCfg:
+    """What is thrown first; the page can change all but the files."""
+
+    page: PageCfg = field(default_factory=PageCfg)  #: Where the page is served.
+    policy: Path | None = None  #: Folder of a policy or of its training run, or a shipped name.
+    objects: tuple[str, ...] = ("seen",)  #: What is thrown, names of `select_objects`.
+    seed: Seed = 0  #: Seed of the first throw; the next throw has the next seed.
+    dynamics: Path | None = None  #: Dynamics file of the simulated robot.
+    camera: Path | None = None  #: Camera file of the simulated camera.
+
+
 @final
-class PlayPage(PlayingPage):
+class PlayPage:
     """The page; `run` plays until it is closed."""
 
-    def __init__(self, cfg: PlayCfg, server: PageServer | None = None) -> None:
-        """Serve the page, on an existing server if one is given.
+    def __init__(self, cfg: PlayCfg) -> None:
+        """Serve the page.
 
         Raises:
             Pixel2CatchError: The policy, an object or a file is not valid, or the page cannot be served.
@@ -40,8 +59,11 @@ class PlayPage(PlayingPage):
         self._task = self._thrower.task(self._policy)
         self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be shown again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
+        self._num_renewed = 0
         self._again: PlayedThrow | None = None  #: Throw to show again.
-        super().__init__(server or open_server(cfg.page, "Pixel2Catch"))
+        self.playback = Playback()  #: Pace of time.
+        self._closed, self._wanted = Event(), Event()
+        self.server = open_server(cfg.page, "Pixel2Catch")
         site = self.server.viser
         site.on_client_connect(lambda _: self._welcome())
         self.stage = Stage(site, self._task.scene, self.playback)  #: The throw on the page.
@@ -60,6 +82,27 @@ class PlayPage(PlayingPage):
             release_pos=(x, y, z) if self.is_release_set.value else None,
         )
 
+    def run(self) -> None:
+        """Play until `close`."""
+        torch.set_num_threads(1)
+        while True:
+            self._wanted.wait()
+            self._wanted.clear()
+            if self._closed.is_set():
+                return
+            self.playback.begin()
+            self._play()
+
+    def close(self) -> None:
+        """End `run`."""
+        self._closed.set()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Play what is requested; interrupt what is played now."""
+        self.playback.interrupt()
+        self._wanted.set()
+
     def _play(self) -> None:
         """Run one throw, or show one again."""
         again, self._again = self._again, None
@@ -69,7 +112,7 @@ class PlayPage(PlayingPage):
             else:
                 self.stage.replay(again)
         except Pixel2CatchError as error:
-            self.stage.show_text(f"**{error}**")
+            self.stage.text.content = f"**{error}**"
             return
         if again is None and self.is_repeated.value and self.server.viser.get_clients():
             self.playback.wait(BETWEEN_THROWS * self.playback.speed)
@@ -78,19 +121,19 @@ class PlayPage(PlayingPage):
     def throw(self) -> None:
         """Begin a throw now; a running one is discarded."""
         self._again = None
-        self.begin()
+        self._begin()
 
     def show_again(self, number: int) -> None:
         """Show a throw again."""
         self.is_repeated.value = False
         self._again = self.throws[number]
-        self.begin()
+        self._begin()
 
     def free(self) -> None:
-        """See `PlayingPage.free`."""
+        """Free all resources, after `run`."""
         self.stage.close()
         self._thrower.close()
-        super().free()
+        self.server.close()
 
     def _welcome(self) -> None:
         """Throw for a new visitor, if throws are repeated or none was run."""
@@ -99,22 +142,19 @@ class PlayPage(PlayingPage):
 
     def _throw(self) -> None:
         """Run and show one throw."""
-        order, renewed = self.order, self._thrower.num_renewed
+        order = self.order
         task = self._thrower.task(order.policy)
-        self.stage.set_scene(task.scene)
-        running = self._thrower.throw(order, self._cfg.seed + self._thrower.num_throws)
-        if self._thrower.num_renewed != renewed:
+        if self._thrower.num_renewed != self._num_renewed:
+            self._num_renewed = self._thrower.num_renewed
             self._counts.clear()
-        for frame in running.run():
-            if len(running.frames) == 1:
-                self.stage.begin(running.path, running.flight_time)
-                self.stage.show_text(f"throw {running.number}: {running.object_name}")
-            if not self.stage.show(frame):
+        self.stage.set_scene(task.scene)
+        played: PlayedThrow | None = None
+        for played in self._thrower.run(order, self._cfg.seed + self._thrower.num_throws):
+            if not self.stage.show(played, len(played.frames) - 1):
                 return
-        played = running.played()
-        self.stage.end()
-        self.stage.show_text(f"throw {played.number}: {played.object_name} **{played.outcome}**")
-        self._keep(played)
+        if played is not None:
+            self.stage.end(played)
+            self._keep(played)
 
     def _keep(self, played: PlayedThrow) -> None:
         """Count a throw, and add it to the list."""
@@ -200,6 +240,20 @@ class PlayPage(PlayingPage):
             self._show_rates()
 
         self.release.on_update(dragged)
+
+
+def serve_until_interrupted(cfg: PlayCfg) -> None:
+    """Serve the page, and print its address, until Ctrl-C."""
+    with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
+        page = PlayPage(cfg)
+        print(f"open {page.server.address} in a browser; Ctrl-C ends it", flush=True)
+        playing = pool.submit(page.run)
+        while not (stop.is_set or playing.done()):
+            time.sleep(0.1)
+        page.close()
+        playing.exception()
+        page.free()
+        playing.result()
 
 
 def rates_text(caught: int, throws: int) -> str:

@@ -27,7 +27,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of a page's files.
 

@@ -1,7 +1,7 @@
 """Throws one by one in one environment, with disturbances; each can be shown again."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import radians
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from pixel2catch.methods import Method
 from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.scene.objects import select_objects
 from pixel2catch.shipped import policy_folder
 from pixel2catch.viewer.scene import FlightPath
@@ -119,7 +119,6 @@ class ThrowStep:
     exposure: Exposure  #: Robot, object and thrower; the time is since the release [s].
     box: Float[np.ndarray, "4"]  #: The box that the policy gets [px].
     pixel_features: Float[np.ndarray, "8"]  #: Features of that box, in the order of `PIXEL_FEATURES`.
-    joint_pos: Float[np.ndarray, " num_joints"]  #: Measured positions [rad].
     joint_pos_target: Float[np.ndarray, " num_joints"]  #: Commanded positions [rad].
 
     @property
@@ -133,18 +132,18 @@ class ThrowStep:
         return self.exposure.moment.qpos[-7:-4]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class PlayedThrow:
-    """A throw that is over."""
+    """A throw; `ThrowPlayer.run` adds its control steps one by one, and its outcome at the end."""
 
     number: int  #: Number of the throw, from 1.
     order: ThrowOrder  #: Its settings.
-    object_name: str  #: What was thrown.
-    path: FlightPath  #: Path of the object without contact, at even times [m].
-    flight_time: float  #: Duration of that path [s].
-    frames: tuple[ThrowStep, ...]  #: All its control steps.
-    is_success: bool  #: Whether it was caught, by the paper's rule.
-    outcome: str  #: Outcome in words.
+    object_name: str = ""  #: What is thrown.
+    path: FlightPath = field(default_factory=lambda: np.zeros((1, 3)))  #: Path without contact [m].
+    flight_time: float = 0.0  #: Duration of that path [s].
+    frames: list[ThrowStep] = field(default_factory=list)  #: Its control steps so far.
+    is_success: bool = False  #: Whether it was caught, by the paper's rule.
+    outcome: str = ""  #: Outcome in words; empty until it is decided.
 
 
 class ThrowPlayer:
@@ -155,8 +154,7 @@ class ThrowPlayer:
         self._dynamics, self._camera = dynamics, camera
         self._policies: dict[str, tuple[LoadedPolicy, Method]] = {}
         self._written: dict[str, float] = {}
-        self._env: CatchEnv | None = None
-        self._order: ThrowOrder | None = None
+        self._running: tuple[CatchEnv, ThrowOrder] | None = None
         self.num_throws = 0  #: Throws so far.
         self.num_renewed = 0  #: Number of times that a policy was read again because a training changed it.
 
@@ -164,30 +162,57 @@ class ThrowPlayer:
         """Return the undisturbed task of a policy."""
         return task_of(self._loaded(policy)[0], dynamics=self._dynamics, camera=self._camera)
 
-    def throw(self, order: ThrowOrder, seed: int) -> "RunningThrow":
-        """Begin a throw.
+    def run(self, order: ThrowOrder, seed: int) -> Iterator[PlayedThrow]:
+        """Yield a throw after each of its control steps; it has its outcome when the iteration has ended.
 
         Raises:
             Pixel2CatchError: There is no such policy or object, or a file does not fit.
         """
         policy, method = self._loaded(order.policy)
-        if self._env is None or order != self._order:
+        env = self._environment(order, method, seed)
+        env.seed(seed)
+        self.num_throws += 1
+        throw = PlayedThrow(number=self.num_throws, order=order)
+        qpos, qvel = (env.world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
+        bystanders, last = None, None
+        release, box = 0, torch.zeros(1, 4)
+        for step, last in round_steps(env, policy):
+            if bystanders is None:
+                episode = env.episode
+                throw.object_name = env.world.objects.names[int(episode.parameters.object_id)]
+                throw.path, release = _flight(episode), int(episode.throw.hover_steps)
+                throw.flight_time = float(episode.throw.flight_time())
+                release_pos = episode.throw.pos[0].double().numpy()
+                bystanders = Bystanders(release_pos=release_pos, phase=float(throw.number))
+                box = step.measurement.box.clone()
+            if not last.is_running[0]:
+                break
+            time = CONTROL_DT * (len(throw.frames) + 1 - release)
+            moment = Moment(qpos=qpos.astype(float), qvel=qvel.astype(float), time=time)
+            name, thrower = throw.object_name, bystanders.joint_pos
+            exposure = Exposure(moment=moment, object_name=name, thrower=thrower)
+            throw.frames.append(_frame(step, exposure, box, env.cfg.sensing.camera.camera))
+            box = step.measurement.box.clone()
+            yield throw
+        if last is not None:
+            _decide(throw, last)
+
+    def close(self) -> None:
+        """Free the environment."""
+        if self._running is not None:
+            self._running[0].close()
+        self._running = None
+
+    def _environment(self, order: ThrowOrder, method: Method, seed: int) -> CatchEnv:
+        if self._running is None or order != self._running[1]:
             self.close()
             task = disturbed(self.task(order.policy), order.settings)
             if order.release_pos is not None:
                 task = released_at(task, order.release_pos)
             objects = select_objects(order.objects)
             cfg = EvaluationCfg(objects=objects, num_envs=1, seed=seed, task=task)
-            self._env, self._order = cfg.make_env(method), order
-        self._env.seed(seed)
-        self.num_throws += 1
-        return RunningThrow(self._env, policy, order, self.num_throws)
-
-    def close(self) -> None:
-        """Free the environment."""
-        if self._env is not None:
-            self._env.close()
-        self._env = None
+            self._running = cfg.make_env(method), order
+        return self._running[0]
 
     def _loaded(self, policy: str) -> tuple[LoadedPolicy, Method]:
         """Return the policy; read it again if its file is newer."""
@@ -200,71 +225,23 @@ class ThrowPlayer:
         return self._policies[policy]
 
 
-class RunningThrow:
-    """A throw that is being simulated."""
+def _decide(throw: PlayedThrow, state: RoundState) -> None:
+    """Set the outcome of a throw."""
+    throw.is_success = bool(state.record.is_success)
+    if throw.is_success:
+        throw.outcome = "caught and held" if bool(state.is_verified) else "caught, not held"
+    else:
+        throw.outcome = FAILURES[int(failure(state.record))].replace("_", " ")
 
-    def __init__(self, env: CatchEnv, policy: LoadedPolicy, order: ThrowOrder, number: int) -> None:
-        """Simulate nothing yet."""
-        self._env, self._policy, self.order, self.number = env, policy, order, number
-        self._camera = env.cfg.sensing.camera.camera
-        self.frames: list[ThrowStep] = []  #: Control steps so far.
-        self.object_name = ""  #: Object that is thrown.
-        self.path: FlightPath = np.zeros((1, 3))  #: Path of the object without contact [m].
-        self.flight_time = 0.0  #: Duration of that path [s].
-        self._state: RoundState | None = None
 
-    def run(self) -> Iterator[ThrowStep]:
-        """Yield every control step until the throw is decided and a hold is tested."""
-        simulation = self._env.world.simulation
-        qpos, qvel = (simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
-        bystanders: Bystanders | None = None
-        release, box = 0, torch.zeros(1, 4)
-        for step, state in round_steps(self._env, self._policy):
-            episode = self._env.episode
-            if bystanders is None:
-                self.object_name = self._env.world.objects.names[int(episode.parameters.object_id)]
-                self.path, release = _flight(episode), int(episode.throw.hover_steps)
-                self.flight_time = float(episode.throw.flight_time())
-                bystanders = Bystanders(
-                    release_pos=episode.throw.pos[0].double().numpy(), phase=float(self.number)
-                )
-                box = step.measurement.box.clone()
-            self._state = state
-            if not state.is_running[0]:
-                return
-            time = CONTROL_DT * (len(self.frames) + 1 - release)
-            moment = Moment(qpos=qpos.astype(float), qvel=qvel.astype(float), time=time)
-            exposure = Exposure(moment=moment, object_name=self.object_name, thrower=bystanders.joint_pos)
-            self.frames.append(self._frame(step, exposure, box))
-            box = step.measurement.box.clone()
-            yield self.frames[-1]
-
-    def played(self) -> PlayedThrow:
-        """Return the throw, which is over."""
-        assert self._state is not None
-        record = self._state.record
-        is_success = bool(record.is_success)
-        caught = "caught and held" if bool(self._state.is_verified) else "caught, not held"
-        return PlayedThrow(
-            number=self.number,
-            order=self.order,
-            object_name=self.object_name,
-            path=self.path,
-            flight_time=self.flight_time,
-            frames=tuple(self.frames),
-            is_success=is_success,
-            outcome=caught if is_success else FAILURES[int(failure(record))].replace("_", " "),
-        )
-
-    def _frame(self, step: Step, exposure: Exposure, box_before: torch.Tensor) -> ThrowStep:
-        measured = step.measurement
-        return ThrowStep(
-            exposure=exposure,
-            box=measured.box[0].numpy().copy(),
-            pixel_features=pixel_features(box_before, measured.box, self._camera)[0].numpy(),
-            joint_pos=measured.joint_pos[0].numpy().copy(),
-            joint_pos_target=step.joint_pos_target[0].numpy().copy(),
-        )
+def _frame(step: Step, exposure: Exposure, box_before: torch.Tensor, camera: CameraSpec) -> ThrowStep:
+    measured = step.measurement
+    return ThrowStep(
+        exposure=exposure,
+        box=measured.box[0].numpy().copy(),
+        pixel_features=pixel_features(box_before, measured.box, camera)[0].numpy(),
+        joint_pos_target=step.joint_pos_target[0].numpy().copy(),
+    )
 
 
 def _flight(episode: Episode) -> FlightPath:

@@ -3,19 +3,27 @@
 One button does all steps of a throw; the others do one step each.
 """
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import get_context
 from threading import Thread
-from typing import Any, NoReturn, final
+from typing import Any, final
+
+import torch
 
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
+from pixel2catch.interruption import end_with_parent
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
-from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.operator_page import OperatorPage
+from pixel2catch.viewer.server import require_address
 from pixel2catch.viewer.visitors import HeldButton
 
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: Requests to the twin, one button each.
@@ -143,8 +151,27 @@ class TwinPage:
         self.page.close()
 
 
-def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
-    """Serve the page until this process ends."""
+@contextmanager
+def twin_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> Iterator[None]:
+    """Serve the page in a process that ends with the context.
+
+    Raises:
+        InvalidValueError: This machine cannot listen on the page's address.
+    """
+    require_address(cfg)
+    process = get_context("spawn").Process(target=_serve, args=(cfg, scene, profile, rate), daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _serve(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    end_with_parent()
+    torch.set_num_threads(1)
     clock = RealClock(rate)
     with make_transport("dds", "pixel2catch_page", LOOPBACK, clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)
