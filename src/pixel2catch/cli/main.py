@@ -87,7 +87,7 @@ file of yours defines; so does FILE.py:NAME in place of a name."""
 
 EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
 EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
-EXIT_TERMINATED = 143  #: Exit status after a termination signal, likewise.
+EXIT_TERMINATED = 143  #: Exit status after SIGTERM or SIGHUP; shells have it for SIGTERM.
 
 LEAST_COLUMNS = 40  #: Width of help in narrower terminals [characters]; the parser hangs in very narrow ones.
 

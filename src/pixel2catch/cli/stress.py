@@ -1,4 +1,4 @@
-"""`pixel2catch stress`: every policy under disturbances that training lacks."""
+"""`pixel2catch stress`: evaluate policies under disturbances that the paper's training lacks."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -8,7 +8,7 @@ from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.evaluation.grid import Status, StudyGrid
 from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
 
-JOBS_ON_CLUSTER = 100  #: Cells that a cluster has at once. Source: ours.
+JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a cluster at once. Source: ours.
 REFRESH_SECONDS = 2.0  #: Time between two looks at what running cells have done [s].
 
 

@@ -57,7 +57,7 @@ class Step:
     terminated: Bool[Tensor, " num_envs"]  #: Whether the episode ended, time-outs included (paper).
     truncated: Bool[Tensor, " num_envs"]  #: Never: a time-out is a termination.
     record: EpisodeRecord  #: The episodes up to this step, before any reset.
-    log: StepExtremes  #: Extremes within this step.
+    log: StepExtremes  #: Contacts in this step, and the largest overlaps, speeds and torques.
     measurement: Measurement  #: Measurement that `observation` was computed from.
     joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Commanded joint targets [rad].
 

@@ -33,7 +33,7 @@ class TaskVariant:
     """Ranges that replace those of the task in a share of the episodes."""
 
     share: Share  #: Share of the episodes.
-    throws: ThrowCfg  #: Start and target of the throws.
+    throws: ThrowCfg  #: Ranges from which throws are drawn.
     randomization: RandomizationCfg  #: What is drawn for each episode.
     sensing: SensingCfg  #: Noise and delay of the sensors.
 
@@ -51,7 +51,7 @@ class CatchEnvCfg:
     #: Identified dynamics of joints; other joints have nominal dynamics.
     dynamics: JointDynamics | None = None
     objects: Annotated[tuple[str, ...], NotEmpty()] = SEEN  #: Names of the objects that are thrown.
-    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Start and target of the throws.
+    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Ranges from which throws are drawn.
     #: What is drawn for each episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
     sensing: SensingCfg = field(default_factory=SensingCfg)  #: Noise and delay of camera and encoders.

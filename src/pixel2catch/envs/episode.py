@@ -1,4 +1,4 @@
-"""Draws and records of the episodes, per environment, on the device."""
+"""What is drawn at the start of each environment's episode, and what happened in it so far, as tensors."""
 
 from dataclasses import dataclass, replace
 from functools import cache

@@ -85,7 +85,7 @@ WIDE = replace(
 """Disturbances of laboratories in 75 % of the episodes; the paper's task in the others."""
 
 WIDE_SHARP = replace(WIDE.with_sensing(corner_noise=2.0), name="wide_sharp")
-"""The same with exacter boxes. Source: detectors on rendered video, 2 px."""
+"""`WIDE` with smaller errors of boxes: at most 2 px. Source: detectors on rendered video."""
 
 SIDEWAYS = replace(ThrowCfg(), aim_y=(-0.55, 0.55))
 """Throws to the middle and to both sides. Source: ours, 10 cm past the base of each of two robots."""

@@ -39,7 +39,8 @@ class Recorder:
     noise: float = 2e-4  #: standard deviation of a measured position [rad]. Default: a UR's encoders.
     stall: float = 0.05  #: share of each loop's turns that take 40 ms
     read_period: float = PERIOD  #: turn of the loop that records positions [s]
-    physics_dt: float = FIT_DT  #: time step of the simulation [s]; a fit with the same finds the truth best
+    #: time step of the simulation [s]; a fit with the same time step finds the true parameters best
+    physics_dt: float = FIT_DT
 
 
 PERFECT = Recorder(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise

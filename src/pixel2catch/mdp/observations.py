@@ -217,7 +217,8 @@ FIT_FEATURES = ("u", "v", "du", "dv", "ddu", "ddv", "size", "growth", "residual"
 acceleration [1/s²], logarithm of the size, its growth [1/s], and the residual of the centre."""
 
 SCALED_FEATURES = ("far", "far_u", "far_v", "far_du", "far_dv", "far_growth")
-"""TYPICAL_SIZE over the size, as the distance, and its products with features of the long fit."""
+"""The first is TYPICAL_SIZE over the size in the long fit; it grows with the distance. The others are its
+products with other features of the long fit."""
 
 BOX_FIT_FEATURES = (
     *(f"{name}_short" for name in FIT_FEATURES),

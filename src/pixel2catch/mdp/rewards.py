@@ -43,7 +43,7 @@ class BodyPart:
     """A joint group, its palms and its reward."""
 
     name: str  #: Name of the group.
-    joints: slice  #: Its columns in joint order.
+    joints: slice  #: Columns of the group's joints, in arrays of all joints.
     palms: slice  #: The palms of its robot.
     fingertips: slice  #: The tips of their fingers.
     touching: slice  #: Its palms and fingers in `Privileged.is_touching`.

@@ -49,7 +49,9 @@ MOST_ANGLE, MOST_DISTANCE = 0.05, 0.005
 
 MASSLESS = 1e-4  #: A body that weighs less has no mass in a model [kg].
 ARM_LENGTH = 0.1  #: Weight of an angular error of an axis against its distance in the fit of roots [m/rad].
-NUM_STARTS = 4  #: Orders of the chains whose fit is refined, of those with the smallest rough error.
+NUM_STARTS = 4
+"""Number of assignments of the maker's chains to ours that are refined: those of the least rough error."""
+
 HULL_POINTS = 250  #: Points of a mesh's convex hull. Source: ours; PhysX accepts at most 255.
 
 

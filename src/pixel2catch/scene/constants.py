@@ -12,7 +12,7 @@ from pixel2catch.robots.spec import Quat, Vec3
 
 GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
 PHYSICS_DT = 1.0 / 120.0  #: Physics time step [s]. Source: paper, 120 Hz.
-DECIMATION = 4  #: Physics steps in a control step. Source: paper.
+DECIMATION = 4  #: Physics steps in a control step at the paper's 120 Hz. Others: `SceneCfg.decimation`.
 CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 

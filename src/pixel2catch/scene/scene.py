@@ -126,7 +126,7 @@ class ObjectTable:
 
     names: tuple[str, ...]  #: The objects, in the order of the first axis of each array.
     indices: ObjectIndices  #: Where the object's rows are in the arrays of the model.
-    fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
+    fields: dict[str, ndarray]  #: Values by model field, of the shape (num_objects, rows, ...).
 
 
 def object_indices(model: mujoco.MjModel, name: str = "object") -> ObjectIndices:

@@ -43,7 +43,7 @@ RETURN_TIME = (
 REST_ERROR = 0.05
 """Distance of an arm joint at rest from its command that is allowed [rad]. Source: ours."""
 
-JITTER = 0.015  #: Variation of a position's arrival time [s]. Source: ours.
+JITTER = 0.015  #: A measured position may arrive later than usual by this time [s]. Source: ours.
 SMOOTHING = 0.04  #: Time constant of the estimated joint speed [s]. Source: ours.
 SLACK_LAGS = 3.0
 """Time constant with which the allowed distance from the command decays after a motion [lags]. Source: ours.

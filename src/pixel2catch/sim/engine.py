@@ -35,7 +35,7 @@ FOLLOWED = (
     *("body_mass", "body_ipos", "body_iquat", "body_inertia"),
     *("actuator_gainprm", "actuator_biasprm"),
 )
-"""Model fields per environment that the engine uses."""
+"""Model fields that may differ between environments; a copy is built again when one of them changes."""
 
 DERIVED = (
     *("geom_aabb", "geom_rbound", "body_subtreemass", "body_invweight0"),

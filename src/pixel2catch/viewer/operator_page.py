@@ -43,7 +43,9 @@ requests to arm; requests that waited in a suspended page or for a program that 
 
 LEAST_SIDE = 3.0  #: Least side of a box that points at the object [px].
 
-ACTIVE = ("armed", "ramp", "run", "several")  #: Modes in which the robot may move.
+ACTIVE = ("armed", "ramp", "run", "several")
+"""Modes in which the robot may move; "several" stands for several programs that publish a status."""
+
 REQUESTS = "stop, arm, press, hold, let_go, point"  #: Requests of every page.
 
 

@@ -1,6 +1,7 @@
-"""The twin's page: an operator's page with buttons for the thrower.
+"""The twin's page: an operator's page with buttons for the simulated thrower and robot.
 
-One button does all steps of a throw; the others do one step each.
+One button does all steps of a throw, others do one step each. Two more buttons stop the robots as after a
+collision, and run their programs again.
 """
 
 import signal

@@ -15,7 +15,7 @@ from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.own_files import catalogue
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: Returns a changed task; it can be pickled.
-AIR_DENSITY = 1.2  #: At 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded.
+AIR_DENSITY = 1.2  #: At 20 °C and 1013 hPa [kg/m³]. Source: ideal gas, rounded.
 
 CAMERA_POSITION_SOURCE = (
     "1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an arm "

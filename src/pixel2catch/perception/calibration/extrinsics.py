@@ -1,8 +1,9 @@
 """The camera's pose, from images of a board in the hand at several poses of the palm.
 
 With the palm's pose A from the robot's joints, a corner c of the board is at A Y c in the world, where Y is
-the board's pose in the hand. A camera with the pose X sees it at X⁻¹ A Y c. X and Y minimise the distances
-between seen and computed pixels, of all corners in all images at once. The world frame is that of the robot's
+the board's pose in the hand. A camera with the pose X sees it at X⁻¹ A Y c. X and Y minimise the squared
+distances between seen and computed pixels, of all corners at once. Images with much larger errors than the
+others are left out. The world frame is that of the robot's
 kinematics, as for the policies.
 
 The first guess is in closed form (A X = Z B of robotics): with B the board's pose in the camera, A Y = X B in
