@@ -41,12 +41,11 @@ def test_values_out_of_range_are_refused():
         dataclasses.replace(ELBOW, joints=("elbow",)).require(UR5E_ALLEGRO.joints)
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
-def test_dynamics_are_compared_by_value(parameter):
-    same, other = ELBOW.with_values(), ELBOW.with_values(**{parameter: 0.123})
+def test_dynamics_are_compared_by_value():
+    same = ELBOW.with_values()
     assert same == ELBOW
     assert hash(same) == hash(ELBOW)
-    assert other != ELBOW
+    assert all(ELBOW.with_values(**{name: 0.123}) != ELBOW for name in PARAMETERS)
     assert JointDynamics.nominal(["wrist_1_joint"]) != ELBOW
 
 
@@ -100,7 +99,3 @@ def test_filter_step_is_exact():
         speed += 2e-6 * 300.0 * (1.0 - position - 0.1 * speed)
         position += 2e-6 * speed
     np.testing.assert_allclose(step @ (0.1 - 1.0, -0.4), (position - 1.0, speed), rtol=1e-4)
-
-
-def test_without_a_filter_nothing_is_left_of_the_past():
-    assert not filter_transition(ELBOW, 0.002).any()

@@ -137,15 +137,6 @@ def test_the_other_hand_and_a_second_arm_are_refused(tmp_path: Path, arm: Path):
         build_model(SceneCfg(robot_model=(str(plain),), robot_surface="visual"))
 
 
-def test_the_reach_of_a_ball_in_a_box():
-    """Their hulls differ most in the corners of the box: by its half diagonal less the radius."""
-    shapes = '<body><geom type="box" size="1 1 1"/></body><body><geom size="0.9"/></body>'
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{shapes}</worldbody></mujoco>")
-    gap = reach(model, 1) - reach(model, 2)
-    assert gap.max() == pytest.approx(3**0.5 - 0.9, abs=2e-3)
-    assert gap.min() == pytest.approx(0.1, abs=0.03)
-
-
 def test_commands_take_makers_models(
     tmp_path: Path, arm: Path, hand: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -162,12 +153,3 @@ def test_commands_take_makers_models(
     assert "leave out --robot-model" in capsys.readouterr().err
     assert main(["evaluate", "--robot-model", str(tmp_path / "none.xml")]) == 2
     assert "none.xml', which is not there" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_more_commands_take_makers_models(tmp_path: Path, arm: Path, hand: Path, opengl: None):
-    files = ["--robot-model", str(arm), str(hand), "--env.scene.robot-surface", "collision"]
-    assert main(["evaluate", "--num-envs", "1", "--trials", "1", *files]) == 0
-    options = ["--throws", "1", "--out", str(tmp_path / "transfer"), *files]
-    assert main(["transfer", "--engines", "mujoco", *options]) == 0
-    assert main(["play", "--throws", "1", "--out", str(tmp_path / "play.png"), *files]) == 0

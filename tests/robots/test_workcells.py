@@ -121,7 +121,7 @@ def test_boxes_about_the_hands_hold_them(workcell: WorkcellSpec):
     model, data = at_home(workcell)
     lower, upper = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
     generator = np.random.default_rng(1)
-    for _ in range(200):
+    for _ in range(100):
         data.qpos[: len(lower)] = generator.uniform(lower, upper)
         mujoco.mj_kinematics(model, data)
         for palm in workcell.palms:
@@ -132,9 +132,9 @@ def test_boxes_about_the_hands_hold_them(workcell: WorkcellSpec):
                 assert (place < np.array(palm.spec.upper) - 0.012).all(), tip
 
 
-@pytest.mark.parametrize("name", ["proposed+fit", "catch_alone", "object_position"])
-def test_a_random_roll_out(workcell: WorkcellSpec, name: str):
-    method = find_method(name, workcell)
+def test_a_random_roll_out(workcell: WorkcellSpec):
+    assert list(methods_of(workcell)) == list(METHODS)
+    method = find_method("proposed+fit", workcell)
     env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=3, seed=0)
     assert sum(env.action_sizes.values()) == len(workcell.joints)
     contract = contract_of(method, workcell)
@@ -148,17 +148,6 @@ def test_a_random_roll_out(workcell: WorkcellSpec, name: str):
         step = env.step(actions)
     assert all(torch.isfinite(value).all() for value in (*step.rewards.values(), step.observation.state))
     env.close()
-
-
-@pytest.mark.gpu
-def test_a_random_roll_out_on_a_gpu(workcell: WorkcellSpec):
-    method = find_method("catch", workcell)
-    env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=64, device="cuda:0")
-    step = env.step({n: torch.zeros(env.num_envs, k, device=env.device) for n, k in env.action_sizes.items()})
-    for _ in range(5):
-        step = env.step({n: torch.zeros(64, size, device="cuda:0") for n, size in env.action_sizes.items()})
-    env.check()
-    assert all(torch.isfinite(value).all() for value in step.rewards.values())
 
 
 def test_two_robots_have_an_agent_for_each_group():
@@ -200,10 +189,6 @@ def test_robots_that_hit_each_other_are_told_from_one_that_touches_itself():
     names = {agent.name: agent.reward_names for agent in find_method("proposed", workcell).agents}
     assert all(f"{name}.robot_contact" in terms for name, terms in names.items())
     assert not any("robot_contact" in name for a in METHODS["proposed"].agents for name in a.reward_names)
-
-
-def test_the_methods_are_the_same_for_every_robot(workcell: WorkcellSpec):
-    assert list(methods_of(workcell)) == list(METHODS)
 
 
 def test_columns_that_do_not_follow_each_other():

@@ -6,7 +6,7 @@ import pytest
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.scene import shapes
 from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN, select_objects, surface_points
-from pixel2catch.scene.scene import SceneCfg, build_model, object_indices, object_table
+from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 from pixel2catch.scene.shapes import moments
 
 M = 0.03
@@ -14,13 +14,9 @@ M = 0.03
 # Textbook moments (transverse, transverse, axial) of solid bodies about their centres of mass.
 TEXTBOOK = {
     "cube_s": (M * 0.05**2 / 6,) * 3,
-    "cube_l": (M * 0.06**2 / 6,) * 3,
     "sphere_s": (0.4 * M * 0.035**2,) * 3,
-    "sphere_l": (0.4 * M * 0.04**2,) * 3,
     "cylinder_s": (*(M * (3 * 0.03**2 + 0.06**2) / 12,) * 2, M * 0.03**2 / 2),
-    "cylinder_l": (*(M * (3 * 0.035**2 + 0.07**2) / 12,) * 2, M * 0.035**2 / 2),
     "cone_s": (*(3 * M / 20 * (0.04**2 + 0.08**2 / 4),) * 2, 0.3 * M * 0.04**2),
-    "cone_l": (*(3 * M / 20 * (0.045**2 + 0.09**2 / 4),) * 2, 0.3 * M * 0.045**2),
     "ellipsoid": (
         M / 5 * (0.03**2 + 0.04**2),
         M / 5 * (0.025**2 + 0.04**2),
@@ -42,6 +38,9 @@ EXTENT = {
 }
 
 
+SOME = ("sphere_l", "cone_s", "capsule_s", "l_block", "triangular_prism", "box_28")  #: One of each kind.
+
+
 @pytest.mark.parametrize("name", TEXTBOOK)
 def test_inertia_is_that_of_the_solid(name):
     np.testing.assert_allclose(OBJECTS[name].inertia, TEXTBOOK[name], rtol=0.02)
@@ -55,33 +54,22 @@ def test_inertia_of_a_union_counts_the_overlap_once():
     assert OBJECTS["cross"].inertia[2] == pytest.approx(axial, rel=1e-9)
 
 
-def test_moments_scale_with_the_fifth_power_of_the_length():
-    small, large = (moments(shapes.cone(r, 2 * r)) for r in (0.02, 0.04))
-    volume = small[0, 0]
-    assert large[0, 0] == pytest.approx(8 * volume)
-    np.testing.assert_allclose(
-        shapes.inertia(large, 8 * volume), 32 * shapes.inertia(small, volume), rtol=1e-9, atol=1e-20
-    )
-
-
 @pytest.mark.parametrize("name", EXTENT)
 def test_round_shapes_have_the_size_of_the_task(name):
     vertices = OBJECTS[name].parts[0].vertices
     np.testing.assert_allclose(np.ptp(vertices, axis=0), EXTENT[name], atol=1.5e-3)
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", SOME)
 def test_body_frame_is_central_and_principal(name):
     spec = OBJECTS[name]
-    if name == "cross":
-        return
     solid = np.sum([moments(part) for part in spec.parts], axis=0)
     np.testing.assert_allclose(shapes.center_of_mass(solid), 0.0, atol=1e-12)
     inertia = shapes.inertia(solid, spec.mass)
     np.testing.assert_allclose(inertia, np.diag(spec.inertia), atol=2e-3 * np.trace(inertia))
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", [*SOME, "cross"])
 def test_surface_points_lie_on_the_hull_of_their_part(name):
     spec = OBJECTS[name]
     points = surface_points(spec, 128)
@@ -115,7 +103,7 @@ def test_selection_by_group_name_and_list():
         select_objects([])
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", [*SOME, "cross"])
 def test_table_rows_turn_one_model_into_another(name):
     """Writing an object's rows into another's model gives that object's model, in every field."""
     cfg = SceneCfg()
@@ -131,8 +119,3 @@ def test_table_rows_turn_one_model_into_another(name):
         values = getattr(model, field)
         if isinstance(values, np.ndarray) and field not in ("bvh_nodeid", "cam_poscom0"):
             np.testing.assert_array_equal(values, getattr(expected, field), err_msg=field)
-
-
-def test_object_is_where_the_conventions_say():
-    indices = object_indices(build_model(SceneCfg()))
-    assert (indices.qpos, indices.dofs) == (slice(19, 26), slice(19, 25))

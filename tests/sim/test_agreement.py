@@ -40,12 +40,12 @@ def swing(simulation: Simulation, num_steps: int) -> Iterator[torch.Tensor]:
 
 
 def test_free_flight_and_arm_motion_agree(both):
-    """Within 20 micrometres and microradians over one second: rounding alone."""
+    """Within 20 micrometres and microradians over half a second: rounding alone."""
     paths = []
     for simulation in both:
         start(simulation)
         copies.push(simulation, (-1.0, 0.3, 3.0, 2.0, -1.0, 4.0))
-        paths.append(torch.stack(list(swing(simulation, 60))))
+        paths.append(torch.stack(list(swing(simulation, 30))))
     torch.testing.assert_close(*paths, atol=2e-5, rtol=0)
 
 
@@ -87,30 +87,16 @@ def test_threads_change_no_bit():
     assert torch.equal(*paths)
 
 
-@pytest.mark.parametrize("num_envs", [0, -3])
-@pytest.mark.parametrize("backend", ["batch", "warp"])
-def test_at_least_one_environment(backend, num_envs):
-    with pytest.raises(InvalidValueError, match=f"num_envs is {num_envs}; it must be at least 1"):
-        copies.make(backend, num_envs)
-
-
-@pytest.mark.parametrize("device", ["tpu", "mps", "cuba:0", ""])
-def test_an_unknown_device_names_the_known(device):
-    with pytest.raises(UnknownNameError, match=rf"unknown device '{device}'.*Valid: cpu, cuda"):
-        make_simulation(build_model(SceneCfg()), 1, device)
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-@pytest.mark.parametrize("device", ["cuda", "cuda:1"])
-def test_absent_cuda_says_what_to_do(device):
-    with pytest.raises(DeviceUnavailableError, match=rf"'{device}'.*--device cpu"):
-        make_simulation(build_model(SceneCfg()), 1, device)
-
-
-def test_cpu_is_the_batch_back_end():
-    simulation = make_simulation(build_model(SceneCfg()), 2, "cpu")
-    assert isinstance(simulation, BatchSimulation)
-    assert (simulation.num_envs, simulation.dtype) == (2, torch.float64)
+def test_impossible_simulations_are_refused():
+    model = build_model(SceneCfg())
+    with pytest.raises(InvalidValueError, match="num_envs is 0; it must be at least 1"):
+        copies.make("batch", 0)
+    with pytest.raises(UnknownNameError, match=r"unknown device 'tpu'.*Valid: cpu, cuda"):
+        make_simulation(model, 1, "tpu")
+    with pytest.raises(UnknownNameError, match=r"unknown engine 'bullet'\. Valid: mujoco, physx, drake"):
+        make_simulation(model, 1, "cpu", "bullet")
+    with pytest.raises(DeviceUnavailableError, match=r"'cuda:99'"):
+        make_simulation(model, 1, "cuda:99")
 
 
 def test_lost_contacts_are_reported(monkeypatch):

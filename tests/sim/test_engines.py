@@ -52,8 +52,7 @@ def test_joints_move_as_in_mujoco(engine, joints, most):
 
 
 @needs_physx
-@pytest.mark.parametrize("hz", [600.0, 1200.0])
-@pytest.mark.parametrize("restitution", [0.0, 0.25, 0.5])
+@pytest.mark.parametrize(("hz", "restitution"), [(600.0, 0.0), (600.0, 0.5), (1200.0, 0.25)])
 def test_restitution_is_the_ratio_of_speeds(hz, restitution):
     """A cube at 4 m/s; MuJoCo's own mean is 0.00 to 0.02 over it, but 0.1 at a restitution of 0."""
     mean, deviation = rebound(physx(hz=hz), "cube_l", 4.0, restitution)
@@ -69,13 +68,12 @@ def test_a_ball_bounces_as_in_mujoco():
 
 
 @needs_physx
-@pytest.mark.parametrize("hz", [600.0, 1200.0])
-def test_friction_of_an_impact_is_coulombs(hz):
-    """Whenever in a step it is: a ball rolls away, a cube that lands flat rises as from a straight impact."""
-    mean, deviation = roll(physx(hz=hz), 0.0)
+def test_friction_of_an_impact_is_coulombs():
+    """A ball rolls away, a cube that lands flat rises as from a straight impact, at any phase of a step."""
+    mean, deviation = roll(physx(hz=600.0), 0.0)
     assert mean == pytest.approx(1.0, abs=0.06)
     assert deviation < 0.06
-    mean, deviation = rebound(physx(hz=hz), "cube_l", 2.0, 0.25, along=2.0)
+    mean, deviation = rebound(physx(hz=600.0), "cube_l", 2.0, 0.25, along=2.0)
     assert mean == pytest.approx(0.25, abs=0.03)
     assert deviation < 0.03
 
@@ -84,7 +82,7 @@ def test_friction_of_an_impact_is_coulombs(hz):
 def test_nothing_bounces_in_drake():
     assert rebound(DRAKE, "cube_l", 4.0, 0.0)[0] == pytest.approx(0.0, abs=0.05)
     with pytest.raises(
-        InvalidValueError, match=r"restitution is 0\.25; engine 'drake' has none: give --rest"
+        InvalidValueError, match=r"restitution is 0\.25; engine 'drake' supports 0 only: give --rest"
     ):
         DRAKE.make(restitution=0.25).step()
 
@@ -113,15 +111,13 @@ def world() -> RigidWorld:
 @needs_physx
 def test_pairs_beyond_the_bits_are_refused():
     crowded = replace(world(), excluded=((4, 6),) * (MOST_EXCLUDED + 1))
-    with pytest.raises(InvalidValueError, match="33 pairs of bodies do not collide; PhysX has room for 32"):
+    with pytest.raises(InvalidValueError, match=r"33 pairs of bodies are excluded .* at most 32"):
         PhysxCopy(crowded)
 
 
 @pytest.mark.parametrize("engine", [engine for engine in ENGINES[1:] if engine not in MISSING])
 def test_engines_need_the_cpu(engine):
-    with pytest.raises(
-        InvalidValueError, match=f"engine '{engine}' was asked for on a CUDA device; give --dev"
-    ):
+    with pytest.raises(InvalidValueError, match=f"engine '{engine}' does not support CUDA; give --device"):
         make_simulation(build_model(SceneCfg()), 1, "cuda", engine)
 
 
