@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from pixel2catch.agents import AgentSpec, agents_of, sharing, together
     from pixel2catch.api.calls import evaluate, load_policy, make, train
     from pixel2catch.api.parallel import CatchParallelEnv
-    from pixel2catch.api.single import CatchSingleEnv
-    from pixel2catch.api.vector import CatchVectorEnv
+    from pixel2catch.api.vector import CatchSingleEnv, CatchVectorEnv
     from pixel2catch.camera.pinhole import nominal_projection
     from pixel2catch.envs import actuators, world
     from pixel2catch.envs.catch_env import CatchEnv
@@ -52,8 +51,7 @@ _WHERE = {
     "agents": ("AgentSpec", "agents_of", "sharing", "together"),
     "api.calls": ("evaluate", "load_policy", "make", "train"),
     "api.parallel": ("CatchParallelEnv",),
-    "api.single": ("CatchSingleEnv",),
-    "api.vector": ("CatchVectorEnv",),
+    "api.vector": ("CatchSingleEnv", "CatchVectorEnv"),
     "camera.pinhole": ("nominal_projection",),
     "envs.catch_env": ("CatchEnv",),
     "envs.cfg": ("CatchEnvCfg",),

@@ -142,7 +142,6 @@ def agents_of(
 
 
 def _part_of(workcell: WorkcellSpec, group: JointGroup, reward: tuple[RewardTerm, ...]) -> BodyPart:
-    """A joint group with all palms of its robot."""
     served = [i for i, palm in enumerate(workcell.palms) if group.name in palm.groups]
     fingers = [len(palm.spec.fingers) for palm in workcell.palms]
     first, stop = served[0], served[-1] + 1

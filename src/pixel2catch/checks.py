@@ -260,19 +260,16 @@ def _require_representable(name: str, value: Any) -> None:
 
 @cache
 def _kinds(declared: type) -> dict[str, Any]:
-    """Declared types of the fields of a dataclass, by name."""
     kinds = typing.get_type_hints(declared, include_extras=True)
     return {field.name: kinds[field.name] for field in fields(declared)}
 
 
 def _parts(kind: Any) -> tuple[Any, tuple[Requirement, ...]]:
-    """A type without its annotations, and its requirements."""
     found = getattr(kind, "__metadata__", ())
     return kind.__origin__ if found else kind, tuple(each for each in found if isinstance(each, Requirement))
 
 
 def _entries(kind: Any, count: int) -> tuple[Any, ...]:
-    """Declared types of the entries of a tuple."""
     kinds = get_args(kind)
     return kinds[:1] * count if kinds[-1:] == (Ellipsis,) else kinds or (Any,) * count
 
@@ -289,7 +286,7 @@ PLAIN = {
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """Whether a value is of a declared type; unknown types hold anything."""
+    """Return whether a value is of a declared type; unknown types hold anything."""
     kind, origin = _parts(kind)[0], get_origin(_parts(kind)[0])
     if kind in PLAIN:
         return isinstance(value, PLAIN[kind][0]) and isinstance(value, bool) is (kind is bool)
@@ -305,7 +302,6 @@ def _fits(kind: Any, value: Any) -> bool:
 
 
 def _in_words(kind: Any) -> str:
-    """What a value of a type is, for messages."""
     kind, origin, inner = _parts(kind)[0], get_origin(_parts(kind)[0]), get_args(_parts(kind)[0])
     if origin in (Union, UnionType):
         return " or ".join(map(_in_words, inner))
@@ -317,7 +313,6 @@ def _in_words(kind: Any) -> str:
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
-    """The numbers of a number or of nested tuples."""
     return tuple(n for each in value for n in _numbers(each)) if isinstance(value, tuple) else (value,)
 
 

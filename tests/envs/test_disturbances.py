@@ -14,9 +14,8 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg, detect
-from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.mdp.throws import ShakeCfg, ThrowCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA

@@ -28,13 +28,7 @@ def run(
 ) -> TrainResult:
     """Train a method to the end.
 
-    Args:
-        experiment: The environments, and how the policy learns.
-        method: What is trained.
-        out: Folder of the run.
-        resume: Go on from the last checkpoint in the folder.
-        preset: Name of the preset, for the record.
-        inputs: Files that the environments were made with, by option, for copies.
+    The run folder records the name of the preset, and keeps copies of the inputs: files by option.
 
     Raises:
         Pixel2CatchError: As `learning.train.train`.

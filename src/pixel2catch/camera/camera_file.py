@@ -99,7 +99,7 @@ class CameraFile:
 
 @lru_cache(maxsize=16)
 def _spread(covariance: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    """A factor L of a covariance L Lᵀ, 6 x 6."""
+    """Return a factor L of a covariance L Lᵀ, 6 x 6."""
     shares, axes = np.linalg.eigh(np.asarray(covariance))
     return tuple(map(tuple, (axes * np.sqrt(shares.clip(min=0.0))).tolist()))
 

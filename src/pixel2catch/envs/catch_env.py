@@ -217,7 +217,7 @@ class CatchEnv:
             )
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
-        """One control step in memory that keeps its address, so that a device can record and replay it."""
+        """Advance by a control step in memory that keeps its address: a device records and replays it."""
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
         disturbed = action + self._episode.parameters.action_bias + self._action_noise * noise
         target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
@@ -245,7 +245,6 @@ class CatchEnv:
         )
 
     def _first_sensor_state(self) -> SensorState:
-        """Sensors at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
         image = self.detector.look(now, self._episode)
@@ -262,11 +261,11 @@ class CatchEnv:
         return clone(sensors)
 
     def _waiting_commands(self) -> DelayLine[Tensor]:
-        """Delayed targets at the beginning of an episode: the joint positions."""
+        """Return the delayed targets at the beginning of an episode: the joint positions."""
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
     def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
-        """Acceleration of a shaking base in the middle of each physics step [m/s²]."""
+        """Return the acceleration of a shaking base in the middle of each physics step [m/s²]."""
         shake, steps, scene = self._episode.shake, self._episode.record.steps, self.cfg.scene
         if shake is None:
             return None
@@ -287,7 +286,6 @@ class CatchEnv:
         )
 
     def _draw_episode(self, cfg: CatchEnvCfg | None = None) -> Episode:
-        """A new episode for every environment."""
         return draw_episode(
             cfg or self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator
         )
@@ -338,11 +336,10 @@ class CatchEnv:
         assign(sensors, updated)
 
     def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
-        """Age of a delivered detection, by its stamp [control steps]."""
+        """Return the age of a delivered detection, by its stamp [control steps]."""
         return self._episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
-        """Boxes before an episode, of an object at rest."""
         return BoxHistory.begun(detection.box, self._age(detection), self.method.num_boxes)
 
     def _measure(
@@ -352,7 +349,6 @@ class CatchEnv:
         boxes: BoxHistory,
         initial_object_pos: Float[Tensor, "num_envs 3"],
     ) -> Measurement:
-        """The measurement, with the noise of the encoders."""
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
         joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise

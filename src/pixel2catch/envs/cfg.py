@@ -12,9 +12,8 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.mdp.throws import ShakeCfg, ThrowCfg
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import SEEN

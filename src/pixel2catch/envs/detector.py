@@ -76,7 +76,6 @@ class ProjectedDetector(Detector):
         )
 
     def _camera(self, episode: Episode) -> Projection:
-        """Return the true camera, in the frame of the robot's base."""
         nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
         camera = nominal if episode.camera_errors is None else episode.camera_errors.camera
         if episode.shake is None:

@@ -18,10 +18,9 @@ from pixel2catch.mdp.randomization import (
     sample_delay,
     sample_parameters,
 )
-from pixel2catch.mdp.shaking import Shake, sample_shake
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
-from pixel2catch.mdp.throws import Throw, drawn, sample_throws
+from pixel2catch.mdp.throws import Shake, Throw, drawn, sample_shake, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
@@ -241,7 +240,7 @@ def _command_delay(
 
 @cache
 def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[float, ...]:
-    """Drag of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
+    """Return the drag of every object in air of 1 kg/m³ [1/m], in the order of the object table."""
     thrown = [each.scaled(scale) for each in objects]
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
 

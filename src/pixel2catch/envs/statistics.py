@@ -111,7 +111,6 @@ class EpisodeStatistics:
 
 
 def _means(row: Row) -> dict[str, float]:
-    """Rates and means of one row of sums."""
     episodes = row[0]
     values: dict[str, float] = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
     failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))

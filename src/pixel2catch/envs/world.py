@@ -321,7 +321,6 @@ class CatchWorld:
         return points, is_unoccluded(hit)
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
-        """Set shape, inertia and contact of the object."""
         write(mask, parameters.object_id, self._object_id)
         rows = self.objects.indices.rows
         for name, table in self._table.items():
@@ -338,12 +337,10 @@ class CatchWorld:
         write(mask, parameters.friction[:, None].expand_as(friction), friction)
 
     def _write(self, mask: Tensor, name: str, rows: slice, value: Tensor) -> None:
-        """Set rows of a model field in the masked environments."""
         field = self._model[name][:, rows]
         write(mask, value.to(field.dtype).expand_as(field), field)
 
     def _read_log(self) -> StepExtremes:
-        """Contacts and extremes of the present physics step."""
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
@@ -363,7 +360,7 @@ class CatchWorld:
 
 
 def _snapshot(live: Tensor) -> Tensor:
-    """A float32 copy; a cast alone would be a view of a float32 simulation."""
+    """Return a float32 copy; a cast alone would be a view of a float32 simulation."""
     return live.to(torch.float32, copy=True)
 
 

@@ -204,7 +204,6 @@ class Mappo:
         return metrics
 
     def _update_agents(self) -> Tensor:
-        """Update all agents; return their `METRICS`, a row per agent."""
         cfg, steps = self.cfg, self.steps.values()
         self._estimate(self.next_states, *(self._hidden_states[agent][1] for agent in self.agents))
         epochs = []
@@ -245,7 +244,6 @@ class Mappo:
             torch.cuda.current_stream(stream.device).wait_stream(stream)
 
     def _learn_scales(self, number: int) -> None:
-        """Update the scales of the inputs by a mini-batch."""
         seen: list[tuple[Standardizer, Tensor]] = []
         for agent, networks in self.networks.items():
             batch = self.steps[agent].batch(number)

@@ -142,8 +142,6 @@ class EnvSchedule:
 
 
 class _Training:
-    """The loop and what it holds."""
-
     def __init__(
         self,
         cfg: TrainCfg,
@@ -186,7 +184,6 @@ class _Training:
         )
 
     def _open_log(self) -> TrainingLog:
-        """Write configuration and circumstances of this session, and open its log."""
         is_first = self.workers.is_first
         if is_first:
             config = {
@@ -223,13 +220,11 @@ class _Training:
         return "finished"
 
     def _log_row(self, log: TrainingLog) -> None:
-        """Log the last update, if that is not done yet."""
         if self._is_unlogged:
             self._is_unlogged = False
             log.write(self.row)
 
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
-        """Fill the rollout; a device may still work on it."""
         for _ in range(self.cfg.rollout_steps):
             if stop.is_set:
                 break
@@ -243,16 +238,16 @@ class _Training:
         collected = DeviceTime(self.workers.device)
         metrics = self.mappo.launch_update(self.progress.transitions / self.cfg.transitions)
         updated = DeviceTime(self.workers.device)
-        given = Sums(rollout_quantities(self.mappo, self.contract))
-        found = Sums(update_quantities(self.mappo, metrics))
+        given = launch_sums(rollout_quantities(self.mappo, self.contract))
+        found = launch_sums(update_quantities(self.mappo, metrics))
         rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
         rewards = self.workers.sum(rewards) / self.workers.size
         with self.workers.sync_errors():  # first: NaN of one process reaches the networks of all
             self.schedule.env.check()
-            require_finite(given.read())
+            require_finite(given())
         statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
-            require_finite(reward_terms(statistics) | found.read())
+            require_finite(reward_terms(statistics) | found())
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -292,16 +287,10 @@ class _Training:
         )
 
 
-class Sums:
-    """Sums of named tensors, read later; a sum is finite only if all of its terms are."""
-
-    def __init__(self, tensors: Mapping[str, Tensor]) -> None:
-        """Launch the sums."""
-        self._names, self._sums = tuple(tensors), torch.stack([tensor.sum() for tensor in tensors.values()])
-
-    def read(self) -> dict[str, float]:
-        """Wait for the device."""
-        return dict(zip(self._names, self._sums.tolist(), strict=True))
+def launch_sums(tensors: Mapping[str, Tensor]) -> Callable[[], dict[str, float]]:
+    """Launch sums of named tensors, finite only if all terms are; return a function that waits for them."""
+    sums = torch.stack([tensor.sum() for tensor in tensors.values()])
+    return lambda: dict(zip(tensors, sums.tolist(), strict=True))
 
 
 def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tensor]:

@@ -93,7 +93,6 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
 
 
 def _sign(chance: Float[Tensor, " num_envs"]) -> Float[Tensor, " num_envs"]:
-    """-1 or 1, from draws in [0, 1)."""
     return 1.0 - 2.0 * (chance < 0.5).float()
 
 

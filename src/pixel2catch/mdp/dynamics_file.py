@@ -32,7 +32,7 @@ class GainRanges:
     is_damping_relative: tuple[bool, ...] = ()
 
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
-        """The ranges with an entry for each joint of a work cell.
+        """Return the ranges with an entry for each joint of a work cell.
 
         Raises:
             InvalidValueError: If there are neither none, nor one, nor as many.
@@ -114,13 +114,11 @@ class DynamicsFile:
 
 
 def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
-    """Numbers of the joints."""
     names = [joint.name for joint in workcell.joints]
     return [names.index(name) for name in dynamics.joints]
 
 
 def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:
-    """The ranges of the joint groups, with those of the file for its joints."""
     columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges().of(workcell)).items()}
     for name, values in content.items():
         if name not in columns:

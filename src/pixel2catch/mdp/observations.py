@@ -111,14 +111,13 @@ def box_fit(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
 
 @cache
 def _fit_columns(pixel_columns: tuple[int, ...]) -> tuple[int, ...]:
-    """Columns of `box_fit` for methods with these pixel features."""
     seen = {PIXEL_FEATURES[column].lstrip("d") for column in pixel_columns}
     names = enumerate(BOX_FIT_FEATURES)
     return tuple(column for column, name in names if _is_fit_seen(name, seen))
 
 
 def _is_fit_seen(name: str, seen: set[str]) -> bool:
-    """Whether a feature of the fit follows from the observed centre, size or both."""
+    """Return whether a feature of the fit follows from the observed centre, size or both."""
     what = name.removesuffix("_short").removesuffix("_long")
     needs_size = what.startswith("far") or what in ("size", "growth")
     needs_center = what not in ("age", "size", "growth", "far", "far_growth")
@@ -264,7 +263,7 @@ def _fit_features(
     memory: float,
     camera: CameraSpec,
 ) -> Float[Tensor, "num_envs 9"]:
-    """`FIT_FEATURES` of the fit with this time constant [control steps]."""
+    """Return the `FIT_FEATURES` of the fit with this time constant [control steps]."""
     weight = torch.softmax(-age / memory, dim=-1)[..., None]
     time = (age[:, :1] - age)[..., None] / memory  # the newest box is at 0
     middle = (weight * time).sum(dim=1, keepdim=True)
@@ -295,6 +294,6 @@ def _slope(
     basis: Float[Tensor, "num_envs num_boxes 1"],
     weight: Float[Tensor, "num_envs num_boxes 1"],
 ) -> Float[Tensor, "num_envs 1 n"]:
-    """Coefficient of a basis of weighted mean 0 in the values; 0 where the basis vanishes."""
+    """Return the coefficient of a basis of weighted mean 0 in the values; 0 where the basis vanishes."""
     spread = (weight * basis.square()).sum(dim=1, keepdim=True)
     return (weight * basis * value).sum(dim=1, keepdim=True) / (spread + SPREAD_FLOOR)

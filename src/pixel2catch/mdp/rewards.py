@@ -140,14 +140,14 @@ def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
 
 
 def _is_called(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
-    """Whether the part's robot has the palm nearest to the object, or the object needs all palms (ours)."""
+    """Return whether the part has the palm nearest to the object, or the object needs all palms (ours)."""
     distance = palm_distance(transition.before)
     is_nearest = distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
     return is_nearest | needs_all(transition.before)
 
 
 def _lying_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
-    """Distance of the object's centre from each palm, or from a radius above it if it needs all palms [m]."""
+    """Return distances of the object from each palm, or from a radius above it if it needs all [m]."""
     radius = torch.where(needs_all(snapshot), snapshot.object_reach - SURFACE_REACH, 0.0)
     lying = snapshot.palm_pos + radius[:, None, None] * snapshot.palm_normal
     return torch.linalg.vector_norm(snapshot.object_pos[:, None] - lying, dim=-1)

@@ -111,7 +111,7 @@ class PolicyContract:
 
 
 def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of version 1, which had one robot with a left or a right hand, as version 2."""
+    """Convert version 1, which had one robot with a left or a right hand, to version 2."""
     content = {**data, "format_version": FORMAT_VERSION}
     hand = content.pop("handedness", "left")
     name = UR5E_ALLEGRO.name
@@ -150,7 +150,7 @@ def contract_of(
 
 
 def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) -> AgentContract:
-    """Two consecutive frames, oldest first, then the memory, as `mdp.observations.observe` puts them."""
+    """List two consecutive frames, oldest first, then the memory, as in `mdp.observations.observe`."""
     blank = _blank_measurement(method.num_boxes, workcell)
     frame = method.layouts[agent.name].inputs(blank, blank)
     sizes, memory = (

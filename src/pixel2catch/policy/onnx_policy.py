@@ -102,8 +102,6 @@ def load(path: Path, device: str = "cpu") -> LoadedPolicy:
 
 @final
 class _Graph(nn.Module):
-    """The networks of all agents as one function of the inputs in the order of `_shapes`."""
-
     def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.policy, self.names = policy, tuple(policy.contract.agents)
@@ -181,7 +179,7 @@ def largest_difference(policy: Policy, other: LoadedPolicy) -> float:
 
 
 def _shapes(contract: PolicyContract, recurrent: int) -> dict[str, int]:
-    """Sizes of the inputs, then of the outputs, by name."""
+    """Return the sizes of the inputs, then of the outputs, by name."""
     agents = contract.agents.items()
     states = {f"hidden_state.{name}": recurrent for name, _ in agents if recurrent}
     inputs = {f"observation.{name}": agent.num_inputs for name, agent in agents} | states
