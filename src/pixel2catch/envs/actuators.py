@@ -234,7 +234,7 @@ class CommandPath:
 
 
 def _shares(age: Float[np.ndarray, " num_joints"]) -> Float[np.ndarray, "num_ages num_joints"]:
-    """Return the weights of commands, newest first, in their mean over a step whose middle is this old [steps].
+    """Return weights of commands, newest first: their mean over a step whose middle is this old [steps].
 
     The integral of their linear interpolation is a quadratic B-spline. The age is at least 0.5.
     """
