@@ -2,11 +2,9 @@
 
 import io
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
-from itertools import groupby
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from math import degrees
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,11 +24,9 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
     from pixel2catch.camera.image import Image
-    from pixel2catch.perception.calibration.capture import Capture
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
-    from pixel2catch.robots.workcell import WorkcellSpec
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
 STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
@@ -46,8 +42,9 @@ class Calibrate:
     """Find the camera's pose from images of a printed board in the hand, and compare it with the policies'.
 
     First print the board (--print-marker) and fix it rigidly to the hand, anywhere. Then move the arm to 15
-    poses or more. With --live, images and joint positions are taken on the way, and texts ask for the next
-    pose. Without it, take an image at each pose, and write a table of their names and the joint positions.
+    poses: near and far, in all parts of the image, tilted in all directions, with the hand turned about two
+    axes. With --live, images and joint positions are taken at each pose. Without it, take an image at each
+    pose, and write a table of their names and the joint positions.
     """
 
     #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
@@ -56,15 +53,13 @@ class Calibrate:
     #: hand.
     workcell: str = "ur5e_allegro"
     #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, an earlier camera.json, or
-    #: a folder with 10 or more images of the printed board.
+    #: a folder with 10 or more images of the printed board. Default with --live: the images that are taken.
     intrinsics: Path | None = None
     #: New file for the camera.
     out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
     #: Take the images first, from the camera of --profile or from --source; Ctrl-C ends this part.
     live: bool = False
-    #: With --live: a rosbag2 with images and joint states. A video or camera (number, /dev/videoN) gives a
-    #: lens only.
-    source: str | None = None
+    source: Path | None = None  #: With --live: a rosbag2 with images and joint states, not the robot.
     capture: NewFolder = Path("views")  #: With --live: new folder for images and views.csv.
     link: Network = field(default_factory=Network)  #: With --live: the network of the robot.
     #: Only write the board to print, a .png or .pdf of A4.
@@ -81,72 +76,59 @@ class Calibrate:
         if self.print_marker is not None:
             _print_board(self.print_marker)
             return
-        if self.live and (taken := self._take()):
-            taken._calibrate()
-        elif not self.live:
-            self._calibrate()
-
-    def _take(self) -> "Calibrate | None":
-        """Take the images; return the calibration with them, or None without joint positions.
-
-        Without --intrinsics, the lens is found from the same images.
-        """
-        from pixel2catch.perception.calibration.capture import TABLE, Capture
-        from pixel2catch.perception.calibration.target import CharucoBoard
-        from pixel2catch.workcells import find_workcell
-
-        lens = self._lens(self.intrinsics) if self.intrinsics else None
-        workcell = find_workcell(self.workcell)
-        joints = workcell.joint_names[workcell.palms[0].carriers]
-        matrix = np.array(RGB_CAMERA.matrix) if lens is None else lens.matrix
-        notes: list[str] = []
-        with self._images(joints, notes) as (images, has_joints):
-            capture = Capture(self.capture, CharucoBoard(self.square), matrix, joints if has_joints else ())
-            _capture_all(capture, images, workcell)
-        for note in notes:
-            say(note)
-        say(f"wrote {self.capture}: {len(capture.taken)} images and {TABLE}")
-        lens_folder = self.intrinsics or self.capture
-        if not has_joints:
-            found = self._lens(lens_folder)
-            say(f"a lens of {found.rms:.2f} px RMS, without a robot: give --intrinsics {self.capture}")
-            return None
-        return replace(self, views=self.capture / TABLE, intrinsics=lens_folder)
-
-    @contextmanager
-    def _images(
-        self, joints: tuple[str, ...], notes: list[str]
-    ) -> "Iterator[tuple[Iterator[Image | None], bool]]":
-        """The images of the source, and whether they come with joint positions."""
-        from pixel2catch.perception.calibration.capture import topic_images
-        from pixel2catch.perception.sources import SourceCfg, ticks_of
-        from pixel2catch.ros2.bags import is_bag
-
-        profile = self.link.robot.load()
-        if self.source is None:
-            with needs_extra("deployment"), self.link.join("pixel2catch_calibrate") as (transport, _):
-                yield topic_images(transport, profile, joints), True
-            return
-        theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
-        names = tuple(theirs.get(joint, joint) for joint in joints)
-        source = SourceCfg(name=self.source, topic=self.topic, joints=names)
-        with closing(ticks_of(source, notes)) as ticks:
-            images = (tick.image for tick in ticks)
-            new = (next(same) for _, same in groupby(images, key=attrgetter("stamp")))
-            yield new, is_bag(Path(self.source))
-
-    def _calibrate(self) -> None:
-        from pixel2catch.mdp.throws import ThrowCfg, sample_paths
-        from pixel2catch.perception.calibration.comparison import compare
-        from pixel2catch.perception.calibration.extrinsics import calibrate
-
-        if self.intrinsics is None or self.views is None:
+        if not self.live and (self.intrinsics is None or self.views is None):
             raise InvalidValueError(
                 "give a table of images and joint positions, and --intrinsics; or --live to take the images; "
                 "or --print-marker FILE.png to begin with."
             )
-        intrinsics = self._lens(self.intrinsics)
-        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics)
+        lens = self._lens(self.intrinsics) if self.intrinsics else None
+        table = self._take() if self.live else self.views
+        assert table is not None
+        self._calibrate(table, lens or self._lens(self.capture))
+
+    def _take(self) -> Path:
+        """Take images until there are enough, or Ctrl-C; return their table."""
+        from pixel2catch.perception.calibration.capture import TABLE, Capture
+        from pixel2catch.perception.calibration.target import CharucoBoard
+        from pixel2catch.workcells import find_workcell
+
+        workcell = find_workcell(self.workcell)
+        joints = workcell.joint_names[workcell.palms[0].carriers]
+        notes: list[str] = []
+        hear = saying_changes()
+        with self._images(joints, notes) as images, StopRequest() as stop:
+            capture = Capture(self.capture, CharucoBoard(self.square), joints)
+            for image in images:
+                missing = "no image: does the camera's driver run, on this network?"
+                hear(missing if image is None else capture.look(image))
+                if capture.is_done or stop.is_set:
+                    break
+        for note in notes:
+            say(note)
+        say(f"wrote {self.capture}: {len(capture.taken)} images and {TABLE}")
+        return self.capture / TABLE
+
+    @contextmanager
+    def _images(self, joints: tuple[str, ...], notes: list[str]) -> "Iterator[Iterator[Image | None]]":
+        """The images of the robot's camera or of the rosbag, with joint positions."""
+        from pixel2catch.perception.bag_images import bag_images
+        from pixel2catch.perception.calibration.capture import topic_images
+
+        profile = self.link.robot.load()
+        if self.source is None:
+            with needs_extra("deployment"), self.link.join("pixel2catch_calibrate") as (transport, _):
+                yield topic_images(transport, profile, joints)
+            return
+        theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
+        names = tuple(theirs.get(joint, joint) for joint in joints)
+        yield bag_images(self.source, self.topic, names, notes)
+
+    def _calibrate(self, table: Path, intrinsics: "Intrinsics") -> None:
+        from pixel2catch.mdp.throws import ThrowCfg, sample_paths
+        from pixel2catch.perception.calibration.comparison import compare
+        from pixel2catch.perception.calibration.extrinsics import calibrate
+
+        result = calibrate(self._hand_views(table, intrinsics), intrinsics)
         paths = sample_paths(ThrowCfg(), NUM_THROWS).reshape(-1, 3).numpy()
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
@@ -208,29 +190,6 @@ class Calibrate:
         if blank:
             say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
         return views
-
-
-def _capture_all(capture: "Capture", images: "Iterator[Image | None]", workcell: "WorkcellSpec") -> None:
-    """Process images until all wanted views are taken, or Ctrl-C; print each change of the text."""
-    import torch
-    from scipy.spatial.transform import Rotation
-
-    from pixel2catch.robots.geometry import first_chain
-
-    chain, hear = first_chain(workcell), saying_changes()
-    with StopRequest() as stop:
-        for image in images:
-            if stop.is_set:
-                break
-            palm, words = None, "no image: does the camera's driver run, on this network?"
-            if image is not None:
-                if image.joint_pos is not None:
-                    links = chain.link_poses(torch.from_numpy(image.joint_pos)[None])
-                    palm = Rotation.from_matrix(links[0, -1, :3, :3].numpy())
-                words = capture.look(image, palm)
-            hear(words)
-            if capture.is_done:
-                break
 
 
 def _print_board(path: Path) -> None:

@@ -1,8 +1,4 @@
-"""Taking the images of a calibration: which are suitable, and what to show the camera next.
-
-An image is taken when the board is found, still, sharp and unlike the images before. Texts ask for the
-missing tilts, parts of the image, distances and turns of the hand.
-"""
+"""Take the images of a calibration: each with the board found, still, sharp and unlike the images before."""
 
 import csv
 import io
@@ -14,7 +10,6 @@ from typing import final
 import cv2
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.files import write_atomically
@@ -24,8 +19,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Transport
 
 TABLE = "views.csv"  #: File beside the images.
-NUM_VIEWS = 15  #: Wanted images. Source: ours; then the camera's position is known to a few millimetres.
-MOST_VIEWS = 30  #: Images after which the capture ends even if something is missing. Source: ours.
+NUM_VIEWS = 15  #: Images to take. Source: ours; then the camera's position is known to a few millimetres.
 
 STILL_TIME = 0.3  #: Time for which board and arm must be still [s]. Source: ours.
 STILL_PIXELS, STILL_JOINTS = 0.7, 1e-3
@@ -36,60 +30,19 @@ LARGEST_BLUR = 1.25
 """Largest standard deviation of an edge's spread in a sharp image [px]. Source: ours; sharp images have 0.6
 to 1, and from 1.5 on a far board is not found."""
 
-ALIKE_PIXELS, ALIKE_TURN = 25.0, np.radians(8.0)
-"""A view that is closer to a taken one, by corners [px] and the board's turn [rad], adds nothing (ours)."""
+LEAST_CHANGE = 15.0
+"""Smallest motion of a corner from every image that was taken to a new one [px]. Source: ours."""
 
-CELLS = 3  #: Columns and rows of the parts of the image.
-PLACES = (
-    ("upper left", "top", "upper right"),
-    ("left", "middle", "right"),
-    ("lower left", "bottom", "lower right"),
-)
-TILT = np.radians(15.0)  #: Smallest tilt that is wanted. Source: ours.
-TILTS = {
-    (1, 1.0): "tilt its lower edge away from the camera",
-    (1, -1.0): "tilt its upper edge away from the camera",
-    (0, 1.0): "tilt its right edge away from the camera",
-    (0, -1.0): "tilt its left edge away from the camera",
-}
-"""Texts of the wanted tilts, by their axis and sign in `Taken.tilt`."""
-
-NEARNESS = 1.25  #: Smallest ratio of the farthest and nearest distance. Source: ours.
-TURN = np.radians(15.0)  #: Smallest turn of the hand about each of two axes. Source: ours.
 WAIT = 0.2  #: Longest wait for an image [s]. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """A board in an image, with its approximate pose."""
-
-    view: BoardView  #: The corners.
-    turn: Rotation  #: Orientation of the board in the camera.
-    distance: float  #: Distance of the board [m].
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Taken(Candidate):
+class Taken:
     """A view that was taken."""
 
     name: str  #: Name of its image.
-    joint_pos: Float[np.ndarray, " num_joints"]  #: Positions of the arm's joints [rad]; empty for a video.
-    palm: Rotation | None  #: Orientation of the palm in the world; None if it is unknown.
-
-    @property
-    def tilt(self) -> tuple[float, float]:
-        """Tilt of the right and of the lower edge in the image away from the camera [rad]."""
-        right, down, _ = (-self.turn.as_matrix()[:, 2]).tolist()  # the board's normal
-        return float(np.arcsin(right)), float(np.arcsin(down))
-
-
-def located(view: BoardView, matrix: np.ndarray) -> Candidate | None:
-    """Return the approximate pose of a board, for an approximate lens matrix; None if there is none."""
-    flags = cv2.SOLVEPNP_IPPE
-    is_found, turn, pos = cv2.solvePnP(view.points, view.pixels[:, None], matrix, np.zeros(4), flags=flags)
-    if not is_found:
-        return None
-    return Candidate(view=view, turn=Rotation.from_rotvec(turn.ravel()), distance=float(np.linalg.norm(pos)))
+    view: BoardView  #: The corners.
+    joint_pos: Float[np.ndarray, " num_joints"]  #: Positions of the arm's joints [rad].
 
 
 def blur(image: Pixels, view: BoardView) -> float:
@@ -106,85 +59,40 @@ def blur(image: Pixels, view: BoardView) -> float:
     return contrast / (np.sqrt(2.0 * np.pi) * max(steepest, 1e-6))
 
 
-def missing_views(taken: Sequence[Taken], size: tuple[int, int]) -> Iterator[str]:
-    """Yield, as texts, which views are missing among the taken ones, of images of a size [px]."""
-    tilts = np.array([each.tilt for each in taken]).reshape(-1, 2)
-    yield from (words for (axis, sign), words in TILTS.items() if not (sign * tilts[:, axis] > TILT).any())
-    for (row, column), count in np.ndenumerate(covered(taken, size)):
-        if not count:
-            yield f"move the board to the {PLACES[row][column]} of the image"
-    distances = [each.distance for each in taken]
-    if distances and max(distances) < NEARNESS * min(distances):
-        yield "move it nearer to the camera, or farther away"
-    palms = [each.palm for each in taken if each.palm is not None]
-    if palms and _second_turn(palms) < TURN / 2:
-        yield "turn the hand about another axis, by another joint of the wrist"
-
-
-def _second_turn(palms: Sequence[Rotation]) -> float:
-    """Root mean square turn of the hand about its second axis of rotation [rad]."""
-    turns = np.array([(palms[0].inv() * palm).as_rotvec() for palm in palms])
-    spread = np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False) / np.sqrt(len(turns))
-    return float(spread[1]) if len(spread) > 1 else 0.0
-
-
-def covered(taken: Sequence[Taken], size: tuple[int, int]) -> np.ndarray:
-    """Return the number of views with a corner in each part of the image, shape (CELLS, CELLS)."""
-    counts = np.zeros((CELLS, CELLS), dtype=int)
-    for each in taken:
-        cells = np.clip((CELLS * each.view.pixels / size).astype(int), 0, CELLS - 1)
-        columns, rows = np.unique(cells, axis=0).T
-        counts[rows, columns] += 1
-    return counts
-
-
 @final
 class Capture:
-    """Judges one image after another, and writes the taken ones and their table at once."""
+    """Judges one image after another, and writes the suitable ones and their table at once."""
 
-    def __init__(self, folder: Path, board: CharucoBoard, matrix: np.ndarray, joints: Sequence[str]) -> None:
-        """Start without images, with the approximate matrix of the lens."""
+    def __init__(self, folder: Path, board: CharucoBoard, joints: Sequence[str]) -> None:
+        """Start without images."""
         self.taken: list[Taken] = []
-        self._folder, self._board, self._matrix, self._joints = folder, board, matrix, joints
+        self._folder, self._board, self._joints = folder, board, joints
         self._before: tuple[Image, BoardView] | None = None
         self._still_since = -np.inf
-        self._size = (0, 0)
         folder.mkdir(parents=True, exist_ok=True)
 
     @property
     def is_done(self) -> bool:
         """Whether there are enough views."""
-        number = len(self.taken)
-        return number >= MOST_VIEWS or (number >= NUM_VIEWS and not any(self.missing))
+        return len(self.taken) >= NUM_VIEWS
 
-    @property
-    def missing(self) -> list[str]:
-        """Which views are missing, as texts."""
-        return list(missing_views(self.taken, self._size))
-
-    def look(self, image: Image, palm: Rotation | None) -> str:
+    def look(self, image: Image) -> str:
         """Take an image if it is suitable; return what was done, or what is wrong with it."""
-        self._size = (image.pixels.shape[1], image.pixels.shape[0])
         view = self._board.find(image.pixels)
         is_still = self._is_still(image, view)
-        candidate = located(view, self._matrix) if view else None
-        if view is None or candidate is None:
-            return f"no board: show all of it, in the light; {self._next}"
-        if self._joints and image.joint_pos is None:
+        if view is None:
+            return "no board: show all of it, in the light"
+        if image.joint_pos is None:
             return "no positions of the arm's joints yet: is its driver running?"
         if not is_still:
-            return f"hold still; {self._next}"
+            return "hold still"
         if (spread := blur(image.pixels, view)) > LARGEST_BLUR:
             return f"blurred ({spread:.1f} px): hold still, focus, expose for a shorter time"
-        if twin := next((each for each in self.taken if _is_alike(each, candidate)), None):
-            return f"like {twin.name}; {self._next}"
-        self._take(image, candidate, palm)
-        done = "all wanted views are there" if self.is_done else self._next
-        return f"{len(self.taken)} of {NUM_VIEWS}: wrote {self.taken[-1].name}; {done}"
-
-    @property
-    def _next(self) -> str:
-        return next(missing_views(self.taken, self._size), "any view unlike the others")
+        if twin := next((each for each in self.taken if _is_alike(each.view, view)), None):
+            return f"like {twin.name}: move or tilt the board"
+        name = f"pose{len(self.taken) + 1:02d}.png"
+        self._take(image.pixels, Taken(name=name, view=view, joint_pos=image.joint_pos))
+        return f"{len(self.taken)} of {NUM_VIEWS}: wrote {name}"
 
     def _is_still(self, image: Image, view: BoardView | None) -> bool:
         """Whether board and arm have been still for `STILL_TIME`."""
@@ -200,24 +108,21 @@ class Capture:
             self._still_since = image.stamp
         return image.stamp - self._still_since >= STILL_TIME
 
-    def _take(self, image: Image, found: Candidate, palm: Rotation | None) -> None:
+    def _take(self, pixels: Pixels, view: Taken) -> None:
         """Write the image, then the table."""
-        name = f"pose{len(self.taken) + 1:02d}.png"
-        joint_pos = np.zeros(0) if image.joint_pos is None else image.joint_pos
-        content = cv2.imencode(".png", cv2.cvtColor(image.pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
-        write_atomically({self._folder / name: content})
-        self.taken.append(Taken(**vars(found), name=name, joint_pos=joint_pos, palm=palm))
+        content = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
+        write_atomically({self._folder / view.name: content})
+        self.taken.append(view)
         text = io.StringIO()
         rows = [[each.name, *map(repr, each.joint_pos.tolist())] for each in self.taken]
         csv.writer(text).writerows([["image", *self._joints], *rows])
         write_atomically({self._folder / TABLE: text.getvalue().encode()})
 
 
-def _is_alike(taken: Taken, found: Candidate) -> bool:
-    if len(taken.view.pixels) != len(found.view.pixels):
+def _is_alike(view: BoardView, other: BoardView) -> bool:
+    if len(view.pixels) != len(other.pixels):
         return False
-    distance = np.linalg.norm(taken.view.pixels - found.view.pixels, axis=-1).max()
-    return bool(distance < ALIKE_PIXELS and (taken.turn.inv() * found.turn).magnitude() < ALIKE_TURN)
+    return bool(np.linalg.norm(view.pixels - other.pixels, axis=-1).max() < LEAST_CHANGE)
 
 
 def topic_images(transport: Transport, profile: Profile, joints: Sequence[str]) -> Iterator[Image | None]:
