@@ -6,9 +6,7 @@ the robot. Without --folder an object's mask, 40 px wide, replaces the mask of t
 `noise_` it stays, hundreds of specks. Every setting runs in a process of its own
 and prints lines of JSON: times in ms, and the share of images that are late, which took longer than the 33 ms
 between two images of a 30 Hz camera. Images come one right after the other, or at 30 Hz (`paced`); first with
-Python's collector of garbage as it is, then with all there is frozen, as `deploy` does. `beside` is SAM 2
-with background subtraction beside it, as `--segmenter sam2+background`; late is then what came too late to be
-believed.
+Python's collector of garbage as it is, then with all there is frozen, as `deploy` does.
 
 Run: python benchmarks/sam2_speed.py
      python benchmarks/sam2_speed.py --device cpu --settings eager --sizes 256 --frames 20
@@ -31,11 +29,9 @@ import torch
 import transformers
 from transformers import Sam2VideoConfig, Sam2VideoModel
 
-from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.regions import find_blobs
 from pixel2catch.perception.sam2 import Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
-from pixel2catch.perception.side_by_side import LONGEST_WAIT, Doubt, SideBySide
 
 LIMIT = 1000.0 / 30.0
 THROW_IMAGES = 30
@@ -43,7 +39,7 @@ WARM_UP_IMAGES = 30
 BUSY_IMAGES = 30
 HEIGHT, WIDTH = 480, 640
 BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
-SETTINGS = {"eager": False, "compiled": True, "noise_compiled": True, "beside_compiled": True}
+SETTINGS = {"eager": False, "compiled": True, "noise_compiled": True}
 """What is tried, and whether `torch.compile` compiles the model first: a minute, with a C compiler."""
 
 
@@ -68,8 +64,7 @@ class ObjectInPlace(Sam2Segmenter):
 def build(folder: Path, setting: str, device: str, size: int, *, objects: bool) -> Segmenter:
     """Load and warm up as the robot does."""
     kind = ObjectInPlace if objects and not setting.startswith("noise") else Sam2Segmenter
-    sam2 = kind(folder, device, size, is_compiled=SETTINGS[setting])
-    return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT) if setting.startswith("beside") else sam2
+    return kind(folder, device, size, is_compiled=SETTINGS[setting])
 
 
 def stream(
@@ -87,8 +82,7 @@ def stream(
         if result.mask is not None:
             _ = find_blobs(result.mask)[0].box
         took = 1000.0 * (time.perf_counter() - begin)
-        is_late = result.doubt == Doubt.LATE if result.doubt else took > LIMIT
-        yield is_start, 1000.0 * (to_mask - begin), took, result.mask is not None, is_late
+        yield is_start, 1000.0 * (to_mask - begin), took, result.mask is not None, took > LIMIT
 
 
 def measure(folder: Path, setting: str, device: str, size: int, count: int, *, objects: bool) -> None:

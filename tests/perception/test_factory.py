@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
-from pixel2catch.perception.side_by_side import SideBySide
 
 RED = (340.0, 20.0)
 
@@ -36,7 +34,6 @@ def test_segmenters():
     [
         (PerceptionArgs(segmenter="color"), "--color 340 20"),
         (PerceptionArgs(segmenter="sam2"), "sam2 needs --checkpoint"),
-        (PerceptionArgs(segmenter="sam2+background"), r"sam2\+background needs --checkpoint"),
     ],
 )
 def test_what_a_segmenter_lacks_is_named(args: PerceptionArgs, words: str):
@@ -53,24 +50,18 @@ def test_sam2_says_what_it_costs_here(checkpoint: Path):
     said: list[str] = []
     alone = PerceptionArgs(segmenter="sam2", checkpoint=checkpoint).make_segmenter(say=said.append)
     assert isinstance(alone, Sam2Segmenter)
-    beside = PerceptionArgs(segmenter="sam2+background", checkpoint=checkpoint)
-    assert isinstance(beside.make_segmenter(say=said.append), SideBySide)
-    assert len(said) == 2
-    for line in said:
-        assert re.fullmatch(r"SAM 2 takes \d+\.\d ms for an image of 64 px on cpu: .*camera.*\.", line)
+    (line,) = said
+    assert re.fullmatch(r"SAM 2 takes \d+\.\d ms for an image of 64 px on cpu: .*camera.*\.", line)
 
 
-@pytest.mark.parametrize("segmenter", ["sam2", "sam2+background"])
-def test_what_is_too_slow_for_a_camera_is_refused(
-    segmenter: Literal["sam2", "sam2+background"], checkpoint: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_model_too_slow_for_a_camera_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch):
     """At 1,024 px before anything is loaded, else by measurement."""
-    large = PerceptionArgs(segmenter=segmenter, checkpoint=checkpoint, image_size=1024)
+    large = PerceptionArgs(segmenter="sam2", checkpoint=checkpoint, image_size=1024)
     words = "SAM 2 takes seconds for an image of 1024 px on a CPU, and a camera gives one .* --device cuda"
     with pytest.raises(InvalidValueError, match=words):
         large.make_segmenter(is_live=True)
     monkeypatch.setattr(factory, "LONGEST_IMAGE_TIME", 0.0)
-    small = PerceptionArgs(segmenter=segmenter, checkpoint=checkpoint)
+    small = PerceptionArgs(segmenter="sam2", checkpoint=checkpoint)
     with pytest.raises(
         InvalidValueError, match=r"takes \d+\.\d ms for an image of 64 px on cpu, and a camera"
     ):

@@ -16,21 +16,27 @@ from pixel2catch.perception.segmenter import (
 )
 
 
-def test_a_track_keeps_its_velocity_for_a_while():
-    track = ImageTrack(center=(10.0, 10.0)).seen((16.0, 12.0))
-    assert track.expected == (22.0, 14.0)
-    track, _ = track.advanced([], None)
-    assert track.expected == (28.0, 16.0)
-    assert track.seen((34.0, 18.0)).velocity == (9.0, 3.0)
-    for _ in range(20):
-        track, _ = track.advanced([], None)
-    assert (track.expected, track.reach) == ((34.0, 18.0), LARGEST_REACH)
-
-
 def mask_at(u: int, v: int) -> np.ndarray:
     mask = np.zeros((240, 320), dtype=bool)
     mask[v - 5 : v + 5, u - 5 : u + 5] = True
     return mask
+
+
+def seen(track: ImageTrack, u: int, v: int) -> ImageTrack:
+    """The track after an image with the object at a place [px]."""
+    (blob,) = find_blobs(mask_at(u, v))
+    return track.advanced([blob], blob)[0]
+
+
+def test_a_track_keeps_its_velocity_for_a_while():
+    track = seen(ImageTrack(center=(10.0, 10.0)), 16, 12)
+    assert track.expected == (22.0, 14.0)
+    track, _ = track.advanced([], None)
+    assert track.expected == (28.0, 16.0)
+    assert seen(track, 34, 18).velocity == (9.0, 3.0)
+    for _ in range(20):
+        track, _ = track.advanced([], None)
+    assert (track.expected, track.reach) == ((34.0, 18.0), LARGEST_REACH)
 
 
 def chosen(track: ImageTrack, *places: tuple[int, int]) -> tuple[float, float] | None:

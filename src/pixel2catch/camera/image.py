@@ -59,6 +59,5 @@ class Box:
     is_elsewhere: bool = False
     score: float = 0.0  #: Score that the segmenter gives this image, on its own scale; for the log.
     mask: Mask | None = None  #: Pixels of the object where it was seen; for pictures.
-    source: str = ""  #: Which of two segmenters was used; empty if there is one.
     doubt: str = ""  #: Why the result is less reliable than usual; empty without a reason.
     message: str = ""  #: What was wrong with an image that could not be used.

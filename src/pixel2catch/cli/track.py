@@ -220,8 +220,6 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
 
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
     yield f"{summary['num_steps']} control steps in {summary['seconds']:.1f} s: {counts}"
-    if sources := summary["sources"]:
-        yield f"Used: {', '.join(f'{name} {count}' for name, count in sources.items())}."
     remedies = {str(weakness): f"; {weakness.remedy}" for weakness in Weakness}
     for doubt, count in summary["doubts"].items():
         yield f"In {count} images: {doubt}{remedies.get(doubt, '')}."

@@ -32,9 +32,8 @@ objects are caught as with 10 ms, with 100 ms a third of them."""
 class PerceptionArgs:
     """How the object is found, and through which camera."""
 
-    #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint; sam2+background:
-    #: both on the same images, the second where the first loses the object or is late.
-    segmenter: Literal["background", "color", "sam2", "sam2+background"] = "background"
+    #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
+    segmenter: Literal["background", "color", "sam2"] = "background"
     #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
     box: Annotated[Edges, Within(0.0, 8192.0)] | None = None
     #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
@@ -80,7 +79,7 @@ class PerceptionArgs:
         Raises:
             InvalidValueError: An option is missing, or it is too slow for a camera.
         """
-        if self.segmenter in ("sam2", "sam2+background"):
+        if self.segmenter == "sam2":
             return self._make_sam2(is_live, say)
         if self.segmenter == "color":
             from pixel2catch.perception.segmenter import ColorThreshold
@@ -96,9 +95,7 @@ class PerceptionArgs:
 
     def _make_sam2(self, is_live: bool, say: Callable[[str], None] | None) -> "Segmenter":
         if self.checkpoint is None:
-            raise InvalidValueError(
-                f"the segmenter {self.segmenter} needs --checkpoint, the folder of a SAM 2.1 model."
-            )
+            raise InvalidValueError("the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model.")
         from pixel2catch.perception.sam2 import Sam2Segmenter, image_size_of
 
         size = self.image_size or image_size_of(self.checkpoint)
@@ -113,12 +110,7 @@ class PerceptionArgs:
             if say is not None:
                 use = "fast enough for a camera" if took < CONTROL_DT else "a camera gives one every 33 ms"
                 say(f"{cost}: {use}.")
-        if self.segmenter == "sam2":
-            return sam2
-        from pixel2catch.perception.background import BackgroundSubtraction
-        from pixel2catch.perception.side_by_side import LONGEST_WAIT, SideBySide
-
-        return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT if is_live else None)
+        return sam2
 
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
         """Return what points the object out: first --box, and after a loss its colour, then its flight.

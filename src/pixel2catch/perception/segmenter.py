@@ -46,7 +46,6 @@ class Segmentation:
 
     mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
     score: float  #: Larger is more certain; each segmenter has its own scale.
-    source: str = ""  #: Which of two segmenters was used; empty if there is one.
     doubt: str = ""  #: Why it is less reliable than usual; empty without a reason.
 
 
@@ -62,11 +61,7 @@ class Segmenter(ABC):
     """
 
     uses_motion: ClassVar[bool] = False  #: Whether it needs an `ImageMotion` for every image.
-    limits = USUAL  #: What can be the object.
-
-    def set_limits(self, limits: PlausibilityCfg) -> None:
-        """Set what can be the object; call it before the first image."""
-        self.limits = limits
+    limits = USUAL  #: What can be the object. Set it before the first image.
 
     @abstractmethod
     def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
@@ -144,12 +139,6 @@ class ImageTrack:
         steps = min(self.num_missed + 1, LONGEST_COAST)
         return self.center[0] + steps * self.velocity[0], self.center[1] + steps * self.velocity[1]
 
-    def seen(self, center: tuple[float, float]) -> "ImageTrack":
-        """Return the track after an image with the object at a place [px]."""
-        steps = self.num_missed + 1
-        velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
-        return ImageTrack(center=center, velocity=velocity, num_seen=self.num_seen + 1, limits=self.limits)
-
     def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
         """Return the track after the next image, in which the object is one of the regions, and its pixels.
 
@@ -158,8 +147,16 @@ class ImageTrack:
         others = tuple(each.center for each in blobs if each is not blob)
         if blob is None:
             return replace(self, num_missed=self.num_missed + 1, others=others), NOT_FOUND
+        (u, v), steps = blob.center, self.num_missed + 1
+        track = ImageTrack(
+            center=blob.center,
+            velocity=((u - self.center[0]) / steps, (v - self.center[1]) / steps),
+            num_seen=self.num_seen + 1,
+            others=others,
+            limits=self.limits,
+        )
         score = blob.area / (blob.width * blob.height)
-        return replace(self.seen(blob.center), others=others), Segmentation(mask=blob.mask(), score=score)
+        return track, Segmentation(mask=blob.mask(), score=score)
 
     @property
     def reach(self) -> float:

@@ -25,7 +25,7 @@ BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
 COLUMNS = (
     *("time", "stamp", *BOX_EDGES, *PIXEL_FEATURES, "verdict", "is_valid", "is_fresh", "age", "score"),
-    *("source", "doubt", "num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
+    *("doubt", "num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
 )
 """Columns of a table of sightings: box and differences [px], centre and size as shares, times [s] or [ms]."""
 
@@ -61,7 +61,7 @@ class Sighting:
         }
         row |= {name: f"{value:g}" for name, value in zip(BOX_EDGES, box.edges, strict=True)}
         row |= {f"{stage}_ms": f"{1e3 * took:.3f}" for stage, took in self.durations.items()}
-        row |= {name: getattr(box, name) for name in ("verdict", "is_valid", "source", "doubt", "message")}
+        row |= {name: getattr(box, name) for name in ("verdict", "is_valid", "doubt", "message")}
         return row | {name: f"{value:.6g}" for name, value in zip(PIXEL_FEATURES, self.features, strict=True)}
 
 
@@ -121,7 +121,6 @@ class Tally:
         self.num_steps = 0
         self.num_without_joints = 0  #: Control steps whose image has no joint positions.
         self._verdicts: Counter[Verdict] = Counter()
-        self._sources: Counter[str] = Counter()
         self._doubts: Counter[str] = Counter()
         self._durations: dict[str, list[float]] = {}
         self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
@@ -134,9 +133,7 @@ class Tally:
         self.num_steps += 1
         self.num_without_joints += image.joint_pos is None
         self._verdicts[box.verdict] += 1
-        if box.source:
-            self._sources[f"{box.source} ({box.doubt})" if box.doubt else box.source] += 1
-        elif box.doubt:
+        if box.doubt:
             self._doubts[box.doubt] += 1
         self._seconds = sighting.time
         self._num_skipped += sighting.num_skipped
@@ -171,7 +168,6 @@ class Tally:
             "num_steps": self.num_steps,
             "seconds": self._seconds,
             "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
-            "sources": dict(self._sources.most_common()),
             "doubts": dict(self._doubts.most_common()),
             "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
             "num_skipped": self._num_skipped,
@@ -222,7 +218,7 @@ class Annotator:
         age = f"{1e3 * box.age:.0f} ms old" if box.is_valid else "never seen"
         took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
         words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took]
-        words += filter(None, (box.source, box.doubt))
+        words += [box.doubt] if box.doubt else []
         header = np.zeros((HEADER, self._camera.width, 3), dtype=np.uint8)
         _write(header, "   ".join(words), (8, HEADER - 8), _color(sighting))
         return header

@@ -213,8 +213,7 @@ class ObjectTracker:
         self.durations: dict[str, float] = {}  #: Duration of each stage of the last step [s].
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._limits = camera, limits
-        segmenter.set_limits(limits)
-        prompter.limits = limits
+        segmenter.limits = prompter.limits = limits
         self._foreground, self._state = Foreground(), TrackState()
         self._is_checked, self._has_begun = False, not waits
 
@@ -313,7 +312,6 @@ class ObjectTracker:
         found = Box(
             verdict=Verdict.NOT_FOUND if state.is_prompted else Verdict.NO_PROMPT,
             score=segmentation.score,
-            source=segmentation.source,
             doubt=segmentation.doubt,
         )
         if mask is None:
