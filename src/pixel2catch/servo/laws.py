@@ -36,28 +36,16 @@ USER_CACHE = Path("~/.cache/pixel2catch")  #: Where compiled code is kept if the
 _LAWS: list[Callable[..., object]] = []
 
 STOP_TIME = 0.3  #: Duration of a stop, after which the commands are constant [s]. Source: ours.
-RETURN_TIME = (
-    0.2  #: Part of a stop in which commands return to the joints [s]; then they brake. Source: ours.
-)
-
-REST_ERROR = 0.05
-"""Distance of an arm joint at rest from its command that is allowed [rad]. Source: ours."""
-
+RETURN_TIME = 0.2  #: First part of a stop: commands return to the joints; then they brake [s]. Source: ours.
+REST_ERROR = 0.05  #: Allowed distance of an arm joint at rest from its command [rad]. Source: ours.
 JITTER = 0.015  #: A measured position may arrive later than usual by this time [s]. Source: ours.
 SMOOTHING = 0.04  #: Time constant of the estimated joint speed [s]. Source: ours.
-SLACK_LAGS = 3.0
-"""Time constant with which the allowed distance from the command decays after a motion [lags]. Source: ours.
-"""
-
-FROZEN_ANGLE = 0.01
-"""Motion of a command during which the measurement must change by at least one bit [rad]. Source: ours."""
-
+SLACK_LAGS = 3.0  #: Decay time of the distance allowed after a motion [lags]. Source: ours.
+FROZEN_ANGLE = 0.01  #: Motion of a command in which the measurement must change [rad]. Source: ours.
+#: Longest time without such a change, once the command moved by `FROZEN_ANGLE` [s]. Source: ours, more than
+#: the lag of any servo.
 FROZEN_TIME = 0.15
-"""Longest time in which the measurement stays the same, once the command moved by `FROZEN_ANGLE` [s]. Source:
-ours, more than the lag of any servo."""
-LAG_MARGIN = 1.05
-"""Factor on the estimated lag. Source: ours, half of the margin of the speed."""
-
+LAG_MARGIN = 1.05  #: Factor on the estimated lag. Source: ours, half of the margin of the speed.
 LEAST_LAG = 0.002  #: Smallest lag [s]. Source: ours, a tick.
 
 LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
@@ -80,7 +68,7 @@ def compiled(function: F) -> F:
 
 @final
 class entry:  # noqa: N801
-    """Decorator: compile a function, and all that it calls, for the types of its first call."""
+    """Compile a function, and all that it calls, for the types of its first call."""
 
     def __init__(self, function: Callable[..., object]) -> None:
         """Compile nothing yet."""
@@ -109,7 +97,7 @@ def _compile(function: Callable[..., object], arguments: tuple[object, ...]) -> 
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
             return numba.njit(types, cache=True, error_model="numpy", nogil=True)(function)
-        except Exception:  # the disk is full, or a file is damaged
+        except Exception:  # such as a full disk or a damaged file
             shutil.rmtree(folder, ignore_errors=True)
         finally:
             config.CACHE_DIR = before

@@ -18,15 +18,8 @@ from pixel2catch.servo.laws import REST_ERROR, RETURN_TIME, STOP_TIME
 from pixel2catch.servo.link import Joints
 from pixel2catch.servo.workspace import Workspace
 
-LOSS_TIME = 3.0
-"""Time since the last box after which the object is lost [s]. Source: ours; longer than a throw."""
-
-BEYOND_TRAVEL = 0.3
-"""Distance beyond the ends of its travel at which a joint cannot be [rad].
-
-Source: ours; fingers yield, and encoders have offsets.
-"""
-
+LOSS_TIME = 3.0  #: Age of the newest box after which the object is lost [s]. Source: ours; over a throw.
+BEYOND_TRAVEL = 0.3  #: Possible motion of a joint beyond its travel [rad]. Source: ours, for soft fingers.
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 

@@ -1,4 +1,4 @@
-"""Control loop and servo: what they exchange, the socket between their processes, their priorities.
+"""Targets and commands between control loop and servo, their socket, and priorities.
 
 Neither side waits for the other: what does not fit into the socket is dropped and counted. Each end detects
 that the other process has ended.
@@ -16,16 +16,15 @@ import numpy as np
 from jaxtyping import Float64
 
 BUFFER_SIZE = 1 << 20  #: Memory requested for each direction [bytes]; the system may give less. Source: ours.
-_LONGEST = 4096  #: More than any packet has [bytes].
+_LONGEST = 4096  #: Larger than any packet [bytes].
 _FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 
-SERVO, CONTROL_LOOP = -10, -8
-"""Niceness of the servo, and of perception and policy. Source: ours, for a busy machine."""
+SERVO, CONTROL_LOOP = -10, -8  #: Niceness of servo, and of perception and policy. Source: ours.
 
 SERVO_PRIORITY, LOOP_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
 """Real-time priorities of the servo, of perception and policy, and of the recorder.
 
-Source: ours, below those of drivers. On busy cores they make perception several times faster at p99.
+Source: ours, below those of drivers.
 """
 
 Joints = Float64[np.ndarray, " joints"]
@@ -91,7 +90,7 @@ def flag_names(kind: type[IntFlag], found: int) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTargets:
-    """What the policy asks of the servo; a row has the fields in their order."""
+    """Targets of the policy for the servo; a row has the fields in their order."""
 
     target_stamp: float  #: Time of the decision, `Clock.now` [s].
     image_stamp: float  #: Exposure time of the newest image, `Clock.now` [s].
@@ -109,9 +108,8 @@ class JointTargets:
     @classmethod
     def of(cls, row: Row) -> "JointTargets":
         """Read a row."""
-        values = (*row[:3].tolist(), *(row[3:5] != 0.0).tolist(), row[5:])
-        by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
-        return cls(**by_name)
+        flags = [value != 0.0 for value in row[3:5].tolist()]
+        return cls(**_named(cls, *row[:3].tolist(), *flags, row[5:]))
 
     @property
     def row(self) -> Row:
@@ -122,10 +120,7 @@ class JointTargets:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command:
-    """What the servo commands in one tick, and why; a row has the fields in their order.
-
-    Drivers receive the positions, control loop and recordings receive all of it.
-    """
+    """Command and mode of one tick of the servo; a row has the fields in their order."""
 
     time: float  #: Time of the tick, `Clock.now` [s].
     duration: float  #: Computing time of the tick [s].
@@ -142,15 +137,18 @@ class Command:
     @classmethod
     def of(cls, row: Row) -> "Command":
         """Read a row."""
-        values = (*row[:4].tolist(), *map(int, row[4:9].tolist()), *row[9:].reshape(2, -1))
-        by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
-        return cls(**by_name)
+        bits = map(int, row[4:9].tolist())
+        return cls(**_named(cls, *row[:4].tolist(), *bits, *row[9:].reshape(2, -1)))
 
     @property
     def row(self) -> Row:
         """Write a row."""
         *numbers, joint_pos_command, joint_pos = vars(self).values()
         return np.concatenate((numbers, joint_pos_command, joint_pos))
+
+
+def _named(kind: type, *values: Any) -> dict[str, Any]:
+    return dict(zip(kind.__annotations__, values, strict=True))
 
 
 Sent = TypeVar("Sent", JointTargets, Command)

@@ -135,7 +135,7 @@ class _Latest(Generic[T]):
 
 
 class ServoSubscriptions:
-    """Everything that the servo reads from the network: joints, status of the drivers, operator."""
+    """Inputs of the servo from the network: joints, status of the drivers, operator."""
 
     def __init__(
         self, transport: Transport, profile: Profile, limits: ServoLimits, commands: Sequence[Publisher]

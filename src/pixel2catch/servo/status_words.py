@@ -1,7 +1,6 @@
 """States, faults and verdicts in words, for operators: commands, pages and reports use this one file."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from math import inf
 from typing import Any, Literal, NamedTuple
 
@@ -29,8 +28,7 @@ FAULT_WORDS = {
         "Check that both drivers run, and the joint names in the profile.",
     ),
     "image stale": FaultWords(
-        "no image for 0.1 s",
-        "Check the camera and its cable, and that its clock is synchronised.",
+        "no image for 0.1 s", "Check the camera and its cable, and that its clock is synchronised."
     ),
     "policy late": FaultWords(
         "no decision of the policy for 67 ms",
@@ -55,8 +53,7 @@ FAULT_WORDS = {
         "the robot runs below its full speed", "Set the speed slider of the pendant to 100 %."
     ),
     "other publisher": FaultWords(
-        "another program sends commands to the robot; this one has stopped sending",
-        "End the other program.",
+        "another program sends commands to the robot; this one has stopped sending", "End the other program."
     ),
     "dead man": FaultWords("the dead-man's switch is not held", "Hold the switch."),
     "stop request": FaultWords("a stop was requested", ""),
@@ -109,11 +106,11 @@ FAULT_WORDS = {
 }
 """By the names of `Fault`, as `flag_names` gives them."""
 
-EXPECTED_WHEN_IDLE = (
+EXPECTED_WHEN_IDLE = {
     *("dead man", "image stale", "policy late", "target not finite", "target far"),
     *("object lost", "perception unsound"),
-)
-"""Faults of a servo that waits to be armed and needs no repair: no switch held, no policy commands yet."""
+}
+"""Faults before arming that need no repair: the switch is not held, the policy sends no targets."""
 
 REARM = "Let go of the switch, hold it again, and press arm."  #: How a stop ends.
 
@@ -133,8 +130,7 @@ VERDICTS = {
 """What perception does, by its `Verdict` on the newest image."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StatusWords:
+class StatusWords(NamedTuple):
     """The status of a deployment in words."""
 
     tone: Tone
@@ -143,22 +139,16 @@ class StatusWords:
 
 
 MODES = {
-    "": StatusWords(
-        tone="absent",
-        headline="no status of a deployment is received",
-        advice=("Start 'pixel2catch deploy'.",),
-    ),
+    "": StatusWords("absent", "no status of a deployment is received", ("Start 'pixel2catch deploy'.",)),
     "several": StatusWords(
-        tone="stopped",
-        headline="several programs publish the status of the deployment",
-        advice=("End all but one; a program that was killed counts for 10 s.",),
+        "stopped",
+        "several programs publish the status of the deployment",
+        ("End all but one; a program that was killed counts for 10 s.",),
     ),
-    "starting": StatusWords(tone="waiting", headline="starting: the servo process starts"),
-    "armed": StatusWords(
-        tone="armed", headline="armed: holds its pose until the object is seen", advice=("Point at it.",)
-    ),
-    "ramp": StatusWords(tone="moving", headline="beginning: moves to the policy's first target"),
-    "run": StatusWords(tone="moving", headline="running: follows the policy"),
+    "starting": StatusWords("waiting", "starting: the servo process starts"),
+    "armed": StatusWords("armed", "armed: holds its pose until the object is seen", ("Point at it.",)),
+    "ramp": StatusWords("moving", "beginning: moves to the policy's first target"),
+    "run": StatusWords("moving", "running: follows the policy"),
 }
 """Words of the modes that need no reason; "" without a status, "several" with more than one publisher."""
 
@@ -171,19 +161,19 @@ def status_words(status: dict[str, Any]) -> StatusWords:
     if mode == "stopped":
         reasons = _names(status, "stopped_by")
         fixes = _fixes(name for name in reasons if name != "dead man")
-        return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
+        return StatusWords("stopped", f"stopped: {_what(reasons)}", (*fixes, REARM))
     if mode == "run" and status.get("object") == "searching":
-        return StatusWords(tone="moving", headline="resting: goes on when the object is seen again")
-    return MODES.get(mode, StatusWords(tone="waiting", headline=mode))
+        return StatusWords("moving", "resting: goes on when the object is seen again")
+    return MODES.get(mode, StatusWords("waiting", mode))
 
 
 def _idle_words(found: Sequence[str], verdict: object) -> StatusWords:
     """Return the words of a robot that waits to be armed, or cannot be armed."""
     unseen = ["image stale"] if verdict == "no image" else []
     if missing := [*unseen, *(name for name in found if name not in EXPECTED_WHEN_IDLE)]:
-        return StatusWords(tone="waiting", headline=f"not ready: {_what(missing)}", advice=_fixes(missing))
+        return StatusWords("waiting", f"not ready: {_what(missing)}", _fixes(missing))
     request = "hold the switch and press arm" if "dead man" in found else "the switch is held; press arm"
-    return StatusWords(tone="waiting", headline=f"waiting: {request}")
+    return StatusWords("waiting", f"waiting: {request}")
 
 
 def verdict_words(status: dict[str, Any]) -> str:
@@ -226,7 +216,7 @@ def fault_words(name: str) -> FaultWords:
 
 
 def _names(status: dict[str, Any], key: str) -> list[str]:
-    found = status.get(key)  # of any program's message
+    found = status.get(key)
     return [str(name) for name in found] if isinstance(found, list) else []
 
 

@@ -31,14 +31,11 @@ ROUNDING = 1e-9  #: Gap that counts as none [m].
 class Space(NamedTuple):
     """A workspace as arrays [m]: joints, capsules and boxes of one arm after the other."""
 
-    columns: Int64[np.ndarray, " watched"]  #: Places in joint order of the joints that carry palms.
-    first_joints: Int64[
-        np.ndarray, " arms+1"
-    ]  #: Index of each arm's first of these joints, and their number.
+    columns: Int64[np.ndarray, " watched"]  #: Indices in joint order of the joints that carry palms.
+    first_joints: Int64[np.ndarray, " arms+1"]  #: Index of each arm's first of them, and their number.
     first_capsules: Int64[np.ndarray, " arms+1"]  #: Index of each arm's first capsule, and their number.
     first_boxes: Int64[np.ndarray, " arms+1"]  #: Index of each hand's first small box, and their number.
-    #: Transform of each joint, rows 1 to 3: constant, cosine and sine terms.
-    terms: Float64[np.ndarray, "watched 3 3 4"]
+    terms: Float64[np.ndarray, "watched 3 3 4"]  #: Constant, cosine and sine terms of each joint's frame.
     links: Int64[np.ndarray, " capsules"]  #: Joint before each capsule.
     ends: Float64[np.ndarray, "capsules 2 3"]  #: Centres of their ends, in the frame after that joint.
     radii: Float64[np.ndarray, " capsules"]
@@ -66,15 +63,15 @@ class Workspace:
         palms, table = self.workcell.palms, self.workcell.table
         shapes = [arm_shape(self.workcell, palm) for palm in palms]
         chains = [chain_of(self.workcell, palm, dtype=torch.float64).matrices.numpy() for palm in palms]
-        first_joints = _first([chain.shape[1] for chain in chains])
+        first_joints = np.cumsum([0, *(chain.shape[1] for chain in chains)])
         links = [shape.links + first for shape, first in zip(shapes, first_joints, strict=False)]
         center, half = np.array(table.center), np.array(table.size) / 2.0 + self.clearance
         near, far = center[:2] - half, center[:2] + half
         return Space(
             columns=_joined(np.arange(palm.first, palm.stop) for palm in palms),
             first_joints=first_joints,
-            first_capsules=_first([len(shape.radii) for shape in shapes]),
-            first_boxes=_first([shape.boxes.shape[2] for shape in shapes]),
+            first_capsules=np.cumsum([0, *(len(shape.radii) for shape in shapes)]),
+            first_boxes=np.cumsum([0, *(shape.boxes.shape[2] for shape in shapes)]),
             terms=_joined(chain.swapaxes(0, 1)[:, :, :3] for chain in chains),
             links=_joined(links),
             ends=_joined(shape.ends[:, :3].transpose(0, 2, 1) for shape in shapes),
@@ -88,17 +85,11 @@ class Workspace:
 
 
 def _joined(parts: Iterable[np.ndarray]) -> np.ndarray:
-    """Concatenate arrays, in the memory layout for which the tick is compiled."""
+    """Concatenate arrays; the tick is compiled for this memory layout."""
     return np.ascontiguousarray(np.concatenate([*parts]))
 
 
-def _first(numbers: list[int]) -> Int64[np.ndarray, " numbers+1"]:
-    return np.cumsum([0, *numbers])
-
-
-def contains(
-    workspace: Workspace, arm_pos: Float64[np.ndarray, "rows num_watched"]
-) -> Bool[np.ndarray, " rows"]:
+def contains(workspace: Workspace, arm_pos: Float64[np.ndarray, "rows watched"]) -> Bool[np.ndarray, " rows"]:
     """Return which robots, by their joints that carry palms [rad], are inside."""
     return _rows_inside(workspace.space, np.ascontiguousarray(arm_pos))
 
@@ -211,7 +202,7 @@ def link_frames(space: Space, joint_pos: np.ndarray) -> np.ndarray:
 
 @compiled
 def compose(before: np.ndarray, own: np.ndarray, frame: np.ndarray) -> None:
-    """Write the product of two frames."""
+    """Write the product of two frames into a third."""
     for row in range(3):
         for column in range(4):
             frame[row, column] = dot(before[row], own[:, column])
