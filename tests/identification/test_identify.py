@@ -143,13 +143,6 @@ def fit_with(*directions: np.ndarray) -> Fit:
     return fit_of(np.stack(covariance), SERVO_PARAMETERS)
 
 
-def test_well_known_joints_have_no_weak_direction():
-    fit = fit_with(0.0 * SCALE, 0.0 * SCALE)
-    assert weak_directions(fit) == ()
-    known = estimates(fit)
-    np.testing.assert_allclose([known[name].half_width for name in fit.free], 0.0196)
-
-
 def test_common_scale_is_named_and_its_ratios_are_known():
     fit = fit_with(0.0 * SCALE, 0.4 * SCALE)
     (weak,) = weak_directions(fit)

@@ -3,12 +3,10 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
 from recorded import AMPLITUDE, ARM, FREQUENCIES, JOINT_SPECS, LAG, ROBOTS, clean, position, speed
-from rich.console import Console
 
 from pixel2catch.identification.checks import (
     DataCheck,
@@ -18,7 +16,6 @@ from pixel2catch.identification.checks import (
     smoothed,
 )
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.report import check_grid
 
 CLOCKS = ["measurement times", "command times"]
 WHOLE = [*CLOCKS, "motion", "stalls", "repeated samples", "clock offset"]
@@ -218,16 +215,3 @@ def test_weak_motion_is_a_warning_and_unsound_data_forbid_a_fit():
     assert not any(check.forbids_fit for check in warned)
     late = check_recording(replace(recording, t_cmd=recording.t_cmd - 3.0))
     assert [check.name for check in late if check.forbids_fit] == ["clock offset"]
-
-
-def test_joints_with_the_same_verdict_share_a_row_and_verdicts_are_coloured():
-    recording = clean()
-    q = recording.q[0] + (recording.q - recording.q[0]) * [1.0, 1.0, 0.1, 1.0, 1.0, 1.0]
-    output = StringIO()
-    console = Console(file=output, width=200, force_terminal=True, color_system="standard")
-    console.print(check_grid("run [1]", check_recording(replace(recording, q=q))).for_terminal())
-    text = re.sub(r"\x1b\[[\d;]*m", "", output.getvalue())
-    assert re.search(r"excitation +│ elbow_joint +│ weak +│ .*needs", text)
-    assert re.search(r"excitation +│ 5 joints +│ good +│ +│", text)
-    assert "run [1]: 1 of 18 checks failed" in text
-    assert "\x1b[33mweak" in output.getvalue()

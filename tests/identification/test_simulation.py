@@ -1,7 +1,5 @@
 """The forward model of the fit: the simulator that a policy trains in, with delayed commands."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import (
     FIT_DT,
-    Encoders,
     RecordedMotion,
     behind_play,
     recorded_model,
@@ -83,13 +80,6 @@ def test_a_torque_limit_bounds_the_acceleration():
     free = 0.5 * 150.0 / 50.0 * time**2
     assert (moved < free).all()
     np.testing.assert_allclose(moved, free, rtol=0.1)
-
-
-def test_latency_shifts_the_motion():
-    recording = held_steps(("wrist_1_joint",))
-    late = simulated(recording, JointDynamics.nominal(recording.joints).with_values(latency=6 * DT))
-    prompt = simulated(recording, JointDynamics.nominal(recording.joints))
-    np.testing.assert_allclose(late[6:], prompt[:-6], atol=1e-4)
 
 
 def test_the_time_step_hardly_matters():
@@ -165,18 +155,6 @@ def test_encoders_behind_play_stay_behind():
     positions = np.array((0.0, 0.5, 3.0, 2.0, 1.0, 0.0))[:, None] * 1e-3
     expected = np.array((0.0, 0.0, 2.0, 2.0, 2.0, 1.0))[:, None] * 1e-3
     np.testing.assert_allclose(behind_play(positions, np.array([2e-3])), expected)
-
-
-def test_clocks_that_drift_read_earlier_positions():
-    """After 1 s by a clock that is 1 % fast, the joint is where it was after 0.99 s."""
-    recording = held_steps(ALL)
-    motion, nominal = RecordedMotion([recording], DT), JointDynamics.nominal(ALL)
-    perfect = Encoders.perfect(1, len(ALL))
-    exact, late = motion.simulate([nominal] * 2, [perfect, replace(perfect, drift=perfect.drift + 0.01)])
-    time = recording.t_meas[-len(exact) :] - recording.t_meas[0]
-    expected = [np.interp(0.99 * time, time, column) for column in exact.T]
-    is_inside = 0.99 * time > time[0]
-    np.testing.assert_allclose(late[is_inside], np.stack(expected, axis=-1)[is_inside], atol=5e-4)
 
 
 def test_a_joint_moves_its_own_chain_and_what_hangs_on_it():

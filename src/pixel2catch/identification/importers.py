@@ -38,9 +38,8 @@ class RecordedNames:
     #: those that are read. If empty, the only topic that can have commands.
     command_topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     measured_topic: str = MEASURED_TOPIC  #: topic of the measurements
-    joints: Mapping[str, str] = field(
-        default_factory=dict
-    )  #: the work cell's names of joints, by the recorded
+    #: the work cell's names of joints, by the recorded
+    joints: Mapping[str, str] = field(default_factory=dict)
 
     def renamed(self, recorded: Sequence[str]) -> tuple[str, ...]:
         """Return the work cell's names of recorded joints; mark other joints that have one of its names."""

@@ -73,12 +73,8 @@ def model_covariance(
     links' inertia should have changed. The servo's cycle delays the gain of speed, which looks like more
     armature, or, where the torque limit fixes the inertia, like less torque in everything else.
 
-    Args:
-        dynamics: The fitted dynamics.
-        armature: The armature before the fit [kg·m²]; the smaller of both counts, as logarithms are lopsided.
-        link_inertia: Inertia that each joint moves beside its armature [kg·m²].
-        free: Names of the free parameters.
-        latency_unit: Latency that counts as 1 [s].
+    Of the armatures [kg·m²] before and after the fit the smaller counts, as logarithms are lopsided. The link
+    inertia is what each joint moves beside its armature [kg·m²]. The latency unit counts as 1 [s].
     """
     least = np.minimum(dynamics.armature, armature)
     heaviness, has_scale = link_inertia / least, "stiffness" in free

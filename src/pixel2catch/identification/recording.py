@@ -217,16 +217,7 @@ def require_motion(
     *others: np.ndarray,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> None:
-    """Refuse motion that is impossible for a robot.
-
-    Args:
-        source: Where the rows come from, for messages.
-        joints: Names of the columns.
-        time: Times [s], shape (rows,).
-        positions: Positions [rad], shape (rows, joints).
-        others: Other values of that shape, such as speeds.
-        workcell: Work cell of the joints.
-    """
+    """Refuse motion that is impossible for a robot: positions [rad] and others, a row per time [s]."""
     groups = groups_of(workcell)
     if unknown := [joint for joint in joints if joint not in groups]:
         raise UnknownNameError("joint", unknown[0], groups)

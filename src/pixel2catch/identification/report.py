@@ -66,7 +66,6 @@ COMMAND_IS_BETTER = (
     "sent. If that motion was held out, the dynamics file is marked, and commands that read it warn."
 )
 
-
 Content = dict[str, Any]
 
 

@@ -34,18 +34,14 @@ FIT_DT = 1.0 / 480.0
 are within 0.03 mrad of those at 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone
 they would be off by up to 1.8."""
 
-START_WINDOW = (
-    0.1  # measurements whose parabola gives the start of a motion [s] (ours, a tenth of a settling)
-)
+START_WINDOW = 0.1  # measurements whose parabola gives the start of a motion [s] (ours)
 
 SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
 stiffness of the slowest joint."""
 
 MAX_COPIES = 96  # most copies simulated at once, limits the memory
-THREADED_COPIES = (
-    24  # least copies for which several threads are faster than one (ours, measured with the arm)
-)
+THREADED_COPIES = 24  # least copies for which several threads are faster than one (ours)
 
 Edges = Float[np.ndarray, " num_edges"]
 PerJoint = Float[np.ndarray, " num_joints"]
@@ -129,18 +125,9 @@ def step_commands(
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
     """Return what arrives in every time step: a command, and from some moment on the next one.
 
-    A servo at its torque limit does not follow their mean, so the moment matters. Where the commands of a
-    step are not such a pair, only the mean is returned.
-
-    Args:
-        t_cmd: Send times of the commands [s], shape (num_commands,).
-        q_cmd: Commands [rad], shape (num_commands, num_joints); each holds until the next.
-        edges: Starts of the time steps, and the end of the last one [s].
-        latency: Time from sending a command to its arrival [s].
-
-    Returns:
-        The mean [rad], which depends smoothly on the latency; first and last command minus the mean [rad];
-        and the share of the step in which the first holds.
+    They are the mean [rad], which depends smoothly on the latency, first and last command minus the mean
+    [rad], and the share of the step in which the first holds. A servo at its torque limit does not follow
+    the mean, so the moment matters. Where the commands of a step are not such a pair, only the mean counts.
     """
     end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
     start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
@@ -175,10 +162,7 @@ class RecordedServos:
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy its dynamics and largest torques [N·m].
-
-        The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
-        """
+        """Set dynamics, largest torques [N·m], inertia beside the armature [kg·m²] and time step [s]."""
         self._stiffness, self._damping, frictionloss, armature = (
             np.stack([getattr(each, name) for each in dynamics])
             for name in ("stiffness", "damping", "frictionloss", "armature")

@@ -225,7 +225,5 @@ def load_drake() -> dict[str, Any]:
     """Import the modules of Drake."""
     with needs_extra("drake", "engine 'drake' needs Drake, which cannot be imported", DeviceUnavailableError):
         modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
-    logging.getLogger("drake").setLevel(
-        logging.ERROR
-    )  # hides a warning about half-spaces and compliant bodies
+    logging.getLogger("drake").setLevel(logging.ERROR)  # hides a warning about half-spaces
     return modules
