@@ -1,23 +1,21 @@
 """Air that slows objects: a force against the velocity and as its square, whatever an object weighs."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 import torch
+from rollouts import AT_ONCE, rollout
 
 from paper_robot import JOINTS
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.episode import draw_episode
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
-from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-AT_ONCE = ThrowCfg(hover_steps=(2, 2))
 VELOCITY = slice(len(JOINTS), len(JOINTS) + 3)
 FINE = SceneCfg(physics_hz=600.0)
 
@@ -28,11 +26,6 @@ def make(num_envs: int, randomization: RandomizationCfg, scene: SceneCfg = FINE)
     """Environments that throw a small cube in their third step."""
     cfg = CatchEnvCfg(throws=AT_ONCE, objects=("cube_s",), randomization=randomization, scene=scene)
     return CatchEnv(cfg, METHODS["proposed"], num_envs=num_envs, seed=2)
-
-
-def rollout(env: CatchEnv, num_steps: int) -> Iterator[Step]:
-    for _ in range(num_steps):
-        yield env.step({name: torch.zeros(env.num_envs, n) for name, n in env.action_sizes.items()})
 
 
 @pytest.mark.parametrize("is_shaken", [False, True])
@@ -63,21 +56,6 @@ def test_drag_of_an_episode_is_that_of_its_object_air_and_mass():
         spec = OBJECTS[names[object_id]]
         mass = spec.mass * episode.parameters.mass_scale[row].item()
         assert episode.drag[row].item() == pytest.approx(0.5 * 1.2 * spec.drag_area / mass, rel=1e-5)
-
-
-def test_the_force_does_not_depend_on_the_mass_and_is_against_the_velocity():
-    """-½ ρ A |v| v in every step of the flight."""
-    env = make(6, RandomizationCfg(air_density=1.2))
-    area, force = OBJECTS["cube_s"].drag_area, env.world.simulation.bind("qfrc_applied")[:, VELOCITY]
-    velocity = env.world.simulation.bind("qvel")[:, VELOCITY]
-    list(rollout(env, 3))
-    for _ in range(3):
-        before = velocity.clone()
-        env.world.run(env.world.joint_pos, None, env._episode.drag, num_steps=1)
-        expected = -0.5 * 1.2 * area * before.norm(dim=-1, keepdim=True) * before
-        torch.testing.assert_close(force.double(), expected.double(), rtol=1e-4, atol=1e-9)
-        assert (before.norm(dim=-1) > 2.0).all()
-    assert len(env._episode.parameters.mass_scale.unique()) == 6
 
 
 def test_air_slows_throws_which_arrive_all_the_same():

@@ -1,16 +1,16 @@
 """What tests of policies disturb: each has its effect on the environment, and none where it is zero."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
+from rollouts import AT_ONCE, rollout
 
 from paper_robot import JOINTS
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg, detect
@@ -25,7 +25,6 @@ PROPOSED = METHODS["proposed"]
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0, latency_steps=(0, 0))
 SHAKE = ShakeCfg(amplitude=0.02, frequency=2.0)
 FINE = SceneCfg(physics_hz=600.0)
-AT_ONCE = ThrowCfg(hover_steps=(2, 2))
 ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=600.0, fy=601.0))
 MEASURED = replace(
     ELSEWHERE,
@@ -40,11 +39,6 @@ def make(num_envs: int = 4, seed: int = 0, **changes: Any) -> CatchEnv:
     env.seed(seed)
     env.reset()
     return env
-
-
-def rollout(env: CatchEnv, num_steps: int, action: float = 0.0) -> Iterator[Step]:
-    for _ in range(num_steps):
-        yield env.step({name: torch.full((env.num_envs, n), action) for name, n in env.action_sizes.items()})
 
 
 def object_path(env: CatchEnv, num_steps: int) -> torch.Tensor:

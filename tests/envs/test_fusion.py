@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from commands import pixel2catch
+from pixel2catch.cli.main import main
 
 
 @pytest.mark.parametrize(
@@ -20,10 +20,12 @@ def test_a_fused_control_step_is_the_same_and_is_traced_once(device):
     subprocess.run([sys.executable, "-W", "error", program, device], check=True, timeout=600)
 
 
-def test_without_a_compiler_it_is_said_before_anything_is_written(tmp_path: Path):
+def test_without_a_compiler_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     args = ["train", "--preset", "cpu", "--num-envs", "4", "--mini-batches", "1", "--fuse", "--out", "run"]
-    result = pixel2catch(*args, folder=tmp_path, PATH="/nonexistent")
-    assert result.returncode == 2
-    assert "install g++" in result.stderr
-    assert "Traceback" not in result.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "/nonexistent")
+    assert main(args) == 2
+    assert "g++" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -13,9 +13,8 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from snapshots import privileged, transition
 
 OBJECTS = ("ball", "box")
 TERMS = {"arm": ("arm.a", "arm.b"), "hand": ("hand.c",)}
@@ -133,32 +132,16 @@ def state_of(height: float, speed: float = 0.0, joint_speed: float = 0.0) -> Pri
     joint_vel = torch.zeros(1, 19)
     joint_vel[0, :2] = torch.tensor([joint_speed, -joint_speed])
     joint_vel[0, 7] = 100.0
-    return Privileged(
-        palm_pos=torch.tensor([[[1.0, 0.0, 1.0]]]),
-        palm_normal=torch.tensor([[[0.0, 0.0, 1.0]]]),
-        fingertip_pos=torch.zeros(1, 4, 3),
+    return privileged(
+        palm_pos=torch.tensor([[1.0, 0.0, 1.0]]),
         object_pos=torch.tensor([[1.0, 0.0, height]]),
         object_lin_vel=torch.tensor([[0.0, 0.0, -speed]]),
-        object_reach=torch.tensor([0.08]),
-        is_touching=torch.zeros(1, 5, dtype=torch.bool),
-        is_robot_on_table=yes(0),
-        is_self_contact=yes(0),
-        is_robot_contact=yes(0),
         joint_vel=joint_vel,
     )
 
 
 def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Transition:
-    return Transition(
-        before=before,
-        now=now,
-        action=torch.zeros(1, 19),
-        joint_pos_target=torch.zeros(1, 19),
-        held_steps=torch.tensor([held]),
-        was_success=yes(0),
-        episode_steps=torch.tensor([number]),
-        geometry=WorkcellGeometry(UR5E_ALLEGRO),
-    )
+    return transition(before, now, held_steps=(held,), episode_steps=(number,))
 
 
 def log_of(

@@ -7,22 +7,20 @@ from typing import Any
 
 import pytest
 import torch
+from rollouts import AT_ONCE, EXACT, HOVERING, rollout
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
 
-EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)
 ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)
-AT_ONCE, HOVERING = ThrowCfg(hover_steps=(2, 2)), ThrowCfg(hover_steps=(80, 80))
 STILL = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 COARSE = SceneCfg(physics_hz=60.0)
 METHOD = find_method("proposed+boxes")
@@ -37,11 +35,6 @@ def make(num_envs: int = 4, **changes: Any) -> CatchEnv:
     return env
 
 
-def rollout(env: CatchEnv, num_steps: int, action: float = 0.0) -> Iterator[Step]:
-    for _ in range(num_steps):
-        yield env.step({name: torch.full((env.num_envs, n), action) for name, n in env.action_sizes.items()})
-
-
 def measured(num_steps: int, **changes: Any) -> list[Measurement]:
     """What is measured in the first control steps of that seed."""
     return [clone(step.measurement) for step in rollout(make(**changes), num_steps)]
@@ -53,24 +46,23 @@ def remembered(env: CatchEnv, num_steps: int) -> Iterator[tuple[BoxHistory, Tens
         yield clone(step.measurement.boxes), env._episode.parameters.latency[:, None].clone()
 
 
-@pytest.mark.parametrize("middle", [1.5])
-def test_a_box_between_two_latencies_is_the_mean_of_both(middle: float):
+def test_a_box_between_two_latencies_is_the_mean_of_both():
     """Of one throw, seen half a control step earlier and half a step later; so is the tracked position."""
     paths = []
-    for late in (middle - 0.5, middle, middle + 0.5):
+    for late in (1.0, 1.5, 2.0):
         sensing = replace(EXACT, latency_steps=(late, late))
         paths.append(measured(9, num_envs=2, sensing=sensing, throws=AT_ONCE))
     for newer, between, older in zip(*paths, strict=True):
         torch.testing.assert_close(between.box, (newer.box + older.box) / 2, atol=1e-3, rtol=0)
         mean = (newer.object_pos + older.object_pos) / 2
         torch.testing.assert_close(between.object_pos, mean, atol=1e-5, rtol=0)
-        assert (between.boxes.age == middle + torch.arange(METHOD.num_boxes)).all()
+        assert (between.boxes.age == 1.5 + torch.arange(METHOD.num_boxes)).all()
     assert (paths[0][-1].box - paths[2][-1].box).abs().max() > 3.0
 
 
-@pytest.mark.parametrize("late", [2.5])
-def test_a_missed_image_makes_the_newest_box_older_by_one_step(late: float):
+def test_a_missed_image_makes_the_newest_box_older_by_one_step():
     """And adds none: boxes that are not of the beginning differ by the noise of each."""
+    late = 2.5
     sensing = SensingCfg(latency_steps=(late, late), drop_rate=0.4)
     env = make(12, sensing=sensing, throws=HOVERING)
     path = [boxes for boxes, _ in remembered(env, 24)][int(late) :]
@@ -150,11 +142,10 @@ def test_a_command_between_two_delays_moves_the_hand_between_both():
     assert late.abs().max() < 2e-3
 
 
-@pytest.mark.parametrize(("period", "expected"), [(1.0, 30), (1.5, 20)])
-def test_perception_that_looks_at_one_image_in_several(period: float, expected: int):
+def test_perception_that_looks_at_one_image_in_several():
     """Newest ages go from the latency up by one, and begin again with each image that is looked at."""
-    sensing = replace(EXACT, latency_steps=(1, 1), image_period=period)
+    sensing = replace(EXACT, latency_steps=(1, 1), image_period=1.5)
     ages = [boxes.age[0, 0].item() for boxes, _ in remembered(make(1, sensing=sensing, throws=HOVERING), 31)]
-    assert sum(age == 1.0 for age in ages[1:]) == expected
-    assert max(ages) == int(period + 0.99)
+    assert sum(age == 1.0 for age in ages[1:]) == 20
+    assert max(ages) == 2.0
     assert all(after in (1.0, before + 1.0) for before, after in itertools.pairwise(ages))

@@ -43,15 +43,6 @@ def torchrun(*arguments: str | Path) -> subprocess.Popen[str]:
     return start("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments)
 
 
-def two_nodes(*arguments: str | Path) -> list[subprocess.Popen[str]]:
-    """Start a process on each of two nodes, which are this machine."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = str(server.getsockname()[1])
-    where = ("--nnodes", "2", "--nproc-per-node", "1", "--master-addr", "127.0.0.1", "--master-port", port)
-    nodes = [("--node-rank", rank, *where) for rank in "01"]
-    return [start("-m", "torch.distributed.run", *node, *arguments) for node in nodes]
-
-
 def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
     """Exit status and output of two processes in the environment of torchrun, which starts slowly itself."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -110,17 +101,6 @@ def test_the_command_writes_one_run_which_one_process_resumes(tmp_path: Path) ->
     sessions = json.loads((run / "sessions.json").read_text())
     assert [session["processes"] for session in sessions] == [2, 1]
     assert Policy.load(run / "policy").hidden == (16,)
-
-
-@pytest.mark.slow
-def test_two_nodes_write_one_run(tmp_path: Path) -> None:
-    size = ("--num-envs", "8", "--rollout-steps", "4", "--hidden", "16", "--transitions", "64")
-    command = ("train", "proposed", "--device", "cpu", *size, "--out", str(tmp_path / "run"))
-    nodes = two_nodes("-m", "pixel2catch", *command)
-    outputs = [node.communicate(timeout=PATIENCE)[0] for node in nodes]
-    assert [node.returncode for node in nodes] == [0, 0], outputs
-    assert ["finished: 64 transitions" in output for output in outputs] == [True, False]
-    assert json.loads((tmp_path / "run" / "sessions.json").read_text())[0]["processes"] == 2
 
 
 @pytest.mark.slow

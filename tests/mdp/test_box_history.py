@@ -129,8 +129,8 @@ def test_later_news_of_the_same_path_extrapolates_to_the_same_now():
     assert_close(late, early, atol=0.01)
 
 
-@pytest.mark.parametrize("step", [0.0, 1e-6, 1e-3, 1.0, 100.0])
-@pytest.mark.parametrize("first", [0.0, 2.0, 300.0])
+@pytest.mark.parametrize("step", [0.0, 1e-6, 100.0])
+@pytest.mark.parametrize("first", [0.0, 300.0])
 def test_features_stay_bounded_whatever_the_ages(step: float, first: float):
     age = (first + step * torch.arange(float(NUM_BOXES))).expand(3, -1)
     generator = torch.Generator().manual_seed(1)
