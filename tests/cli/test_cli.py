@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import mujoco
 import pytest
 import torch
 
@@ -172,15 +171,6 @@ def test_bench_splits_a_training_into_its_parts(tmp_path: Path):
     assert sum(parts) == pytest.approx(1e6 / row["training_steps_per_second"])
     assert row["trained_steps_per_second"] < row["physics_steps_per_second"]
     assert row["rss_bytes"] > 1e8 > row["device_bytes"]
-
-
-@pytest.mark.parametrize("ending", [".xml", ".mjb"])
-def test_exported_scene_loads(ending: str, tmp_path: Path):
-    path = tmp_path / f"scene{ending}"
-    assert main(["scene", str(path), "--object", "l_block", "--workcell", "ur5e_allegro_right"]) == 0
-    load = mujoco.MjModel.from_xml_path if ending == ".xml" else mujoco.MjModel.from_binary_path
-    model = load(str(path))
-    assert (model.nq, model.nu) == (26, 19)
 
 
 def test_train_has_and_explains_every_option_of_its_configuration():

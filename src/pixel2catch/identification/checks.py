@@ -53,20 +53,18 @@ class DataCheck:
     name: str  #: what was checked
     joint: str | None = None  #: joint that was checked; None for the whole recording
     is_good: bool | None  #: whether it passed; None if the recording does not show it
-    is_advice: bool = False  #: whether the motion can be fitted even if it failed, with a less certain result
     detail: str  #: the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:
-        """Return whether the recording must not be fitted."""
-        return self.is_good is False and not self.is_advice
+        """Return whether the recording must not be fitted; weak excitation makes a fit less certain only."""
+        return self.is_good is False and self.name != "excitation"
 
     @property
     def verdict(self) -> str:
         """Return one word: BAD forbids a fit, weak makes its result less certain."""
-        if self.is_good is None:
-            return "unknown"
-        return "good" if self.is_good else "BAD" if self.forbids_fit else "weak"
+        words = {None: "unknown", True: "good", False: "BAD" if self.forbids_fit else "weak"}
+        return words[self.is_good]
 
 
 def check_recording(recording: Recording) -> list[DataCheck]:
@@ -82,8 +80,7 @@ def check_recording(recording: Recording) -> list[DataCheck]:
 
 
 def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> DataCheck:
-    detail = found if is_good else found + remedy
-    return DataCheck(name=name, joint=joint, is_good=is_good, is_advice=name == "excitation", detail=detail)
+    return DataCheck(name=name, joint=joint, is_good=is_good, detail=found if is_good else found + remedy)
 
 
 def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> DataCheck:

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -36,22 +35,17 @@ WELL_KNOWN = 0.1  # largest half-width of an interval of an identified parameter
 NOTABLE = 0.3  # least share of a weak direction's largest component of a parameter that is named (ours)
 
 
-class Remedy(NamedTuple):
-    """Unit of a parameter, and motion that shows the parameter in positions."""
-
-    unit: str
-    motion: str
-
-
 REMEDIES = {
-    "stiffness": Remedy("N·m/rad", "add motion that reaches the torque limit, or a known payload"),
-    "damping": Remedy("N·m·s/rad", "add faster motion"),
-    "frictionloss": Remedy("N·m", "add slow reversals"),
-    "armature": Remedy("kg·m²", "add steps and faster changes of speed"),
-    "latency": Remedy("ms", "add steps"),
-    "filter_gain": Remedy("1/s²", "add steps"),
-    "filter_lookahead": Remedy("s", "add 20 Hz targets of changing speed"),
+    "stiffness": ("N·m/rad", "add motion that reaches the torque limit, or a known payload"),
+    "damping": ("N·m·s/rad", "add faster motion"),
+    "frictionloss": ("N·m", "add slow reversals"),
+    "armature": ("kg·m²", "add steps and faster changes of speed"),
+    "latency": ("ms", "add steps"),
+    "filter_gain": ("1/s²", "add steps"),
+    "filter_lookahead": ("s", "add 20 Hz targets of changing speed"),
 }
+"""Unit of each parameter, and motion that shows the parameter in positions."""
+
 
 PerJoint = Float[np.ndarray, " num_joints"]
 Positions = Float[np.ndarray, "num_settled num_joints"]
@@ -329,7 +323,7 @@ class WeakDirection:
         else:
             text = f"{names} of {joints} cannot be told apart"
         fixed = "stiffness" if self.is_scale and "stiffness" in self.parameters else first
-        return f"{text}: fix {fixed} (leave it out of --free), or {REMEDIES[fixed].motion}."
+        return f"{text}: fix {fixed} (leave it out of --free), or {REMEDIES[fixed][1]}."
 
 
 def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:

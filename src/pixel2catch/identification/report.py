@@ -142,7 +142,7 @@ def parameters_grid(result: Identification) -> Grid:
         (Cell(short(joint)), *(_parameter(result, known.get(name), name, j) for name in names))
         for j, joint in enumerate(fit.dynamics.joints)
     )
-    columns = ("joint", *(f"{name} [{REMEDIES[name].unit}]" for name in names))
+    columns = ("joint", *(f"{name} [{REMEDIES[name][0]}]" for name in names))
     warnings = (*drift_warnings(result), *play_warnings(fit))
     return Grid(title="Parameters with 95 % intervals", columns=columns, rows=rows, warnings=warnings)
 
