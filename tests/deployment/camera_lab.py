@@ -45,7 +45,7 @@ class CameraLab(WireLab):
         self.pixels: np.ndarray | None = None
         self.faults: dict[str, Callable[[], Any]] = {
             "none": self.mend,
-            "arm": self.ask_to_arm,
+            "arm": self.request_arm,
             "point": lambda: self._prompts.publish(messages.text(json.dumps({"box": BOX}))),
             "camera killed": lambda: self.silent.add("camera"),
             "image frozen": lambda: setattr(self, "pixels", self._picture()),
@@ -57,7 +57,7 @@ class CameraLab(WireLab):
     def mend(self) -> None:
         """End all faults."""
         self.silent, self.is_object_there, self.pixels, self.jump, self.is_held = set(), True, None, 0.0, True
-        self._say_status()
+        self._send_status()
 
     def step(self) -> None:
         """See `WireLab.step`."""

@@ -1,4 +1,4 @@
-"""Labs in which anything can happen: inputs of the servo, some as they should be, many not."""
+"""Random inputs of the servo: many of them faulty."""
 
 from dataclasses import dataclass, replace
 
@@ -27,20 +27,20 @@ class _Robots:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Lies:
-    """What encoders say in place of the truth: where they are frozen what they said last, else a law."""
+class _SensorErrors:
+    """Errors of encoders: frozen at the last value, scaled or shifted."""
 
     scale: np.ndarray
     offset: np.ndarray
     is_frozen: np.ndarray
     until: np.ndarray
 
-    def told(self, truth: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def apply(self, truth: np.ndarray, before: np.ndarray) -> np.ndarray:
         return np.where(self.is_frozen, before, self.scale * truth + self.offset)
 
 
 class Chaos:
-    """`num_rows` labs; `inputs` for a tick, then `follow` what the servo said."""
+    """Inputs of `num_rows` servos: call `inputs`, tick, and call `follow` with the commands."""
 
     def __init__(self, num_rows: int, limits: ServoLimits, seed: int) -> None:
         self.random, self.limits, self.rows = np.random.default_rng(seed), limits, num_rows
@@ -50,23 +50,23 @@ class Chaos:
         follow = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(0.7, 1.4, (num_rows, 1))
         self.robots = _Robots(joint_pos=start, follow=follow)
         self.target, self.pressed = start.copy(), self.time.copy()
-        self.told, honest = start.copy(), np.zeros(start.shape)
-        self.lies = _Lies(scale=honest + 1.0, offset=honest, is_frozen=honest > 0.0, until=self.time)
+        self.measured, zeros = start.copy(), np.zeros(start.shape)
+        self.errors = _SensorErrors(scale=zeros + 1.0, offset=zeros, is_frozen=zeros > 0.0, until=self.time)
         self.sent = {name: self.time.copy() for name in SENDERS}
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
     def inputs(self) -> ServoInputs:
-        """What the servos are told now."""
+        """Return the inputs of the next tick."""
         self.time = self.time + self.limits.dt * self.random.uniform(0.5, 1.5, self.rows)
         self._decide()
         self._send()
         self.pressed = np.where(self.random.random(self.rows) < 0.02, self.time, self.pressed)
         now = self._wrong(self.time, WRONG_STAMPS)
-        self._lie()
+        self._measure()
         joint_stamp = np.tile(self.sent["joint_stamp"][:, None], len(JOINTS))
         return ServoInputs(
             now=np.where(self._happens(), now - self.random.exponential(0.1, self.rows), now),
-            joint_pos=self._wrong(self.told, STRANGE),
+            joint_pos=self._wrong(self.measured, STRANGE),
             joint_stamp=self._wrong(joint_stamp, WRONG_STAMPS),
             joint_pos_target=self._wrong(self.target, STRANGE),
             target_stamp=self._wrong(self.sent["target_stamp"], WRONG_STAMPS),
@@ -90,7 +90,7 @@ class Chaos:
         )
 
     def follow(self, command: np.ndarray) -> None:
-        """Move the robots; some are held fast, bumped or carried away, where nothing commands them."""
+        """Move the robots; some are blocked, pushed, or moved away while nothing is sent."""
         joint_pos = self.robots.joint_pos
         goal = np.where(np.isnan(command), joint_pos, command)
         joint_pos = joint_pos + self.robots.follow * (goal - joint_pos)
@@ -102,43 +102,43 @@ class Chaos:
         follow = np.where(stuck[:, None], 0.0, self.robots.follow)
         self.robots = replace(self.robots, joint_pos=joint_pos, follow=follow)
 
-    def _lie(self) -> None:
-        """Encoders of one joint or of all lie for a while: they jump away, run fast or slow, or freeze."""
-        lies, shape = self.lies, self.told.shape
-        begins = (self._happens() & (self.time > lies.until))[:, None]
-        is_over = (self.time > lies.until)[:, None] & ~begins
+    def _measure(self) -> None:
+        """Begin and end errors of encoders of one joint or of all: offset, scale, or freeze."""
+        errors, shape = self.errors, self.measured.shape
+        begins = (self._happens() & (self.time > errors.until))[:, None]
+        is_over = (self.time > errors.until)[:, None] & ~begins
         kind = np.where(begins & self._columns(shape), self.random.integers(1, 4, (self.rows, 1)), 0)
         offset, scale = self.random.normal(0.0, 0.1, shape), self.random.uniform(0.0, 2.0, shape)
         about = (1.0 - scale) * self.robots.joint_pos
-        self.lies = _Lies(
-            scale=np.where(kind == 2, scale, np.where(is_over, 1.0, lies.scale)),
+        self.errors = _SensorErrors(
+            scale=np.where(kind == 2, scale, np.where(is_over, 1.0, errors.scale)),
             offset=np.where(
-                kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, lies.offset))
+                kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, errors.offset))
             ),
-            is_frozen=(kind == 3) | (lies.is_frozen & ~is_over),
-            until=np.where(begins[:, 0], self.time + self.random.exponential(0.2, self.rows), lies.until),
+            is_frozen=(kind == 3) | (errors.is_frozen & ~is_over),
+            until=np.where(begins[:, 0], self.time + self.random.exponential(0.2, self.rows), errors.until),
         )
-        self.told = self.lies.told(self.robots.joint_pos, self.told)
+        self.measured = self.errors.apply(self.robots.joint_pos, self.measured)
 
     def _pose(self, spread: float) -> np.ndarray:
-        """Joints about the start pose; a wide spread may be beyond their limits."""
+        """Return poses near the start pose; with a wide spread, some are beyond the limits."""
         pose = HOME + self.random.normal(0.0, spread, (self.rows, len(JOINTS)))
         return np.clip(pose, self.limits.joints.lower, self.limits.joints.upper) if spread < 1.0 else pose
 
     def _decide(self) -> None:
-        """Policies: small steps from the joints, jumps to anywhere, or full swing from limit to limit."""
+        """Choose targets: near the joints, anywhere, or from limit to limit."""
         kind = self.random.random((self.rows, 1))
         shape = self.target.shape
         near = self.robots.joint_pos + self.random.normal(0.0, 0.2, shape)
         swing = np.where(self.random.random(shape) < 0.5, self.limits.joints.lower, self.limits.joints.upper)
         anywhere = self.random.uniform(-7.0, 7.0, shape)
         target = np.where(kind < 0.7, near, np.where(kind < 0.85, swing, anywhere))
-        speaks = self.time - self.sent["target_stamp"] >= CONTROL_DT * self.random.random(self.rows)
-        self.target = np.where(speaks[:, None], target, self.target)
-        self._deliver("target_stamp", speaks)
+        is_due = self.time - self.sent["target_stamp"] >= CONTROL_DT * self.random.random(self.rows)
+        self.target = np.where(is_due[:, None], target, self.target)
+        self._deliver("target_stamp", is_due)
 
     def _send(self) -> None:
-        """Messages arrive, out of order now and then; some senders fall silent for a while."""
+        """Deliver messages, some out of order; some senders pause."""
         for name in SENDERS[:1] + SENDERS[2:]:
             self._deliver(name, self.random.random(self.rows) < 0.9)
         for name in SENDERS:
@@ -147,20 +147,20 @@ class Chaos:
 
     def _deliver(self, name: str, is_due: np.ndarray) -> None:
         delay = self.random.exponential(0.001, self.rows)
-        is_heard = is_due & (self.time > self.silent_until[name] + 1e-9)
-        self.sent[name] = np.where(is_heard, self.time - delay, self.sent[name])
+        is_sent = is_due & (self.time > self.silent_until[name] + 1e-9)
+        self.sent[name] = np.where(is_sent, self.time - delay, self.sent[name])
 
     def _requests(self) -> np.ndarray:
-        """Operators who ask to arm from time to time, some with stamps of the past or future."""
-        asks = self.random.random(self.rows) < 0.05
+        """Return stamps of requests to arm, some in the past or future."""
+        is_requested = self.random.random(self.rows) < 0.05
         stamp = self.time + self.random.normal(0.0, 0.05, self.rows) * self._happens()
-        return self._wrong(np.where(asks, stamp, -np.inf), WRONG_STAMPS)
+        return self._wrong(np.where(is_requested, stamp, -np.inf), WRONG_STAMPS)
 
     def _happens(self) -> np.ndarray:
         return self.random.random(self.rows) < self.chance
 
     def _wrong(self, values: np.ndarray, strange: np.ndarray) -> np.ndarray:
-        """Values with a strange one in some rows; all joints of a row or one of them."""
+        """Replace values in some rows, of one joint or of all."""
         is_wrong = self._happens()
         if values.ndim == 1:
             return np.where(is_wrong, self.random.choice(strange, self.rows), values)
@@ -168,6 +168,6 @@ class Chaos:
         return np.where(is_wrong[:, None] & self._columns(values.shape), picked, values)
 
     def _columns(self, shape: tuple[int, ...]) -> np.ndarray:
-        """All joints of a row, or one of them."""
+        """Select all joints of a row, or one of them."""
         joint = self.random.integers(-1, shape[1], (self.rows, 1))
         return (np.arange(shape[1]) == joint) | (joint < 0)

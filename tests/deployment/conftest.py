@@ -1,10 +1,10 @@
-"""A servo on its stage, for every test here that asks for one."""
+"""A servo with a laboratory in memory."""
 
 from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
-from servo_stage import Stage
+from wire_lab import Stage
 
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link

@@ -1,4 +1,4 @@
-"""What must hold of every output of the servo, whatever it was told; checked without the servo's own code."""
+"""Laws of every output of the servo, checked without its own code."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ DRIVEN = (Mode.RAMP, Mode.RUN)
 
 
 class Laws:
-    """Watches rows of robots tick by tick, and counts what it has seen."""
+    """Check rows of robots tick by tick, and count modes, faults and clamps."""
 
     def __init__(self, num_rows: int, limits: ServoLimits) -> None:
         self.limits, self.wider = limits, widened(limits.workspace)
@@ -41,7 +41,7 @@ class Laws:
         self.reached: dict[str, float] = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
 
     def check(self, inputs: ServoInputs, output: ServoState) -> None:
-        """Check a tick, and remember it."""
+        """Check a tick."""
         with np.errstate(invalid="ignore", over="ignore"):
             self._check_modes(inputs, output)
             self._check_faults(inputs, output)
@@ -60,15 +60,15 @@ class Laws:
         is_pressed = inputs.pressed_stamp > self.used_press
         assert is_pressed[is_armed].all(), "armed with a switch that was not pressed anew"
         is_left = (output["mode"] == Mode.IDLE) & (self.mode == Mode.STOPPED)
-        assert is_late[is_left].all(), "given up in the middle of a stop"
+        assert is_late[is_left].all(), "idle in the middle of a stop"
         if self.command is not None:
-            is_told = is_left & ~self.is_silent
-            away = np.abs(inputs.joint_pos - self.command)[is_told] > self.limits.joints.moved_error
-            assert away.any(axis=-1).all(), "given up though nobody moved it"
+            was_sent = is_left & ~self.is_silent
+            away = np.abs(inputs.joint_pos - self.command)[was_sent] > self.limits.joints.moved_error
+            assert away.any(axis=-1).all(), "idle, but nobody moved the robot"
         np.testing.assert_array_equal(output["stopped_by"] != 0, output["mode"] == Mode.STOPPED)
 
     def _check_faults(self, inputs: ServoInputs, output: ServoState) -> None:
-        """No row is active with anything wrong."""
+        """Check that no active row has a fault."""
         limits, now = self.limits, inputs.now
         joint_age = now[:, None] - inputs.joint_stamp
         is_well = (
@@ -148,7 +148,7 @@ class Laws:
 
 
 def widened(workspace: Workspace) -> Workspace:
-    """The workspace, and room for rounding."""
+    """Return the workspace with a margin for rounding."""
     lower, upper = np.array(workspace.lower) - ROUNDING, np.array(workspace.upper) + ROUNDING
     return Workspace(
         workcell=workspace.workcell,

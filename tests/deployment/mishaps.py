@@ -1,4 +1,4 @@
-"""What can go wrong in the laboratory, as changes of good inputs, and the fault that is found."""
+"""Faults as changes of good inputs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,17 +13,17 @@ ELBOW = np.arange(len(JOINTS)) == 2
 
 
 def aged(seconds: float) -> Callable[[ServoInputs], np.ndarray]:
-    """A stamp of some time ago."""
+    """Return an older stamp."""
     return lambda good: good.now - seconds
 
 
 def elbow(value: float, field: str) -> Callable[[ServoInputs], np.ndarray]:
-    """Something strange of the elbow alone."""
+    """Return a value for the elbow only."""
     return lambda good: np.where(ELBOW, value, getattr(good, field))
 
 
 def finger(value: float) -> Callable[[ServoInputs], np.ndarray]:
-    """A finger's joint that is measured where none can be."""
+    """Return a position for one finger joint."""
     return lambda good: np.where(np.arange(len(JOINTS)) == 8, value, good.joint_pos)
 
 
@@ -63,7 +63,7 @@ MISHAPS: tuple[tuple[Fault, str, Callable[[ServoInputs], np.ndarray]], ...] = (
     (Fault.CLOCK, "now", aged(0.003)),
     (Fault.CLOCK, "now", aged(-0.021)),
 )
-"""What stops the robot, one row each; a clock that is wrong makes stamps wrong as well."""
+"""Faults that stop the robot, one row each; a wrong clock also makes stamps wrong."""
 
 
 def all_at_once(good: ServoInputs) -> ServoInputs:

@@ -1,4 +1,4 @@
-"""A robot that does as it is told, in any number of rows, and what its servo is told about it."""
+"""Simulated joints that follow their commands, in any number of rows, with a servo."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,24 +13,24 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HOME = np.array([joint.home for joint in JOINTS])
 LIMITS = replace(ServoLimits.of(UR5E_ALLEGRO), ramp_time=0.1)
-"""Those of the robot, with a ramp that makes tests short."""
+"""Limits of the robot, with a short ramp."""
 
 
 def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
-    """Good inputs, but for some."""
+    """Return a fault: some inputs are replaced."""
     return lambda good: replace(good, **change)
 
 
 def noisy(good: ServoInputs) -> ServoInputs:
-    """As encoders are."""
+    """Add the noise of encoders."""
     noise = 1e-5 * np.random.default_rng(int(1e4 * good.now[0])).standard_normal(good.joint_pos.shape)
     return replace(good, joint_pos=good.joint_pos + noise)
 
 
 class Lab:
-    """A core, and inputs in which all is well but for what a test changes.
+    """A servo, and inputs without a fault.
 
-    The joints are where the commands are, with the lag of their servos. The policy speaks at 30 Hz.
+    Joints follow their commands with a lag. The policy sends targets at 30 Hz.
     """
 
     def __init__(self, num_rows: int = 1, limits: ServoLimits = LIMITS) -> None:
@@ -44,7 +44,7 @@ class Lab:
         self.is_held_fast = np.zeros(len(JOINTS), dtype=bool)
         self._target_stamp = self.pressed = self.time
         self.outputs: list[ServoState] = []
-        self.told = self.inputs()
+        self.last_inputs = self.inputs()
 
     def inputs(self) -> ServoInputs:
         now = np.full(self.rows, self.time)
@@ -74,38 +74,38 @@ class Lab:
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:
-        """A tick, in which something may be otherwise; the robot follows."""
+        """Tick with distorted inputs, if a distortion is given, and move the joints."""
         self.time += self.limits.dt
         good = self.inputs()
-        self.told = distort(good) if distort else good
-        self.state = output = self.core.tick(self.state, self.told)
+        self.last_inputs = distort(good) if distort else good
+        self.state = output = self.core.tick(self.state, self.last_inputs)
         self.outputs.append(output)
         self.follow(np.where(np.isnan(output["sent"]), self.joint_pos, output["sent"]))
         return output
 
     def follow(self, command: np.ndarray) -> None:
-        """The joints go where they are commanded, with their lag."""
+        """Move the joints towards the commands."""
         share = np.minimum(self.limits.dt / self.lag, 1.0)
         self.joint_pos += np.where(self.is_held_fast, 0.0, share * (command - self.joint_pos))
 
     def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:
-        """Ticks for a time."""
+        """Tick for a time [s]."""
         for _ in range(round(seconds / self.limits.dt) - 1):
             self.tick(distort)
         return self.tick(distort)
 
     def arm(self) -> ServoState:
-        """A first tick, and one in which the operator asks to arm."""
+        """Tick once, and request to arm."""
         self.tick()
-        return self.ask()
+        return self.request_arm()
 
-    def ask(self) -> ServoState:
-        """A tick in which the operator, who has just pressed the switch anew, asks to arm."""
+    def request_arm(self) -> ServoState:
+        """Press the switch, and tick with a request to arm."""
         self.pressed = self.time
         return self.tick(lambda good: replace(good, arm_stamp=good.now))
 
     def swung(self) -> "Lab":
-        """In the middle of a fast motion of the arm, which is not its first."""
+        """Run to the middle of a fast motion of the arm."""
         self.started()
         for way, seconds in ((0.4, 0.1), (-0.4, 0.5), (0.4, 0.05)):
             self.target[:, :3] += way * np.array((1.0, -1.0, -1.0))
@@ -113,7 +113,7 @@ class Lab:
         return self
 
     def started(self) -> "Lab":
-        """Armed, through the ramp and running."""
+        """Arm, and run to the end of the ramp."""
         self.arm()
         self.run(self.limits.ramp_time + 0.05)
         return self

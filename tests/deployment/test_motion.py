@@ -41,13 +41,13 @@ def test_braking_by_hand():
 
 
 @given(st.floats(0.0, 3.0))
-def test_the_fastest_speed_stops_just_in_the_distance(distance: float):
+def test_the_stopping_speed_stops_exactly_at_the_distance(distance: float):
     for limits in BOTH:
         speed = stopping_speed(distance, limits)
         assert braked_position(speed * LIMITS.dt, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
 
 
-def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
+def test_a_command_is_the_mean_of_positions():
     """Accelerations of 200 and -200 rad/s² must be 10 ms apart at 40,000 rad/s³; of ±50 rad/s² 5 ms."""
     assert LIMITS.window.tolist() == [5, 3]
     np.testing.assert_allclose(LIMITS.delay, [0.004, 0.002])
@@ -61,14 +61,14 @@ def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-def test_no_wish_breaks_a_limit(joint: int):
-    """Neither that of a motion, nor that of the commands which are its means."""
+def test_no_request_exceeds_a_limit(joint: int):
+    """The mean of the positions keeps position, speed, acceleration and jerk."""
     random, limits = np.random.default_rng(joint), BOTH[joint]
     start = (0.9, -0.4)[joint]
     for _ in range(20):
         position, velocity, recent, commands = start, 0.0, np.full(5, start), [start] * 4
-        for wish in random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], 300):
-            velocity = limited_speed(position, velocity, wish, limits)
+        for requested in random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], 300):
+            velocity = limited_speed(position, velocity, requested, limits)
             position += velocity * LIMITS.dt
             commands.append(moving_mean(recent, position, limits))
         for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
@@ -80,7 +80,7 @@ def test_no_wish_breaks_a_limit(joint: int):
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-def test_a_goal_is_reached_and_never_passed(joint: int):
+def test_a_goal_is_reached_without_overshoot(joint: int):
     limits = BOTH[joint]
     for goal in np.random.default_rng(1).uniform(limits.lower, limits.upper, 20):
         position = velocity = 0.0
@@ -93,8 +93,8 @@ def test_a_goal_is_reached_and_never_passed(joint: int):
 
 
 @given(st.floats(0.02, 1.0), st.sampled_from([0, 1]))
-def test_no_way_to_a_goal_within_the_limits_is_two_ticks_shorter(distance: float, joint: int):
-    """Judged by Ruckig, which knows the shortest one in continuous time."""
+def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joint: int):
+    """Compared with Ruckig in continuous time."""
     wide = replace(LIMITS, lower=np.full(2, -2.0), upper=np.full(2, 2.0))
     limits = records(**wide.columns).view(np.recarray)[joint]
     position = velocity = command = 0.0

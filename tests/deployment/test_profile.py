@@ -119,16 +119,9 @@ def test_optional_topics_may_be_left_out(tmp_path: Path):
     assert (profile.operator.arm.name, profile.operator.stop.name) == ("/lab/arm", "/pixel2catch/stop")
 
 
-def test_a_robot_without_the_policys_joints_is_refused_with_their_names(tmp_path: Path):
-    def change(content):
-        hand = content["robots"][1]
-        del hand["joints"]["thumb_joint_3"]
-        hand["held"][3] = {"angle": 0.0}
-
-    with pytest.raises(
-        DeploymentError, match="'ur5e_allegro_v4' has no thumb_joint_3, which the policy moves"
-    ):
-        Profile.load(changed(tmp_path, change)).require(NAMES)
+def test_a_robot_without_joints_of_the_policy_is_refused():
+    with pytest.raises(DeploymentError, match="'ur5e_allegro_v4' has no lift, which the policy moves"):
+        Profile.load("ur5e_allegro_v4").require([*NAMES, "lift"])
 
 
 GONE = object()
@@ -136,15 +129,11 @@ ARM_JOINT = "robots.0.joints.elbow_joint"
 
 MISTAKES = [
     ("camera.widths", 1, "unknown field 'camera.widths'"),
-    ("camera.width", "640", "'camera.width'"),
     ("camera.image", "raw", "'image': 'raw' is no topic"),
     (f"{ARM_JOINT}.index_in_command", 1, "the command's place 1 is given twice"),
-    (f"{ARM_JOINT}.name_in_state", "wrist_1_joint", "wrist_1_joint is given twice"),
     ("robots.0.joints.elbow", {"name_in_state": "x", "index_in_command": 0}, "unknown joint 'elbow'"),
     ("robots.1.held.4", GONE, "places 0 to 15"),
-    ("robots.0.limits", {"speed": 0}, "speed is 0"),
     ("robots.1.held.4.angle", float("nan"), "'angle' has the number nan"),
-    ("robots.1.rate_hz", 0, "rate_hz is 0"),
     ("robots.0.command_topic.type", messages.NUMBER, "'std_msgs/msg/Float64'"),
     ("robots.1.command_topic.name", "/forward_position_controller/commands", "/forward_posi"),
 ]

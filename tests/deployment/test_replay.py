@@ -53,7 +53,7 @@ def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None
         stack.callback(nobody.close)
         stack.callback(somebody.close)
         lab = WireLab(broker.node(clock), nobody, PROFILE, clock)
-        lab.silent.add("brain")
+        lab.silent.add("control loop")
         recording = DeploymentRecorder(recorder, node, PROFILE, clock, images)
         setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
         servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
@@ -76,7 +76,7 @@ def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None
                 loop.poll()
 
         go_on_until(EPOCH + 0.1)
-        lab.ask_to_arm()
+        lab.request_arm()
         go_on_until(EPOCH + 0.2)
         prompt.publish(messages.text(json.dumps({"box": list(np.add(BOX, 0.1 * tick))})))
         go_on_until(EPOCH + 1.0)

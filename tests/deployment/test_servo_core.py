@@ -90,19 +90,6 @@ def test_every_stop_ends_in_time_near_the_joints():
     assert (np.abs(lab.joint_pos - commands[-1]) < 0.02).all()
 
 
-def test_a_stop_lasts_until_a_new_request_to_arm():
-    """A request from before the stop, or a repeated one, does not count."""
-    lab = Lab().swung()
-    asked = np.array([lab.time])
-    lab.tick(given(arm_stamp=asked))
-    lab.tick(given(is_safe=NO))
-    assert lab.run(0.4, given(arm_stamp=asked))["mode"] == Mode.STOPPED
-    assert lab.run(0.2)["mode"] == Mode.STOPPED
-    lab.target = lab.joint_pos.copy()
-    assert lab.ask()["mode"] == Mode.ARMED
-    assert lab.outputs[-1]["stopped_by"] == 0
-
-
 def test_a_stopped_robot_that_was_moved_by_hand_is_armed_at_its_new_pose():
     lab = Lab().swung()
     lab.tick(given(is_safe=NO))
@@ -124,8 +111,8 @@ def test_a_robot_that_another_program_moved_is_armed_at_its_new_pose():
     lab.run(2.0 * STOP_TIME, given(has_other_publisher=~NO))
     lab.joint_pos[0, 2] -= 0.5 * (LIMITS.joints.start_error + LIMITS.joints.moved_error)[2]
     assert lab.tick()["mode"] == Mode.STOPPED
-    assert lab.ask()["mode"] == Mode.ARMED
-    np.testing.assert_allclose(lab.outputs[-1]["sent"], lab.told.joint_pos, atol=1e-9)
+    assert lab.request_arm()["mode"] == Mode.ARMED
+    np.testing.assert_allclose(lab.outputs[-1]["sent"], lab.last_inputs.joint_pos, atol=1e-9)
 
 
 def test_a_far_first_target_stops():
@@ -201,7 +188,7 @@ def fastest_in_swings(lab: Lab, num_swings: int = 20) -> np.ndarray:
         if (lab.outputs[-1]["mode"] == Mode.STOPPED).any():
             lab.run(STOP_TIME)
             lab.target = lab.joint_pos.copy()
-            lab.ask()
+            lab.request_arm()
             lab.run(LIMITS.ramp_time + 0.05)
     return fastest[:, :6]
 

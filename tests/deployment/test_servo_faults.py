@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from servo_rows import HOME, LIMITS
-from servo_stage import Cut, Stage, wait
-from wire_lab import frozen, twice, without_elbow
+from wire_lab import Cut, Stage, frozen, twice, wait, without_elbow
 
 from pixel2catch.ros2 import messages
 from pixel2catch.servo.limits import STOP_TIME
@@ -32,7 +31,7 @@ def sends(name: str, data: bytes) -> Callable[[Stage], None]:
     def say(stage: Stage) -> None:
         profile = stage.lab.profile
         owner = profile.operator if hasattr(profile.operator, name) else profile.status
-        stage.lab.say(getattr(owner, name), data)
+        stage.lab.send(getattr(owner, name), data)
 
     return say
 
@@ -82,14 +81,14 @@ def switch_controllers(stage: Stage) -> None:
     """Another controller is active."""
     states = {"forward_position_controller": 2, "scaled_joint_trajectory_controller": messages.ACTIVE}
     (controller,) = [part.controller for part in stage.lab.profile.robots if part.controller]
-    stage.lab.say(controller.activity, messages.activity(states, 0.0))
+    stage.lab.send(controller.activity, messages.activity(states, 0.0))
 
 
 def send_garbage(stage: Stage) -> None:
     """Bytes that are not a joint state, and one with fewer positions than names."""
     topic, lab = stage.lab.profile.robots[0].state_topic, stage.lab
-    lab.say(topic, b"\x00\x01\x00\x00garbage")
-    lab.say(topic, messages.joint_state(["elbow_joint", "wrist_1_joint"], [1.0], 1.0))
+    lab.send(topic, b"\x00\x01\x00\x00garbage")
+    lab.send(topic, messages.joint_state(["elbow_joint", "wrist_1_joint"], [1.0], 1.0))
     lab.silent.add("arm")
 
 
@@ -150,7 +149,7 @@ def test_repeated_and_older_joint_states_are_ignored(stage: Stage):
         for tick in range(60):
             for reading in (said[0], said[-1], said[-2], said[-30]) if tick % 2 else ():
                 state = messages.joint_state(reading.names, reading.position, reading.stamp)
-                lab.say(lab.profile.robots[0].state_topic, state)
+                lab.send(lab.profile.robots[0].state_topic, state)
             yield
         assert stage.mode == Mode.RUN
         raise Cut

@@ -1,4 +1,4 @@
-"""Nothing out of limits is ever commanded, whatever policy, robot, network and operator do."""
+"""No command exceeds a limit, for any inputs."""
 
 from copy import deepcopy
 from functools import cache
@@ -18,7 +18,7 @@ from pixel2catch.servo.tick import ServoCore, ServoState
 
 
 def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:
-    """What was seen in `num_rows * num_ticks` ticks of chaos."""
+    """Check `num_rows * num_ticks` ticks of random inputs."""
     core, state = ServoCore(LIMITS), ServoState.idle(num_rows, LIMITS)
     chaos, laws = Chaos(num_rows, LIMITS, seed), Laws(num_rows, LIMITS)
     for _ in range(num_ticks):
@@ -36,7 +36,7 @@ def check_that_everything_happened(laws: Laws) -> None:
     assert min(laws.reached.values()) > 0.99, laws.reached
     never_stops = {Fault.START_POSE, Fault.WORKSPACE, Fault.STILL_STOPPING, Fault.SWITCH_NOT_PRESSED}
     never_seen = {fault for fault, number in laws.stops_by.items() if number == 0}
-    slow = {Fault.JOINTS_FROZEN, Fault.JOINT_SPEED}  # they take long, and others are quicker
+    slow = {Fault.JOINTS_FROZEN, Fault.JOINT_SPEED}  # other faults are found earlier
     assert never_seen - slow == never_stops
     assert all(laws.refusals_by[fault] for fault in never_stops)
 
@@ -44,15 +44,15 @@ def check_that_everything_happened(laws: Laws) -> None:
 def watch(lab: Lab, laws: Laws, num_ticks: int, mishap: int | None = None) -> None:
     for _ in range(num_ticks):
         output = lab.tick(None if mishap is None else one(mishap))
-        laws.check(lab.told, output)
+        laws.check(lab.last_inputs, output)
 
 
 @cache
 def running() -> tuple[Lab, Laws]:
     lab, laws = Lab(), Laws(1, LIMITS)
     watch(lab, laws, 1)
-    output = lab.ask()
-    laws.check(lab.told, output)
+    output = lab.request_arm()
+    laws.check(lab.last_inputs, output)
     watch(lab, laws, 80)
     return lab, laws
 
@@ -68,15 +68,15 @@ def running() -> tuple[Lab, Laws]:
         max_size=4,
     )
 )
-def test_no_law_is_broken_by_any_story(story: list[tuple[int | None, list[float], int]]):
-    """Chapters of some ticks, each with its own targets and a mishap or none; then the operator goes on."""
+def test_no_sequence_of_faults_breaks_a_law(story: list[tuple[int | None, list[float], int]]):
+    """Some ticks each with own targets and at most one fault; then the robot can be armed again."""
     lab, laws = deepcopy(running())
     for mishap, target, num_ticks in story:
         lab.target = np.array([target])
         watch(lab, laws, num_ticks, mishap)
     lab.target = lab.joint_pos.copy()
     watch(lab, laws, 230)
-    assert lab.ask()["mode"] in (Mode.ARMED, Mode.RUN)
+    assert lab.request_arm()["mode"] in (Mode.ARMED, Mode.RUN)
 
 
 def test_no_law_is_broken_in_two_hundred_thousand_ticks():

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from servo_rows import HOME, LIMITS
-from servo_stage import Cut, Stage, wait
-from wire_lab import shuffled
+from wire_lab import Cut, Stage, shuffled, wait
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
@@ -102,7 +101,7 @@ def test_a_robot_of_unknown_status_is_not_armed(stage: Stage):
 
     def script() -> Iterator[None]:
         yield from wait(11)
-        stage.lab.ask_to_arm()
+        stage.lab.request_arm()
         yield from wait(5)
 
     stage.play(script())
@@ -116,7 +115,7 @@ def test_the_end_of_the_control_loop_stops_the_robot_and_ends_the_servo(stage: S
         yield from stage.armed(60)
         stage.lab.target = HOME + 0.1
         yield from wait(30)
-        stage.lab.silent.add("brain")
+        stage.lab.silent.add("control loop")
         stage.lab.loop.close()
         while True:
             yield
@@ -171,12 +170,12 @@ def test_the_operator_stops_and_arms_again(stage: Stage):
     def script() -> Iterator[None]:
         yield from stage.armed(80)
         assert stage.mode == Mode.RUN
-        lab.say(lab.profile.operator.stop, messages.boolean(True))
+        lab.send(lab.profile.operator.stop, messages.boolean(True))
         yield from wait(2)
         assert stage.mode == Mode.STOPPED
         lab.target = lab.joint_pos.copy()
         yield from wait(STOP_TICKS + 20)
-        lab.ask_to_arm()
+        lab.request_arm()
         yield from wait(2)
         assert stage.mode == Mode.STOPPED
         assert stage.refused == ("switch not pressed",)
@@ -197,7 +196,7 @@ def test_a_request_to_stop_counts_among_many_other_messages(stage: Stage):
 
     def script() -> Iterator[None]:
         yield from stage.armed(80)
-        lab.say(stop, messages.boolean(True))
+        lab.send(stop, messages.boolean(True))
         for _ in range(DEPTH):
             other.publish(messages.boolean(False))
         yield from wait(2)
@@ -218,9 +217,9 @@ def test_an_endless_request_to_arm_counts_once(stage: Stage):
     def script() -> Iterator[None]:
         yield from stage.armed(80)
         for tick in range(STOP_TICKS + 2 * ARM_TICKS):
-            lab.ask_to_arm()
+            lab.request_arm()
             if tick == 10:
-                lab.say(lab.profile.operator.stop, messages.boolean(True))
+                lab.send(lab.profile.operator.stop, messages.boolean(True))
             lab.is_held = not 20 < tick < 60
             yield
         raise Cut

@@ -59,7 +59,7 @@ class RealTimeLab:
 
         def has_come() -> bool:
             if self.is_in(Mode.IDLE) and self.lab.clock.now() > asked[-1] + 2.0 * STOP_TIME:
-                self.lab.ask_to_arm()  # again, if a status was not received in time
+                self.lab.request_arm()  # again, if a status was not received in time
                 asked.append(self.lab.clock.now())
             return holds()
 

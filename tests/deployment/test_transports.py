@@ -1,6 +1,5 @@
 """Laws of all transports: memory, DDS and rclpy."""
 
-import gc
 import threading
 import time
 from collections.abc import Callable
@@ -144,15 +143,6 @@ def test_endpoints_of_others_are_listed(make: MakeNode):
     wait_until(lambda: found() == {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)})
     other.close()
     wait_until(lambda: not found())
-
-
-def test_a_publisher_lives_as_long_as_its_node(make: MakeNode):
-    sender, receiver = make("sender"), make("receiver")
-    sender.publisher(MODE).publish(messages.safety_mode(1))
-    gc.collect()
-    wait_until(lambda: receiver.num_other_publishers(MODE) == 1)
-    subscription = receiver.subscription(MODE)
-    assert messages.read_safety_mode(wait_for(receiver, subscription)) == 1
 
 
 def test_waiting_ends_when_a_message_arrives(make: MakeNode):

@@ -1,7 +1,7 @@
 """Where the robot may be, against MuJoCo's own kinematics and collisions."""
 
 from dataclasses import replace
-from math import pi, radians
+from math import pi
 
 import mujoco
 import numpy as np
@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
-from pixel2catch.robots.workcell import TableSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, are_apart, contains, distance, link_frames
 from pixel2catch.workcells import find_workcell
@@ -55,13 +54,12 @@ def test_the_last_frame_is_the_palm_of_training():
     np.testing.assert_allclose(frames_of(arm_pos)[:, -1, :, 3], palm_pos.numpy(), atol=1e-12)
 
 
-@pytest.mark.parametrize("workcell", ["ur5e_allegro", "ur5e_allegro_right"])
-def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
-    model, data = model_of(workcell)
+def test_the_box_of_the_hand_contains_all_finger_positions():
+    model, data = model_of("ur5e_allegro")
     parts = ("wrist_3", "palm", *FINGERS)
     geoms = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name.startswith(parts)]
     random = np.random.default_rng(2)
-    for number in range(400):
+    for number in range(200):
         pose = random.uniform(LOWER, UPPER)
         ends = np.where(random.random(len(JOINTS)) < 0.5, LOWER, UPPER)
         put(model, data, ends if number % 2 else pose)
@@ -73,11 +71,11 @@ def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
             assert (middle + half <= np.array(PALM.upper)).all()
 
 
-HANDS = ("ur5e_allegro", "ur5e_allegro_right", "ur5e_leap")
+HANDS = ("ur5e_allegro_right", "ur5e_leap")
 
 
 def geoms_of(model: mujoco.MjModel, *bodies: str, with_children: bool = True) -> list[int]:
-    """What collides of bodies, and of those that they carry."""
+    """Return the collision geoms of bodies, with those of their children."""
     found = {model.body(name).id for name in bodies}
     for child in range(min(found), model.nbody if with_children else 0):
         found |= {child} if model.body_parentid[child] in found else set()
@@ -85,8 +83,8 @@ def geoms_of(model: mujoco.MjModel, *bodies: str, with_children: bool = True) ->
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_the_closer_boxes_hold_the_hand_alone(name: str):
-    """All points of its parts, but for a share of the clearance."""
+def test_the_small_boxes_contain_the_hand(name: str):
+    """All points of its parts, up to 30 % of the clearance."""
     model, data = model_of(name)
     workcell = find_workcell(name)
     palm = workcell.palms[0].spec
@@ -94,7 +92,7 @@ def test_the_closer_boxes_hold_the_hand_alone(name: str):
     boxes = np.array(palm.hand)
     grid = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 3)] * 3), axis=-1).reshape(-1, 3)
     random = np.random.default_rng(6)
-    for number in range(300):
+    for number in range(150):
         pose = random.uniform(lower, upper)
         put(model, data, np.where(random.random(len(pose)) < 0.5, lower, upper) if number % 2 else pose)
         axes, origin = data.body(palm.body).xmat.reshape(3, 3), data.body(palm.body).xpos
@@ -114,25 +112,25 @@ ANYWHERE = {"lower": (-9.0, -9.0, -9.0), "upper": (9.0, 9.0, 9.0), "clearance": 
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_no_pose_inside_has_the_hand_at_its_own_arm(name: str):
-    """By MuJoCo's own distances, in poses anywhere; of those about the start pose nearly all are inside."""
+def test_no_pose_inside_has_the_hand_near_its_own_arm(name: str):
+    """By MuJoCo's distances in any pose; nearly all poses near the start pose are inside."""
     model, data = model_of(name)
     workcell = find_workcell(name)
     joints = workcell.joints
     lower, upper, home = np.array([(joint.lower, joint.upper, joint.home) for joint in joints]).T
     random = np.random.default_rng(7)
-    poses = random.uniform(lower, upper, (1200, len(joints)))
-    about = home[:6] + random.uniform(-0.5, 0.5, (1200, 6))
-    poses[600:, :6] = about[600:].clip(lower[:6], upper[:6])
+    poses = random.uniform(lower, upper, (800, len(joints)))
+    about = home[:6] + random.uniform(-0.5, 0.5, (800, 6))
+    poses[400:, :6] = about[400:].clip(lower[:6], upper[:6])
     is_inside = contains(Workspace(workcell=workcell, **ANYWHERE), poses[:, :6])
     is_free = np.array([own_distance(model, data, pose) > 0.0 for pose in poses])
     assert not (is_inside & ~is_free).any()
-    assert (~is_free[:600]).sum() > 20
-    assert is_inside[600:][is_free[600:]].mean() > (0.98 if len(workcell.palms[0].spec.hand) == 1 else 0.9)
+    assert (~is_free[:400]).sum() > 20
+    assert is_inside[400:][is_free[400:]].mean() > (0.98 if len(workcell.palms[0].spec.hand) == 1 else 0.9)
 
 
-def test_the_distance_of_a_way_from_a_box():
-    """Never more than that of its nearest of 4,000 points, and at most 0.1 % of the way less."""
+def test_the_distance_of_a_segment_from_a_box():
+    """At most that of the nearest of 4,000 points, and at least 0.1 % of the length less."""
     random = np.random.default_rng(8)
     start, end = random.uniform(-1.0, 1.0, (2, 3, 200))
     upper = random.uniform(0.05, 0.4, (3, 200))
@@ -154,7 +152,7 @@ def own_distance(model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray) -
 
 
 def test_no_pose_inside_touches_the_table():
-    """Poses about the table's height, by MuJoCo's collisions; some of those outside do touch it."""
+    """By MuJoCo's collisions near the height of the table; some poses outside touch it."""
     model, data = model_of("ur5e_allegro")
     table = model.geom("table").id
     random = np.random.default_rng(3)
@@ -178,7 +176,7 @@ def _moves(model: mujoco.MjModel, contact: mujoco.MjContact) -> bool:
 
 
 def test_walls_by_hand():
-    """At the start pose the palm is at (0.434, 0.133, 1.391); a wall beyond it is one too near."""
+    """At the start pose the palm is at (0.434, 0.133, 1.391): no wall may be there."""
     assert contains(Workspace(workcell=UR5E_ALLEGRO), HOME).all()
     lower, upper = (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)
     assert contains(Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=upper), HOME).all()
@@ -188,24 +186,8 @@ def test_walls_by_hand():
             assert not contains(workspace, HOME).any()
 
 
-@pytest.mark.parametrize(("height", "is_inside"), [(1.23, True), (1.36, False)])
-def test_a_table_under_the_elbow_by_hand(height: float, is_inside: bool):
-    """At the start pose the elbow is at (-0.131, 0, 1.388), with tubes of up to 5.5 cm about it."""
-    table = TableSpec(center=(-0.131, 0.0, height), size=(0.02, 0.02), thickness=0.04)
-    assert contains(Workspace(workcell=replace(UR5E_ALLEGRO, table=table)), HOME).all() == is_inside
-
-
-def test_the_side_of_the_table_is_one():
-    """Beside the table the hand may be lower than its top, over it not."""
-    low = np.array([[pi, radians(-20.0), radians(60.0), pi, -pi / 2, pi]])
-    workspace = Workspace(workcell=UR5E_ALLEGRO, lower=(-2.0, -2.0, -2.0))
-    assert contains(workspace, low).all()
-    wider = replace(UR5E_ALLEGRO.table, size=(3.0, 3.0))
-    assert not contains(replace(workspace, workcell=replace(UR5E_ALLEGRO, table=wider)), low).any()
-
-
-def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both():
-    """Judged by a linear program: a point within the table's six planes and the box's."""
+def test_hand_and_table_are_apart_if_no_point_is_in_both():
+    """By a linear program: a point inside the six planes of table and box."""
     workspace, random = Workspace(workcell=UR5E_ALLEGRO), np.random.default_rng(5)
     middle = random.uniform((-0.7, -0.7, 0.6), (0.7, 0.7, 1.2), (300, 3))
     rotation = Rotation.random(300, rng=random).as_matrix()
@@ -227,8 +209,8 @@ def _with(corner: tuple[float, float, float], axis: int, value: float) -> tuple[
     return (values[0], values[1], values[2])
 
 
-def test_what_costs_in_training_is_what_the_servo_holds_back():
-    """Training looks at points and corners alone: it sees no intrusion that is none, and most that are."""
+def test_the_penalty_of_training_agrees_with_the_workspace():
+    """Training checks points and corners only: it finds most intrusions, and no others."""
     random = np.random.default_rng(4)
     arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
     joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()

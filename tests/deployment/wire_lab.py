@@ -1,22 +1,26 @@
-"""A laboratory on the wire, with a servo that runs against it in time that does not pass by itself."""
+"""Drivers, operator and control loop as messages in memory, and a servo with a stepped clock."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from itertools import groupby, repeat
 from typing import Any
 
 import numpy as np
 from servo_rows import HOME, LIMITS
 
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import Profile, RobotPart
 from pixel2catch.ros2.transport import Clock, Topic, Transport
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import Command, JointTargets, LoopEnd
+from pixel2catch.servo.link import Command, Fault, JointTargets, LoopEnd, Mode, ServoEnd, flag_names
+from pixel2catch.servo.process import Servo, ServoSetup
 
 
 class WireLab:
-    """Drivers, operator and control loop; `step` lets them all speak once. What is in `silent` says nothing.
+    """Drivers, operator and control loop; `step` sends all messages of 2 ms, except of what is in `silent`.
 
     The joints follow the commands with the lag of their servos. `change` distorts an outgoing joint state.
     """
@@ -33,7 +37,9 @@ class WireLab:
         self._controllers = [part.controller for part in profile.robots if part.controller]
         self.topics = [*self._topics()]
         self._publishers = {topic.name: transport.publisher(topic) for topic in self.topics}
-        self._heard = {part.name: transport.subscription(part.command_topic, 50) for part in profile.robots}
+        self._commanded = {
+            part.name: transport.subscription(part.command_topic, 50) for part in profile.robots
+        }
 
     def _topics(self) -> Iterator[Topic]:
         status, operator = self.profile.status, self.profile.operator
@@ -43,34 +49,34 @@ class WireLab:
         yield from (topic for topic in watched if topic)
         yield from (operator.arm, operator.dead_man, operator.stop)
 
-    def say(self, topic: Topic | None, data: bytes) -> None:
+    def send(self, topic: Topic | None, data: bytes) -> None:
         """Publish a message of a topic, if the profile has it."""
         if topic is not None and topic.name not in self.silent:
             self._publishers[topic.name].publish(data)
 
-    def ask_to_arm(self) -> None:
-        self.say(self.profile.operator.arm, messages.boolean(True))
+    def request_arm(self) -> None:
+        self.send(self.profile.operator.arm, messages.boolean(True))
 
-    def _say_status(self) -> None:
+    def _send_status(self) -> None:
         status = self.profile.status
-        self.say(status.safety_mode, messages.safety_mode(1))
-        self.say(status.robot_mode, messages.robot_mode(7))
-        self.say(status.program_running, messages.boolean(True))
+        self.send(status.safety_mode, messages.safety_mode(1))
+        self.send(status.robot_mode, messages.robot_mode(7))
+        self.send(status.program_running, messages.boolean(True))
         for each in self._controllers:
-            self.say(each.activity, messages.activity({each.name: messages.ACTIVE, "other": 1}, 0.0))
+            self.send(each.activity, messages.activity({each.name: messages.ACTIVE, "other": 1}, 0.0))
 
     def step(self) -> None:
-        """Let 2 ms pass in the laboratory."""
+        """Move the joints, and send and read messages."""
         self._move()
         if self._tick == 0:
-            self._say_status()
+            self._send_status()
         for part in self.profile.robots:
             if part.name not in self.silent:
-                self._say_joints(part)
-        self.say(self.profile.status.speed_scaling, messages.number(self.speed))
+                self._send_joints(part)
+        self.send(self.profile.status.speed_scaling, messages.number(self.speed))
         if self._tick % 25 == 0:
-            self.say(self.profile.operator.dead_man, messages.boolean(self.is_held))
-        if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "brain" not in self.silent:
+            self.send(self.profile.operator.dead_man, messages.boolean(self.is_held))
+        if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "control loop" not in self.silent:
             now = self.clock.now()
             image_stamp = now - self.image_age
             self.loop.send(
@@ -84,18 +90,18 @@ class WireLab:
         self.ticks += self.loop.receive()
         self._tick += 1
 
-    def _say_joints(self, part: RobotPart) -> None:
+    def _send_joints(self, part: RobotPart) -> None:
         names = [theirs.name_in_state for theirs in part.joints.values()]
         reading = messages.JointReading(
             names=tuple(names), position=self.joint_pos[part.ids], stamp=self.clock.stamp()
         )
         reading = self.change(reading)
-        self.say(part.state_topic, messages.joint_state(reading.names, reading.position, reading.stamp))
+        self.send(part.state_topic, messages.joint_state(reading.names, reading.position, reading.stamp))
 
     def _move(self) -> None:
-        """The drivers follow the newest commands, which they have in an order of their own."""
+        """Move the joints towards the newest commands, which have the order of the driver."""
         for part in self.profile.robots:
-            for message in self._heard[part.name].take():
+            for message in self._commanded[part.name].take():
                 is_array = part.command_topic.type == messages.FLOAT_ARRAY
                 read = messages.read_float_array if is_array else _positions
                 self.commands[part.name].append(read(message.data))
@@ -112,7 +118,7 @@ def _positions(data: bytes) -> np.ndarray:
 
 
 def shuffled(reading: messages.JointReading) -> messages.JointReading:
-    """The same in another order, with a joint that nobody knows in front."""
+    """Return another order, with an unknown joint in front."""
     order = np.random.default_rng(len(reading.names)).permutation(len(reading.names))
     return replace(
         reading,
@@ -122,7 +128,7 @@ def shuffled(reading: messages.JointReading) -> messages.JointReading:
 
 
 def without_elbow(reading: messages.JointReading) -> messages.JointReading:
-    """The same without the elbow, if it has one."""
+    """Remove the elbow, if there is one."""
     places = [place for place, name in enumerate(reading.names) if name != "elbow_joint"]
     return replace(
         reading, names=tuple(reading.names[place] for place in places), position=reading.position[places]
@@ -130,7 +136,7 @@ def without_elbow(reading: messages.JointReading) -> messages.JointReading:
 
 
 def twice(reading: messages.JointReading) -> messages.JointReading:
-    """The same with its first joint once more."""
+    """Repeat the first joint."""
     return replace(
         reading,
         names=(*reading.names, reading.names[0]),
@@ -139,5 +145,94 @@ def twice(reading: messages.JointReading) -> messages.JointReading:
 
 
 def frozen(reading: messages.JointReading) -> messages.JointReading:
-    """The same with a stamp that stands still."""
+    """Return a constant stamp."""
     return replace(reading, stamp=5.0)
+
+
+class ClockOfScript(Clock):
+    """A clock that is stepped by the servo's sleep, which also steps laboratory and script."""
+
+    def __init__(self) -> None:
+        self.time = 1000.0
+        self.script: Iterator[None] = iter(())
+        self.sleep: Callable[[], None] = lambda: None
+
+    def now(self) -> float:
+        return self.time
+
+    def stamp(self) -> float:
+        return 1.7e9 + self.time
+
+    def sleep_until(self, moment: float) -> None:
+        self.time = moment
+        self.sleep()
+
+
+class Cut(Exception):  # noqa: N818
+    """The end of a test in the middle of a run."""
+
+
+class Stage:
+    """A servo and a laboratory in memory; `play` runs both, with a script of changes."""
+
+    def __init__(self, profile: Profile, ends: tuple[LoopEnd, ServoEnd], is_dry_run: bool = False) -> None:
+        self.clock, self.broker = ClockOfScript(), Broker()
+        loop, end = ends
+        setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
+        self.node = self.broker.node(self.clock)
+        self.servo = Servo(end, self.node, setup, self.clock)
+        self.laboratory = self.broker.node(self.clock)
+        self.lab = WireLab(self.laboratory, loop, profile, self.clock)
+
+    def play(self, script: Iterator[None]) -> None:
+        """Run until the script has ended and the robot was stopped."""
+
+        def sleep() -> None:
+            self.lab.step()
+            if next(script, Cut) is Cut:
+                self.servo.end()
+
+        self.clock.sleep = sleep
+        with suppress(Cut):
+            self.servo.run()
+        self.lab.step()
+
+    def armed(self, num_ticks: int = 5) -> Iterator[None]:
+        """Wait for all status messages, and arm."""
+        yield from wait(11)
+        self.lab.request_arm()
+        yield from wait(num_ticks)
+        assert self.mode in (Mode.ARMED, Mode.RAMP, Mode.RUN)
+
+    def pressed_anew(self) -> Iterator[None]:
+        """Release the switch, and press it again."""
+        for is_held in (False, True):
+            self.lab.is_held = is_held
+            yield from wait(26)
+
+    @property
+    def mode(self) -> int:
+        return self.lab.ticks[-1].mode
+
+    @property
+    def modes(self) -> list[int]:
+        """Return the modes in order."""
+        return [mode for mode, _ in groupby(command.mode for command in self.lab.ticks)]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Return the faults of the last refused request to arm."""
+        return next(
+            tuple(flag_names(Fault, each.refused)) for each in reversed(self.lab.ticks) if each.refused
+        )
+
+    @property
+    def stopped_by(self) -> tuple[str, ...]:
+        """Return the faults of the first stop."""
+        return next(
+            tuple(flag_names(Fault, each.stopped_by)) for each in self.lab.ticks if each.mode == Mode.STOPPED
+        )
+
+
+def wait(num_ticks: int) -> Iterator[None]:
+    return repeat(None, num_ticks)

@@ -15,14 +15,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
 from pixel2catch.arrays import read_table
-from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison import ComparisonFolder
-from pixel2catch.evaluation.curves import COLUMNS, read_metrics
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import as_json, json_text
 from pixel2catch.identification.importers import read_rosbag
-from pixel2catch.identification.recording import Recording, Trajectory, joints_of
+from pixel2catch.identification.recording import Recording, joints_of
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import read_run
@@ -48,13 +46,6 @@ HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints[:6]])
 EPOCH = 1_790_000_000 * 10**9
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 
-LENS = """image_width: 640
-image_height: 480
-distortion_model: plumb_bob
-camera_matrix: {rows: 3, cols: 3, data: [618.1, 0.0, 320.0, 0.0, 618.1, 240.0, 0.0, 0.0, 1.0]}
-distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.0, 0.0, 0.0]}
-projection_matrix: {rows: 3, cols: 4, data: [618.1, 0.0, 320.0, 0.0, 0.0, 618.1, 240.0, 0.0, 0.0, 0.0, 1, 0]}
-"""
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "".join(
     f"f {face}\n" for face in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
@@ -90,7 +81,7 @@ def _policy(folder: Path) -> Path:
 
 
 def _read_described(file: Path) -> None:
-    """A policy whose two files say the same, whatever it is."""
+    """Read a policy, after copying its description into its weights."""
     text, weights = file.read_bytes(), file.with_name("policy.safetensors")
     whole = weights.read_bytes()
     size = int.from_bytes(whole[:8], "little")
@@ -130,21 +121,15 @@ def _recording(folder: Path) -> Path:
     return folder / "motion.npz"
 
 
-def _trajectory(folder: Path) -> Path:
-    times = np.arange(0.0, 3.0, 0.05)
-    Trajectory(joints=ARM, times=times, positions=np.tile(HOME, (len(times), 1))).save(folder / "path.npz")
-    return folder / "path.npz"
-
-
 def _table(folder: Path) -> Path:
     rows = "\n".join(f"view_{i}.png," + ",".join(map(str, HOME)) for i in range(20))
     (folder / "views.csv").write_text(f"image,{','.join(ARM)}\n{rows}\n")
     return folder / "views.csv"
 
 
-def _bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+def _bag(folder: Path) -> Path:
     path = folder / "bag"
-    with Writer(path, version=9, storage_plugin=storage) as bag:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics = {
             "/joint_states": messages.JOINT_STATE,
             "/command": messages.FLOAT_ARRAY,
@@ -164,12 +149,8 @@ def _bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
     return next(path.glob("bag.*"))
 
 
-def _sqlite(folder: Path) -> Path:
-    return _bag(folder, StoragePlugin.SQLITE3)
-
-
 def _read_bag(file: Path) -> None:
-    """As `identify`, `track` and `calibrate` do."""
+    """Read a bag as `identify`, `track` and `calibrate` do."""
     from pixel2catch.errors import Pixel2CatchError
 
     path, errors = file if file.suffix != ".yaml" else file.parent, []
@@ -186,25 +167,19 @@ def _read_bag(file: Path) -> None:
         raise errors[0]
 
 
-def _image(suffix: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        cv2.imwrite(str(folder / f"image{suffix}"), PIXELS)
-        return folder / f"image{suffix}"
-
-    return write
+def _png(folder: Path) -> Path:
+    cv2.imwrite(str(folder / "image.png"), PIXELS)
+    return folder / "image.png"
 
 
-def _video(suffix: str, codec: str, pixels: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        with av.open(folder / f"video{suffix}", "w") as container:
-            stream = container.add_stream(codec, rate=30)
-            stream.width, stream.height, stream.pix_fmt = 64, 48, pixels  # type: ignore[attr-defined]
-            for _ in range(4):
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(PIXELS, format="rgb24")))  # type: ignore
-            container.mux(stream.encode())  # type: ignore[attr-defined]
-        return folder / f"video{suffix}"
-
-    return write
+def _mp4(folder: Path) -> Path:
+    with av.open(folder / "video.mp4", "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"  # type: ignore[attr-defined]
+        for _ in range(4):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(PIXELS, format="rgb24")))  # type: ignore
+        container.mux(stream.encode())  # type: ignore[attr-defined]
+    return folder / "video.mp4"
 
 
 def _text(name: str, content: str) -> Callable[[Path], Path]:
@@ -230,13 +205,6 @@ def _dynamics(folder: Path) -> Path:
     return folder / "dynamics.json"
 
 
-def _camera(folder: Path) -> Path:
-    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=0.01).save(
-        folder / "camera.json"
-    )
-    return folder / "camera.json"
-
-
 def _labels(folder: Path) -> Path:
     boxes = ((1.0, 2.0, 3.0, 4.0), None)
     images = tuple(Label(image=i, time=0.1 * i, phase="held", box=box) for i, box in enumerate(boxes))
@@ -254,7 +222,6 @@ def _run(folder: Path) -> Path:
 
 PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
 
-METRICS = ",".join(COLUMNS) + "\n" + 3 * (",".join(["0.5"] * len(COLUMNS)) + "\n")
 MODEL = Path(UR5E.mjcf).read_text()
 
 KINDS = {
@@ -262,24 +229,14 @@ KINDS = {
     "weights": Kind(write=_weights, read=lambda file: load_policy(file.parent)),
     "onnx": Kind(write=_onnx, read=load_policy),
     "dynamics": Kind(write=_dynamics, read=DynamicsFile.load, change=changed_json),
-    "camera": Kind(write=_camera, read=CameraFile.load, change=changed_json),
     "labels": Kind(write=_labels, read=Labels.load, change=changed_json),
     "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
     "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
-    "trajectory": Kind(write=_trajectory, read=Trajectory.load, change=changed_npz),
     "table": Kind(write=_table, read=lambda file: read_table(file).columns(ARM), change=changed_csv),
     "mcap": Kind(write=_bag, read=_read_bag),
-    "sqlite": Kind(write=_sqlite, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
-    "lens": Kind(
-        write=_text("ost.yaml", LENS), read=lambda f: read_intrinsics(f, CharucoBoard()), change=changed_yaml
-    ),
-    "png": Kind(write=_image(".png"), read=read_image),
-    "jpeg": Kind(write=_image(".jpg"), read=read_image),
-    "mp4": Kind(
-        write=_video(".mp4", "libx264", "yuv420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
-    ),
-    "metrics": Kind(write=_text("metrics.csv", METRICS), read=read_metrics, change=changed_csv),
+    "png": Kind(write=_png, read=read_image),
+    "mp4": Kind(write=_mp4, read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]),
     "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
     "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
