@@ -77,7 +77,7 @@ def test_step_response_of_the_filter_is_the_analytic_one():
 
 
 @pytest.mark.parametrize("dynamics", [DIRECT, FILTERED], ids=["direct", "filtered"])
-def test_reset_forgets_only_where_it_is_asked_to(dynamics):
+def test_reset_changes_masked_environments_only(dynamics):
     path, untouched = make(dynamics, 2), make(dynamics, 2)
     mask, place = torch.tensor((True, False)), torch.full((2, 2), 0.4, dtype=torch.float64)
     commands = torch.tensor(ramps()[1:14])

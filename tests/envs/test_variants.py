@@ -145,7 +145,7 @@ def test_files_of_robot_and_camera_are_those_of_all_variants():
     assert task.scene.camera == camera.camera
 
 
-def test_what_is_told_by_hand():
+def test_drawn_parameters_by_hand():
     """Of a nominal episode after 9 steps: mass, restitution, friction, latency, delay, then how far it is."""
     episode = draw(PLAIN, 2)
     hover = torch.tensor([14, 5])
@@ -158,7 +158,7 @@ def test_what_is_told_by_hand():
     assert torch.equal(told[:, -3:], episode.throw.aim)
 
 
-def test_only_values_that_are_told_know_the_draws():
+def test_value_networks_see_the_draws_where_the_task_says_so():
     """State: observations, what is told, 21 numbers of the truth; the same size in every step and episode."""
     method, sizes = find_method("catch+age"), []
     for value_sees_parameters in (False, True):

@@ -213,7 +213,7 @@ class FillingEnv(ReachingEnv):
         return super().step(actions)
 
 
-def test_a_value_network_that_is_lost_is_said_once(
+def test_one_warning_of_a_value_network_that_does_not_learn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A constant has a loss of 2, the default scale: 60 updates above, one below, 250 above."""

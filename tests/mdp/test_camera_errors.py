@@ -34,7 +34,7 @@ def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[CameraErrors, Throw
     return sample_camera_errors(cfg, throw, generator), throw
 
 
-def test_a_sight_is_exact_where_nothing_is_wrong():
+def test_a_camera_without_errors_is_exact():
     assert is_camera_exact(SensingCfg())
     assert is_camera_exact(SensingCfg(camera=ELSEWHERE, corner_noise=9.0, edge_noise=2.0, box_scale=1.2))
 
@@ -48,7 +48,7 @@ def test_a_sight_is_exact_where_nothing_is_wrong():
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_a_sight_with_any_error_is_not_exact(changes):
+def test_a_camera_with_any_error_is_not_exact(changes):
     assert not is_camera_exact(SensingCfg(**changes))
 
 
@@ -66,7 +66,7 @@ def test_a_calibrated_camera_is_drawn_as_well_as_it_is_known():
         assert (focal_length / spec.fy).std().item() == pytest.approx(spread, rel=0.06, abs=1e-5)
 
 
-def test_a_misplaced_camera_is_as_far_away_as_said_in_every_direction():
+def test_camera_offset_has_its_length_in_every_direction():
     sight, _ = draw(SensingCfg(camera_offset=0.02))
     offset = sight.camera.center - nominal_projection(RGB_CAMERA, torch.zeros(1)).center
     torch.testing.assert_close(offset.norm(dim=-1), torch.full((NUM_ENVS,), 0.02), rtol=1e-4, atol=0)

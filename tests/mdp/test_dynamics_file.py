@@ -37,7 +37,7 @@ def test_file_keeps_every_value(tmp_path):
     assert content["gain_ranges"]["damping_scale"] == [[0.95, 1.05], [0.7, 1.3]]
 
 
-def test_a_file_that_is_worse_than_its_command_says_so(tmp_path):
+def test_loading_warns_of_joints_that_are_worse_than_their_command(tmp_path):
     file = DynamicsFile(dynamics=DYNAMICS, gains=GAINS, worse_than_command=("elbow_joint",))
     file.save(tmp_path / "dynamics.json")
     with pytest.warns(UserWarning, match="dynamics.json: of elbow_joint, the command alone predicts motion"):

@@ -14,14 +14,14 @@ from pixel2catch.policy import contract_of, method_of
     ("memory", "num_boxes", "terms"),
     [("age", 1, (box_age,)), ("boxes", 8, (box_track,)), ("fit", NUM_BOXES, (box_fit,))],
 )
-def test_what_is_remembered(memory: str, num_boxes: int, terms: tuple[object, ...]):
+def test_boxes_and_terms_of_each_memory(memory: str, num_boxes: int, terms: tuple[object, ...]):
     method = find_method(f"catch+{memory}")
     assert method.num_boxes == num_boxes
     assert all(agent.memory == terms for agent in method.agents)
 
 
 @pytest.mark.parametrize("name", ["without_pf", "object_position"])
-def test_who_sees_no_pixels_remembers_their_age_alone(name: str):
+def test_without_pixel_features_a_memory_is_the_age(name: str):
     method = find_method(f"{name}+fit")
     assert (method.name, method.num_boxes) == (f"{name}+fit", 1)
     assert all(agent.memory == (box_age,) for agent in method.agents)

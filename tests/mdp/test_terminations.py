@@ -6,7 +6,6 @@ import pytest
 import torch
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from snapshots import privileged, transition
 
 from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.terminations import (
@@ -19,6 +18,7 @@ from pixel2catch.mdp.terminations import (
     reach_of,
 )
 from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN
+from snapshots import privileged, transition
 
 
 @given(st.floats(0.0, 0.2), st.floats(-3.14, 3.14), st.floats(-1.57, 1.57))
@@ -75,13 +75,13 @@ def test_an_episode_ends_on_time_out_drop_and_success():
 
 
 @pytest.mark.parametrize("ends", [True, False])
-def test_an_episode_ends_when_robots_hit_each_other_where_that_is_asked_for(ends: bool):
+def test_robot_contact_ends_an_episode_if_configured(ends: bool):
     now = privileged(is_robot_contact=torch.tensor([False, True]))
     step = transition(now=now, held_steps=(0, 0), episode_steps=(3, 3))
     assert is_ended(step, EpisodeCfg(ends_on_robot_contact=ends)).tolist() == [False, ends]
 
 
-def test_a_hold_goes_on_after_a_success_for_as_long_as_is_asked_for():
+def test_an_episode_goes_on_for_rest_steps_after_a_success():
     assert is_ended(steps(), EpisodeCfg(rest_steps=30)).tolist() == [False, True, True, False]
     held = transition(now=privileged(object_pos=torch.ones(2, 3)), held_steps=(49, 50))
     assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True]

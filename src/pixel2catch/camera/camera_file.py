@@ -26,7 +26,7 @@ LENS_SIZES = (0, 4, 5, 8)
 LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
 LARGEST_VARIANCE = 100.0  #: Of a position [m²] and of an orientation [rad²]. Source: ours.
 
-NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
+NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose without errors.
 
 
 Covariance = Annotated[tuple[tuple[float, ...], ...], Within(-LARGEST_VARIANCE, LARGEST_VARIANCE)]

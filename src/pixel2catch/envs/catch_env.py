@@ -42,7 +42,7 @@ class Observation:
     """Inputs of the networks."""
 
     policy: dict[str, Float[Tensor, "num_envs _"]]  #: Observation of each agent, by name.
-    #: Input of every value network: all observations and what only the simulator knows.
+    #: Input of every value network: all observations, and values that only the simulator has.
     state: Float[Tensor, "num_envs _"]
     #: Observation of each agent of the imitated method; empty without one.
     teacher: dict[str, Float[Tensor, "num_envs _"]]
@@ -368,7 +368,7 @@ class CatchEnv:
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
-        told = (drawn_parameters(self._episode),) if self.cfg.value_sees_parameters else ()
+        drawn = (drawn_parameters(self._episode),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
-        state = torch.cat((*policy.values(), *told, truth), dim=-1)
+        state = torch.cat((*policy.values(), *drawn, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

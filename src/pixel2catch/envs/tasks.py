@@ -41,8 +41,8 @@ OUTSIDE_CAMERA = SensingCfg(
     stamp_jitter=(0.0, 0.004),
     unstamped=0.05,
 )
-"""A camera and a detector that were set up with care. Images are 20 to 143 ms old, known to 20 ms; perception
-of up to 85 ms uses one image in 1 to 2.6; boxes are exact to 5 px or better. Source: axes of the stress suite
+"""A carefully installed camera and detector. Images are 20 to 143 ms old, stamps exact to 20 ms. Perception
+of up to 85 ms uses one image in 1 to 2.6. Boxes are exact to 5 px or better. Source: axes of the stress suite
 without their highest levels, rehearsals in step."""
 
 GOOD_CAMERA = SensingCfg(latency_steps=(0.8, 2.0), latency_grid=0.0, noise_scale=(0.0, 1.0))

@@ -27,8 +27,8 @@ class GainRanges:
     #: (Source: paper, Table I).
     stiffness_scale: Factors = ()
     damping_scale: Factors = ()  #: Factor on its damping, drawn apart; likewise.
-    #: Whether the damping is multiplied by the factor on the stiffness as well, where their ratio is better
-    #: known than either; none is nowhere.
+    #: Whether the damping is also multiplied by the factor on the stiffness, where the fit determines their
+    #: ratio better than each of them. Empty: for no joint.
     is_damping_relative: tuple[bool, ...] = ()
 
     def of(self, workcell: WorkcellSpec) -> "GainRanges":

@@ -1,6 +1,6 @@
 """Reward terms: pure functions of a transition. Sign and size are in the agent's weights.
 
-Source: paper, Eq. 2-4, unless a term says otherwise.
+Source: paper, Eq. 2-4, unless a term has another source.
 """
 
 from collections.abc import Callable, Mapping

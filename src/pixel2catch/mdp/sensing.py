@@ -15,7 +15,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
 from pixel2catch.scene.constants import RGB_CAMERA
 
-RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, known exactly.
+RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, without errors.
 
 
 Pixels = Annotated[float, Within(0.0, 100.0)]  #: Largest error of an edge of a box [px].
@@ -39,7 +39,7 @@ class SensingCfg:
     #: `benchmarks/box_error.py`).
     least_visible: Share = 0.05
     #: The camera and its uncertainty: the true camera of each episode is drawn within that. Default: the
-    #: release's, known exactly.
+    #: release's, without errors.
     camera: CameraFile = RELEASE_CAMERA
     #: Distance of the true camera from that one, in a random direction [m]. The paper's training has neither
     #: this error nor those below (ours; values with sources: `envs.tasks`, `evaluation.stress.suite`).

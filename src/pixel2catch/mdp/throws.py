@@ -1,6 +1,6 @@
 """Throws: where the object hovers, and its flight, with or without air, also as seen from a shaking table.
 
-Source: release, unless a line says otherwise.
+Source: release, unless a line has another source.
 """
 
 from dataclasses import dataclass, replace

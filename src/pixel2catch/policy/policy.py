@@ -169,7 +169,7 @@ class Policy(nn.Module):
         with files.reading("policy", folder, fix, PolicyMismatchError):
             description, tensors = _read(folder)
             contract, hidden, recurrent = described(description)
-            with torch.device("meta"):  # the sizes are the file's: no memory before they are known to be true
+            with torch.device("meta"):  # sizes are checked before memory is allocated
                 policy = cls(contract, hidden, recurrent)
             _require_tensors(tensors, {name: tuple(each.shape) for name, each in policy.state_dict().items()})
             policy.load_state_dict(tensors, assign=True)
