@@ -17,32 +17,19 @@ from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import RealClock, Topic
 
-POLL = 0.002  #: How often an executor without messages looks for tasks [s].
+POLL = 0.002  #: Poll interval of an executor without messages [s].
 
 
 class Network:
-    """What the nodes of one test are on, and how long its messages were under way [ns]."""
+    """The nodes of one test, and the delay of their messages [ns]."""
 
     def __init__(self) -> None:
         self.broker, self.delay = Broker(), 0
         self.nodes: list[Node] = []
 
 
-class Destroyable:
-    """What rclpy refuses to use when it is gone, or not yet there."""
-
-    is_usable = True
-
-    def require_usable(self) -> None:
-        if not self.is_usable:
-            raise RuntimeError("cannot use Destroyable because destruction was requested")
-
-
-class Context(Destroyable):
+class Context:
     network: ClassVar[Network]
-    is_usable = False
-
-    def __init__(self) -> None: ...
 
 
 Durability = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
@@ -63,7 +50,7 @@ class QoSProfile:
 
 @dataclass
 class TopicEndpointInfo:
-    """What rclpy tells of a publisher or a subscription; it can tell more."""
+    """The used part of the description of a publisher or a subscription."""
 
     node_name: str
     topic_type: str
@@ -71,7 +58,7 @@ class TopicEndpointInfo:
     endpoint_gid: list[int]
 
 
-class Endpoint(Destroyable):
+class Endpoint:
     def __init__(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> None:
         self.topic, self._qos_profile = qos_profile.topic(msg_type, topic), qos_profile
 
@@ -81,14 +68,16 @@ class Endpoint(Destroyable):
 
 
 class Publisher(Endpoint):
+    is_usable = True
+
     def __init__(self, node: MemoryTransport, *described: Any) -> None:
         super().__init__(*described)
         self._publisher = node.publisher(self.topic)
 
     def publish(self, msg: bytes) -> None:
-        self.require_usable()
-        if not isinstance(msg, bytes):
-            raise TypeError(f"Expected a message, got {type(msg)}")
+        if not self.is_usable:
+            raise RuntimeError("cannot use Destroyable because destruction was requested")
+        assert isinstance(msg, bytes)
         self._publisher.publish(msg)
 
 
@@ -99,9 +88,7 @@ class Subscription(Endpoint):
     def __init__(self, node: MemoryTransport, callback: Any, *described: Any) -> None:
         super().__init__(*described)
         self._callback, self.messages = callback, node.subscription(self.topic, self._qos_profile._depth)
-        with pytest.raises(TypeError):
-            inspect.signature(callback).bind(object())  # else rclpy would not give it the message's info
-        inspect.signature(callback).bind(object(), object())
+        inspect.signature(callback).bind(object(), object())  # else rclpy gives no info of the message
 
     def spin(self, delay: int) -> None:
         for message in self.messages.take():
@@ -109,9 +96,8 @@ class Subscription(Endpoint):
             self._callback(message.data, info)
 
 
-class Node(Destroyable):
+class Node:
     def __init__(self, name: str, context: Context) -> None:
-        context.require_usable()
         self._name, self._network = name, context.network
         self._network.nodes.append(self)
         self.memory = self._network.broker.node(RealClock())
@@ -151,8 +137,8 @@ class Node(Destroyable):
 
     def destroy_node(self) -> None:
         self._network.nodes.remove(self)
-        for handle in (self, *self._publishers):
-            handle.is_usable = False
+        for publisher in self._publishers:
+            publisher.is_usable = False
         self.memory.close()
 
     def spin(self) -> None:
@@ -162,7 +148,6 @@ class Node(Destroyable):
 
 class SingleThreadedExecutor:
     def __init__(self, *, context: Context) -> None:
-        context.require_usable()
         self._nodes: list[Node] = []
         self._tasks: deque[Callable[[], Any]] = deque()
 
@@ -186,9 +171,9 @@ class SingleThreadedExecutor:
 
 
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
-    assert args == [], "else it reads those of the command line"
-    assert signal_handler_options is Signals["NO"], "a command has its own"
-    context.is_usable = True
+    assert args == [], "else rclpy reads the command line"
+    assert signal_handler_options is Signals["NO"], "commands have their own handlers"
+    del context
 
 
 def create_node(
@@ -199,7 +184,7 @@ def create_node(
 
 
 def try_shutdown(*, context: Context) -> None:
-    context.is_usable = False
+    del context
 
 
 def get_message(identifier: str) -> type:
@@ -229,7 +214,7 @@ NODE = "pixel2catch.ros2.rclpy_node"
 
 
 def install(patch: pytest.MonkeyPatch) -> Network:
-    """Let the package import rclpy, until the end of a test; its nodes are on a network of their own."""
+    """Install the stand-in as rclpy until the end of a test, with an own network."""
     for name, members in STAND_IN.items():
         module = ModuleType(name)
         vars(module).update(members)
