@@ -29,24 +29,8 @@ def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
     return Box(edges=(xmin, ymin, xmax + error, ymax), verdict=verdict, is_valid=True, age=0.0)
 
 
-SHOTS = [
-    shot(-0.1),
-    shot(0.0),
-    shot(0.1),
-    shot(0.2),
-    shot(0.3, num_pixels=0),
-    shot(0.4, palm_distance=0.2),
-    shot(0.5, palm_distance=0.9),
-]
-SEEN = [
-    seen(1.0),
-    seen(3.0),
-    seen(-5.0),
-    seen(9.0, Verdict.NOT_FOUND),
-    seen(2.0),
-    seen(6.0),
-    seen(4.0),
-]
+SHOTS = [*map(shot, (-0.1, 0.0, 0.1, 0.2)), shot(0.3, num_pixels=0), shot(0.4, 0.2), shot(0.5, 0.9)]
+SEEN = [*map(seen, (1.0, 3.0, -5.0)), seen(9.0, Verdict.NOT_FOUND), *map(seen, (2.0, 6.0, 4.0))]
 
 
 def test_a_throw_is_held_then_flies_then_stays_near_the_hand():
@@ -55,15 +39,8 @@ def test_a_throw_is_held_then_flies_then_stays_near_the_hand():
 
 
 def test_only_a_new_box_of_at_most_five_pixels_error_is_good():
-    assert [each.is_good for each in film_scores(SHOTS, SEEN)] == [
-        True,
-        True,
-        True,
-        False,
-        False,
-        False,
-        True,
-    ]
+    is_good = [each.is_good for each in film_scores(SHOTS, SEEN)]
+    assert is_good == [True, True, True, False, False, False, True]
 
 
 def test_rates_are_of_the_images_in_which_the_object_is_visible():

@@ -2,7 +2,6 @@
 
 import json
 import re
-import resource
 import shlex
 import signal
 from pathlib import Path
@@ -94,23 +93,6 @@ def test_who_ended_a_recording_too_early_is_said_and_it_fails(
     is_ended("a limit of time")
     monkeypatch.setattr(record, "in_words", lambda _: signal.raise_signal(signal.SIGTERM) or "")
     is_ended("SIGTERM")
-
-
-@pytest.mark.slow
-def test_a_recording_on_a_full_disk_is_said_and_fails(
-    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    swing(tmp_path / "swing.npz")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
-    try:
-        recorded = ("record", tmp_path / "swing.npz", "--out", tmp_path / "tape", "--lockstep", truth)
-        assert main([*map(str, recorded)]) == 2
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    said = capsys.readouterr().err
-    assert re.search(r"^running: .* lacks \d+ messages .*File too large", said, re.MULTILINE)
-    assert re.search(r"error: the recording lacks \d+ messages .*record anew", said)
 
 
 @pytest.mark.slow

@@ -9,10 +9,9 @@ import pytest
 
 from domains import own_domain
 from pixel2catch.cli.main import main
-from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.renderer import find_gl_backend
 
 
+@pytest.mark.usefixtures("opengl")
 def test_a_throw_is_rehearsed_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -20,21 +19,9 @@ def test_a_throw_is_rehearsed_and_reported(
 
     On a busy machine images are late, and the robot may be stopped before the throw: then that is said.
     """
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     out, recording = tmp_path / "rehearsal", tmp_path / "tape"
-    args = [
-        "rehearse",
-        "--throws",
-        "1",
-        "--clock",
-        "0.2",
-        "--seed",
-        "3",
-    ]
+    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3"]
     assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads((out / "report.json").read_text())
     assert "throws in" in capsys.readouterr().out

@@ -1,8 +1,8 @@
 """The whole deployment and its twin in step: all of it but processes, network and real time."""
 
 import json
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+import shlex
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,14 +31,7 @@ from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.rehearsal import run_trial
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
-from pixel2catch.twin.stepped import (
-    HOP,
-    RED_HUES,
-    Draw,
-    SteppedRehearsal,
-    plain_image,
-    rehearse_stepped,
-)
+from pixel2catch.twin.stepped import HOP, RED_HUES, SteppedRehearsal, plain_image, rehearse_stepped
 from pixel2catch.workcells import find_workcell
 
 POLICY = Policy.load(policy_folder(Path("proposed")))
@@ -54,18 +47,8 @@ def rehearsed(cfg: RehearsalCfg, policy: Policy = POLICY, task: CatchEnvCfg = TA
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rehearsal by the command, without graphics, and recorded."""
     out = tmp_path_factory.mktemp("lockstep")
-    args = [
-        "rehearse",
-        "--lockstep",
-        "--plain",
-        "--throws",
-        "1",
-        "--seed",
-        "3",
-        "--record",
-        str(out / "tape"),
-    ]
-    assert main([*args, "--out", str(out / "report")]) == 0
+    args = shlex.split("rehearse --lockstep --plain --throws 1 --seed 3 --record")
+    assert main([*args, str(out / "tape"), "--out", str(out / "report")]) == 0
     return out
 
 
@@ -148,9 +131,8 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("milliseconds", [10.0, 100.0])
-def test_a_rehearsal_with_slow_perception_can_be_repeated(milliseconds: float):
-    cfg = replace(SLOW, perception_ms=milliseconds)
+def test_a_rehearsal_with_slow_perception_can_be_repeated():
+    cfg = replace(SLOW, perception_ms=100.0)
     reports = [rehearsed(cfg, knowing_ages(POLICY)) for _ in range(2)]
     for report in reports:
         assert report["stops"] == {}
@@ -158,18 +140,10 @@ def test_a_rehearsal_with_slow_perception_can_be_repeated(milliseconds: float):
     assert reports[0] == reports[1]
 
 
-@pytest.mark.slow
-def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_them():
-    """At 10 ms boxes are as old as the younger ones of its training, in every step."""
-    report = rehearsed(replace(ONE, throws=10, seed=0), knowing_ages(POLICY))
-    assert report["success_rate"] >= 0.7
-
-
-@pytest.mark.parametrize("name", ["fr3_allegro", "two_ur5e_allegro"])
-def test_another_work_cell_is_rehearsed(name: str):
-    """With a policy that has learnt nothing: it is armed, runs, and the throw is judged."""
+def test_another_work_cell_is_rehearsed():
+    """With an untrained policy: the robots are armed, the policy runs, and the throw is judged."""
     torch.manual_seed(0)
-    workcell = find_workcell(name)
+    workcell = find_workcell("two_ur5e_allegro")
     policy = Policy(contract_of(find_method("proposed", workcell), workcell)).eval()
     report = rehearsed(replace(ONE, seed=0), policy, task_of(policy, physics_hz=120.0))
     (throw,) = report["throws"]
@@ -193,16 +167,6 @@ def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
     assert report["success_rate"] >= 34 / 40  # 94 % of 200; fewer than 34 of 40 in one case of 50
 
 
-@contextmanager
-def seen_by(draw: Draw) -> Iterator[SteppedRehearsal]:
-    """A rehearsal whose camera sees what is drawn."""
-    workcell = find_workcell(TASK.scene.workcell)
-    controller = PolicyController(POLICY, workcell, TASK.scene.camera)
-    pipeline = make_pipeline(controller, ColorThreshold(RED_HUES), Prompter(), TASK.scene.camera, None)
-    with closing(SteppedRehearsal(ONE, TASK, draw, pipeline, None)) as rehearsal:
-        yield rehearsal
-
-
 @pytest.mark.slow
 def test_an_image_that_freezes_in_the_flight_stops_the_robot():
     frozen = list[np.ndarray]()
@@ -212,6 +176,9 @@ def test_an_image_that_freezes_in_the_flight_stops_the_robot():
             frozen[:] = [plain_image(lab, exposure)]
         return frozen[0]
 
-    with seen_by(draw) as rehearsal:
+    workcell, camera = find_workcell(TASK.scene.workcell), TASK.scene.camera
+    controller = PolicyController(POLICY, workcell, camera)
+    pipeline = make_pipeline(controller, ColorThreshold(RED_HUES), Prompter(), camera, None)
+    with closing(SteppedRehearsal(ONE, TASK, draw, pipeline, None)) as rehearsal:
         outcome = run_trial(rehearsal.operator, 3)
     assert (outcome.stops, outcome.is_success) == (["perception unsound"], False)

@@ -1,6 +1,5 @@
 """The web page: what it shows is what is on the wire, and its buttons ask the twin."""
 
-import json
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -15,7 +14,6 @@ from domains import PATIENCE, free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robots.geometry import bare_model, first_chain
-from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.simulated_lab import Phase
@@ -34,11 +32,6 @@ class Shown:
         self.page = TwinPage(
             PageCfg(port=free_port()), task.scene, PROFILE, self.bench.broker.node(clock), clock
         )
-        self._status = self.bench.node.publisher(PROFILE.operator.status)
-
-    def tell(self, **status: Any) -> None:
-        nothing = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}
-        self._status.publish(messages.text(json.dumps(nothing | status)))
 
     @property
     def twin(self) -> dict[str, Any]:
@@ -110,12 +103,3 @@ def test_one_button_throws_and_catches():
         assert page.page.state["tone"] == "stopped"
         twin = page.page.state["twin"]
         assert twin["result"] == "caught; 1 of 1 caught"
-
-
-def test_the_details_have_what_the_status_says(shown: Shown):
-    shown.tell(mode="run", box=[110, 50, 130, 80])
-    shown.go_on(30)
-    state = shown.page.page.state
-    assert state["box"] == [110, 50, 130, 80]
-    rows = dict(state["details"])
-    assert (rows["servo"], rows["box of the object [px]"]) == ("run", "110, 50, 130, 80")

@@ -19,8 +19,6 @@ from websockets.typing import Origin
 from domains import PATIENCE, free_port, own_domain
 from pixel2catch.cli.operate import Keys
 from pixel2catch.deployment.operator import EVENT, KEY
-from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
@@ -47,12 +45,9 @@ def started(*args: str | Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("opengl")
 def test_the_twin_has_a_page(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
     with (
         started("twin", "--web", "--clock", "0.2") as (_, address),
         urllib.request.urlopen(address, timeout=PATIENCE) as answer,

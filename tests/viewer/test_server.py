@@ -112,19 +112,6 @@ def test_a_page_of_our_own_is_as_closed_as_the_other():
     server.close()
 
 
-def test_a_page_of_our_own_needs_the_token_too():
-    own = OwnPage(path="/operate", files=page_files("/operate"), talk=talk)
-    server = open_server(PageCfg(port=free_port(), host="0.0.0.0"), "ours", own)
-    plain, _, token = server.address.replace("localhost", "127.0.0.1").partition("?token=")
-    root = plain.removesuffix("/operate")
-    assert status(plain) == status(f"{plain}/operate.js") == handshake(f"{plain}/link", root) == 403
-    with urllib.request.urlopen(f"{plain}?token={token}", timeout=PATIENCE) as answer:
-        kept = answer.headers["Set-Cookie"].partition(";")[0]
-    assert status(f"{plain}/operate.js", Cookie=kept) == 200
-    assert handshake(f"{plain}/link", root, Cookie=kept) == 101
-    server.close()
-
-
 def test_others_need_the_token_of_its_address(shared: PageServer):
     plain = f"http://127.0.0.1:{shared.viser.get_port()}"
     token = shared.address.partition("?token=")[2]

@@ -107,8 +107,9 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
     def image(self, exposure: Exposure) -> Pixels:
         """Return the image, with motion blur and noise."""
         moment = self._shown(exposure)
-        times = self._part_times(moment).tolist()
-        positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times]
+        num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
+        times = self._cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
+        positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times.tolist()]
         pictures = (self._renderer.image(qpos) for qpos in positions)
         if self._background is None:
             light = np.mean(list(pictures), axis=0, dtype=np.float32).reshape(-1, 3)
@@ -130,22 +131,19 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:
-        """Free the drawing context."""
+        """See `close`."""
         self.close()
 
     def _shown(self, exposure: Exposure) -> Moment:
         """Give the object the shape of the exposure's, or move it away; return the moment to draw."""
         if exposure.object_name is None:
-            return _without_object(exposure.moment)
+            qpos, qvel = exposure.moment.qpos.copy(), exposure.moment.qvel.copy()
+            qpos[OBJECT_POS], qvel[OBJECT_VEL] = AWAY, 0.0
+            return replace(exposure.moment, qpos=qpos, qvel=qvel)
         row, model = self._objects.names.index(exposure.object_name), self._renderer.model
         for name in GEOM_FIELDS:
             getattr(model, name)[self._geoms] = self._objects.fields[name][row]
         return exposure.moment
-
-    def _part_times(self, moment: Moment) -> Float[np.ndarray, " num_parts"]:
-        """Return the times of the averaged pictures, relative to the middle of the exposure [s]."""
-        num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
-        return self._cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
 
     def _smear(self, moment: Moment) -> float:
         """Return the largest motion of object and palms in the image during an exposure [px]."""
@@ -178,12 +176,6 @@ def room_positions(
     mujoco.mj_integratePos(room, qpos, qvel, offset)
     qpos[len(moment.qpos) :] = bystanders(moment.time + offset)
     return qpos
-
-
-def _without_object(moment: Moment) -> Moment:
-    qpos, qvel = moment.qpos.copy(), moment.qvel.copy()
-    qpos[OBJECT_POS], qvel[OBJECT_VEL] = AWAY, 0.0
-    return replace(moment, qpos=qpos, qvel=qvel)
 
 
 def _without(room: mujoco.MjModel, is_left_out: Bool[np.ndarray, " num_geoms"]) -> mujoco.MjModel:

@@ -5,23 +5,27 @@ Several throws are shown at once in a grid; a strip has a few stills of one thro
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil, sqrt
 from pathlib import Path
 
+import mujoco
 import numpy as np
-from jaxtyping import Float, UInt8
+import torch
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import uniform_filter1d
 
 from pixel2catch.camera.image import Pixels
 from pixel2catch.checks import OutputFile
-from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, RecordedThrow
+from pixel2catch.evaluation.recorded_throws import CAUGHT, LOST, OUTCOMES, RecordedThrow
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.rendering.room import Bystanders, build_film_room
-from pixel2catch.rendering.storyboard import FPS, SLOW, Storyboard, positions_between, storyboard
 from pixel2catch.rendering.video import FORMATS, draw_box, write_film
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
@@ -50,22 +54,117 @@ GROUND, GOOD, BAD = (24, 28, 34), (28, 116, 68), (172, 48, 40)
 
 SIZE_WORDS = {"s": "small", "l": "large"}  #: Last parts of an object's name.
 
+FPS = 25  #: Pictures of a film per second.
+SLOW = 4  #: Ratio by which the catch is slower.
+REACH = 0.12  #: Distance of object and palm from which the catch begins [m].
+BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12, 45
+"""Control steps: shown before the release, slow before and after the catch, shown after the outcome, and
+largest number shown after the catch."""
+
+ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
+FOLLOWED_STEPS = 15  #: Control steps over which the hand's motion is averaged for the view.
+STILL_CLOSENESS = 0.8  #: Largest closeness of a still.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Storyboard:
+    """Plan of a film: what each picture shows."""
+
+    steps: Float[ndarray, " num_pictures"]  #: Control step; fractions are between two steps.
+    is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is in slow motion.
+    closeness: Float[ndarray, " num_pictures"]  #: 0 shows the whole room, 1 the hand.
+    decision: int  #: Control step in which the outcome is known.
+    catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
+    focus: Float[ndarray, "num_pictures 3"]  #: Position of the hand; before the catch, that at the catch [m].
+
+    def stills(self, num_pictures: int) -> "Storyboard":
+        """Return the plan of a strip: the flight, the catch in the middle, the end."""
+        middle = num_pictures // 2
+        flight = np.linspace(self.steps[0] + BEFORE_RELEASE, self.catch, middle, endpoint=False)
+        steps = np.concatenate((flight, np.linspace(self.catch, self.steps[-1], num_pictures - middle)))
+        return replace(
+            self,
+            steps=steps,
+            is_slow=np.zeros(num_pictures, dtype=bool),
+            closeness=STILL_CLOSENESS * np.interp(steps, self.steps, self.closeness),
+            focus=_between(steps, self.steps, self.focus),
+        )
+
+
+def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
+    """Return the plan of a film from just before the release to the outcome."""
+    catch, focus = _catch(throw, workcell)
+    last = len(throw.qpos) - 1
+    decision = last if throw.outcome == LOST else throw.num_untested - 1
+    begin = max(throw.release - BEFORE_RELEASE, 0)
+    end = max(min(last, decision + AFTER_OUTCOME, catch + LONGEST), catch)
+    slow_from, slow_to = max(catch - BEFORE_CATCH, begin), min(catch + AFTER_CATCH, end)
+    pace = 1.0 / (FPS * CONTROL_DT)
+    steps = np.concatenate(
+        (
+            np.arange(begin, slow_from, pace),
+            np.arange(slow_from, slow_to, pace / SLOW),
+            np.arange(slow_to, end, pace),
+            (end,),
+        )
+    )
+    share = np.clip((steps - catch + ZOOM_STEPS) / ZOOM_STEPS, 0.0, 1.0)
+    return Storyboard(
+        steps=steps,
+        is_slow=(steps >= slow_from) & (steps < slow_to),
+        closeness=share * share * (3.0 - 2.0 * share),
+        decision=decision,
+        catch=catch,
+        focus=_between(steps, np.arange(len(focus)), focus),
+    )
+
+
+def _positions_between(
+    model: mujoco.MjModel, throw: RecordedThrow, step: float
+) -> Float[ndarray, " num_positions"]:
+    """Return the interpolated positions of the simulation at a control step with fractions."""
+    first = min(int(step), len(throw.qpos) - 1)
+    second, change = min(first + 1, len(throw.qpos) - 1), np.zeros(model.nv)
+    others = model.qpos0[throw.qpos.shape[1] :]  # joints behind those of the simulation
+    before, after = (np.concatenate((throw.qpos[i], others)) for i in (first, second))
+    mujoco.mj_differentiatePos(model, change, 1.0, before, after)
+    mujoco.mj_integratePos(model, before, change, step - first)
+    return before[: throw.qpos.shape[1]]
+
+
+def _between(
+    steps: Float[ndarray, " num_pictures"], known: ndarray, rows: Float[ndarray, "num_known 3"]
+) -> Float[ndarray, "num_pictures 3"]:
+    return np.stack([np.interp(steps, known, column) for column in rows.T], axis=-1)
+
+
+def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:
+    """Return the control step of the catch, and the smoothed positions of the palm from then on."""
+    qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
+    palms = torch.stack(
+        [
+            chain_of(workcell, palm, dtype=torch.float64).pose(qpos[:, palm.carriers])[0]
+            for palm in workcell.palms
+        ]
+    )
+    distances, nearest = (palms - qpos[:, OBJECT_POS]).norm(dim=-1).min(dim=0)
+    reached = distances <= max(REACH, float(distances.min()))
+    step = int(torch.nonzero(reached)[0])
+    way = palms[int(nearest[step])].numpy().copy()
+    way[:step] = way[step]
+    return step, uniform_filter1d(way, FOLLOWED_STEPS, axis=0, mode="nearest")
+
 
 class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     """Draws throws in one room; close it, or use it as a context manager."""
 
-    def __init__(self, scene: SceneCfg, width: int = WIDTHS[1], *, has_inset: bool = True) -> None:
-        """Furnish the room.
-
-        Args:
-            scene: What was simulated.
-            width: Width of a picture [px].
-            has_inset: Whether a corner shows the robot's view with the box of the policy.
+    def __init__(self, scene: SceneCfg, width: int) -> None:
+        """Furnish the room of a scene, for pictures of a width [px].
 
         Raises:
             DeviceUnavailableError: No OpenGL back end works.
         """
-        self._has_inset, self._width, self._height = has_inset, width, width * 9 // 16 // 2 * 2
+        self._width, self._height = width, width * 9 // 16 // 2 * 2
         self._workcell, self._objects = find_workcell(scene.workcell), object_table(scene)
         is_one = len(self._workcell.palms) == 1
         self._wide, self._close = (WIDE, CLOSE) if is_one else (WIDE_OF_SEVERAL, CLOSE_OF_SEVERAL)
@@ -112,8 +211,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         path = self._path(throw, step, board.catch)
         drawn = self._outside.image(self._positions(throw, step), self._viewpoint(board, i), path)
         image = Image.fromarray(drawn).resize((self._width, self._height), Image.Resampling.LANCZOS)
-        if self._has_inset:
-            _add_inset(image, self._robots_view(throw, step))
+        _add_inset(image, self._robots_view(throw, step))
         is_over = step >= board.decision or i == len(board.steps) - 1
         _add_caption(image, throw, is_slow=bool(board.is_slow[i]), is_over=is_over)
         return np.asarray(image)
@@ -134,7 +232,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:
         """Return the object's path from its release to the catch."""
         whole = throw.qpos[throw.release : min(ceil(step), catch + 1), OBJECT_POS]
-        newest = positions_between(self._room, throw, min(step, catch))[OBJECT_POS]
+        newest = _positions_between(self._room, throw, min(step, catch))[OBJECT_POS]
         return np.vstack((whole, newest)) if len(whole) else None
 
     def _robots_view(self, throw: RecordedThrow, step: float) -> Pixels:
@@ -149,13 +247,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     def _positions(self, throw: RecordedThrow, step: float) -> Float[ndarray, " num_positions"]:
         bystanders = Bystanders(release_pos=throw.qpos[0][OBJECT_POS], phase=0.3)
         time = (step - throw.release) * CONTROL_DT
-        return np.concatenate((positions_between(self._room, throw, step), bystanders.joint_pos(time)))
-
-
-def strips(throws: Sequence[RecordedThrow], scene: SceneCfg, *, has_inset: bool = True) -> list[Pixels]:
-    """Return a strip of stills for every throw."""
-    with FilmRenderer(scene, WIDTHS[-1], has_inset=has_inset) as renderer:
-        return [renderer.strip(throw) for throw in throws]
+        return np.concatenate((_positions_between(self._room, throw, step), bystanders.joint_pos(time)))
 
 
 def write_throws(
@@ -174,7 +266,9 @@ def write_throws(
     """
     OutputFile(FORMATS).require("the film", path)
     if path.suffix.lower() == ".png":
-        Image.fromarray(np.concatenate(strips(throws, scene))).save(path)
+        with FilmRenderer(scene, WIDTHS[-1]) as renderer:
+            strips = [renderer.strip(throw) for throw in throws]
+        Image.fromarray(np.concatenate(strips)).save(path)
         return STILLS * len(throws)
     return write_film(path, _grids(throws, scene, on_throw), FPS)
 

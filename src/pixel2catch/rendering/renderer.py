@@ -24,8 +24,6 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
-OBJECT_BODY = "object"
-
 DRAWN_GROUPS = (0, 1, 2, 3)
 """Geom groups in a picture: table and floor, object, visual geoms, and collision geoms of bodies without
 visual ones."""
@@ -157,7 +155,7 @@ class Renderer(AbstractContextManager["Renderer"]):
             shown, kind = np.moveaxis(self._draw(qpos), -1, 0)
         finally:
             self._renderer.disable_segmentation_rendering()
-        geoms = np.flatnonzero(self.model.geom_bodyid == self.model.body(OBJECT_BODY).id)
+        geoms = np.flatnonzero(self.model.geom_bodyid == self.model.body("object").id)
         return (kind == mujoco.mjtObj.mjOBJ_GEOM.value) & np.isin(shown, geoms)
 
     def close(self) -> None:

@@ -28,13 +28,9 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
         InvalidValueError: The file cannot be written, or has another ending.
     """
     OutputFile(FORMATS).require("the film", path)
-    num_pictures = 0
     if path.suffix.lower() == ".mp4":
         with VideoWriter(path, fps=fps) as video:
-            for picture in pictures:
-                video.write(picture)
-                num_pictures += 1
-        return num_pictures
+            return sum(1 for _ in map(video.write, pictures))
     first, *others = (Image.fromarray(picture) for picture in pictures)
     first.save(
         path,

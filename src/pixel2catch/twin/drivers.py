@@ -112,7 +112,7 @@ class ArmDriver(Driver):
             self._braking = joints
             self.num_halts += 1
         if self._braking is not None:
-            self._braking = _brake(self._braking)
+            self._braking = _brake_for_one_cycle(self._braking)
             return self._braking.position + self._lag * self._braking.velocity
         if command is not None:
             step = np.abs(command - self._target).max()
@@ -123,8 +123,7 @@ class ArmDriver(Driver):
         return self._target
 
 
-def _brake(joints: JointState) -> JointState:
-    """Return the state one cycle later, at constant deceleration."""
+def _brake_for_one_cycle(joints: JointState) -> JointState:
     speed = np.maximum(np.abs(joints.velocity) - DECELERATION * CYCLE, 0.0)
     velocity = np.copysign(speed, joints.velocity)
     return JointState(

@@ -263,27 +263,25 @@ class LabNode:
         return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
 
     def _handle(self, data: bytes) -> None:
-        """Do what the operator requests, or keep the reason why not."""
         try:
             match messages.read_json(data):
                 case {"do": "prepare", "seed": int(seed)} if 0 <= seed < 2**63:
                     self.lab.prepare(seed)
-                    self._hold()
+                    self._hold_still()
                 case {"do": "throw"}:
                     self.lab.throw()
                 case {"do": "protective_stop"}:
                     for arm in self.arms:
                         arm.protective_stop()
                 case {"do": "resume"}:
-                    self._hold()
+                    self._hold_still()
                 case other:
                     raise DeploymentError(f"{other} is no request; valid: {REQUESTS}")
             self._refused = ""
         except DeploymentError as error:
             self._refused = str(error)
 
-    def _hold(self) -> None:
-        """Let the drivers hold the present joint positions, with running programs."""
+    def _hold_still(self) -> None:
         position = self.lab.joints.position
         for part in self._parts:
             part.driver.reset(position[part.ids])

@@ -112,7 +112,7 @@ def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outc
     """Run one throw, from an empty room to the stop after it; the object is held so long before [s]."""
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
-        _prepare(operator, seed)
+        _start_policy(operator, seed)
         operator.wait(held)
         operator.request(do="throw")
         operator.wait_until(lambda: operator.truth["throw"] > thrown, "the throw")
@@ -120,7 +120,7 @@ def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outc
     except DeploymentError as error:
         problem = str(error)
     truth, stops = operator.truth, operator.stops[num_stops:]
-    _stop(operator)
+    _stop_robot(operator)
     is_thrown = truth.get("throw", 0) > thrown
     return Outcome(
         seed=seed,
@@ -132,8 +132,7 @@ def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outc
     )
 
 
-def _prepare(operator: RehearsalOperator, seed: int) -> None:
-    """Prepare the throw, press the switch, arm, and point at the object, until the policy runs."""
+def _start_policy(operator: RehearsalOperator, seed: int) -> None:
     operator.request(do="prepare", seed=seed)
     operator.wait_until(lambda: operator.phase == "empty", "the empty room")
     operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
@@ -146,8 +145,7 @@ def _prepare(operator: RehearsalOperator, seed: int) -> None:
     operator.wait_until(lambda: operator.mode == "run", "the policy's run")
 
 
-def _stop(operator: RehearsalOperator) -> None:
-    """Stop the robot unless it has stopped, and wait until it stands."""
+def _stop_robot(operator: RehearsalOperator) -> None:
     if operator.mode in ("armed", "ramp", "run"):
         operator.console.stop()
         operator.wait_until(lambda: operator.mode not in ("armed", "ramp", "run"), "the stop")
@@ -195,8 +193,8 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
     deploy_args += ["--record", str(cfg.record)] if cfg.record else []
     with ExitStack() as stack:
         processes = [
-            stack.enter_context(_process(logs, "twin", *common, *twin_args)),
-            stack.enter_context(_process(logs, "deploy", *common, *deploy_args)),
+            stack.enter_context(_running_command(logs, "twin", *common, *twin_args)),
+            stack.enter_context(_running_command(logs, "deploy", *common, *deploy_args)),
         ]
         node = stack.enter_context(make_transport("dds", "pixel2catch_operator", LOOPBACK, clock))
         operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
@@ -213,12 +211,11 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
         operator.wait_until(is_ready, "twin and deployment", cfg.clock * START_TIME)
         report = run_throws(cfg, operator, after_throw)
     seconds = time.perf_counter() - begin
-    return report | {"clock": cfg.clock, "seconds": seconds, "deploy": _summary(logs / "deploy.txt")}
+    return report | {"clock": cfg.clock, "seconds": seconds, "deploy": _printed_summary(logs / "deploy.txt")}
 
 
 @contextmanager
-def _process(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command of this package until the end of the context."""
+def _running_command(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[bytes]]:
     with open(logs / f"{command}.txt", "wb") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "pixel2catch", command, *args], stdout=file, stderr=subprocess.STDOUT
@@ -243,8 +240,7 @@ def _require_running(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -
             raise DeploymentError(f"'pixel2catch {name}' has ended; its last line: {last}")
 
 
-def _summary(log: Path) -> dict[str, Any]:
-    """Return the summary that the deployment printed at its end."""
+def _printed_summary(log: Path) -> dict[str, Any]:
     for line in reversed(log.read_text(errors="replace").splitlines()):
         if line.startswith('{"summary"'):
             return json.loads(line)["summary"]

@@ -261,7 +261,7 @@ class SimulatedLab:
             "phase": self.phase.value,
             "throw": self.num_throws,
             "object": None if self.phase is Phase.EMPTY else self.object_name,
-            "box": self._box(),
+            "box": self._visible_box(),
             "object_pose": [round(value, 4) for value in self._qpos[self._object_pose].tolist()],
             "is_tracked": record is not None and bool(record.is_tracked),
             "is_success": record is not None and bool(record.is_success),
@@ -290,8 +290,7 @@ class SimulatedLab:
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
 
-    def _box(self) -> list[float] | None:
-        """Return the box of the visible part of the object [px]; none if nothing is visible."""
+    def _visible_box(self) -> list[float] | None:
         if self.phase is Phase.EMPTY:
             return None
         sensing = self._task.sensing

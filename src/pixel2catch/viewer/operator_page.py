@@ -85,6 +85,7 @@ class OperatorPage:
         self._visitors = Visitors(self._handle, self._release)
         own = OwnPage(path=PATH, files=page_files(PATH), talk=self._visitors.talk)
         self._server = open_server(cfg, title, own)
+        self.address = self._server.address  #: Address of the page.
         self._server.viser.gui.main_panel.minimize()
         self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: The scene.
         self._status = console.status
@@ -92,11 +93,6 @@ class OperatorPage:
         self._refusal, self._image = "", b""
         self._is_stopping, self._num_heard, self._is_switched = False, 0, Event()
         self.state: dict[str, Any] = {}  #: The state that the page shows.
-
-    @property
-    def address(self) -> str:
-        """Address of the page."""
-        return self._server.address
 
     @property
     def is_held(self) -> bool:
@@ -140,7 +136,6 @@ class OperatorPage:
         self._server.close()
 
     def _read_status(self, status: dict[str, Any], now: float) -> None:
-        """Take over a new status."""
         self._status, self._status_time = status, now
         if (refusal := refusal_words(status)) or status.get("mode") in ACTIVE:
             self._refusal, self._refusal_time = refusal, now
@@ -148,7 +143,6 @@ class OperatorPage:
             self._is_stopping, self._num_heard = False, self._num_heard + 1
 
     def _read_image(self) -> None:
-        """Take the newest image, and encode it if a browser is connected."""
         for message in self._images.take()[-1:]:
             with suppress(DeploymentError):  # unreadable images are skipped
                 pixels = messages.read_image(message.data).pixels
@@ -157,7 +151,6 @@ class OperatorPage:
                     self._image = jpeg(pixels)
 
     def _page_state(self, now: float) -> dict[str, Any]:
-        """Return what the page shows, without the image."""
         is_heard = now - self._status_time < SILENCE
         status = self._status if is_heard else {}
         words = status_words(status)
@@ -219,7 +212,6 @@ class OperatorPage:
         self._console.stop()
 
     def _release(self, visitor: Visitor) -> None:
-        """Release the switch if this browser holds it."""
         if self._button:
             self._button.let_go(visitor)
             self._is_switched.set()

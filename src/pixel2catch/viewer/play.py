@@ -104,7 +104,6 @@ class PlayPage:
         self._wanted.set()
 
     def _play(self) -> None:
-        """Run one throw, or show one again."""
         again, self._again = self._again, None
         try:
             if again is None:
@@ -136,12 +135,10 @@ class PlayPage:
         self.server.close()
 
     def _welcome(self) -> None:
-        """Throw for a new visitor, if throws are repeated or none was run."""
         if self.is_repeated.value or not self._thrower.num_throws:
             self._wanted.set()
 
     def _throw(self) -> None:
-        """Run and show one throw."""
         order = self.order
         task = self._thrower.task(order.policy)
         if self._thrower.num_renewed != self._num_renewed:

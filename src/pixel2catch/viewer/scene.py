@@ -108,7 +108,6 @@ class SceneView:
         self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, thickness=0.012)
 
     def _place(self, qpos: np.ndarray) -> None:
-        """Move all bodies but the object."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         for name, frame in self.bodies.items():
@@ -119,7 +118,6 @@ class SceneView:
         return room_positions(self._model, exposure.moment, 0.0, exposure.thrower)
 
     def _light(self) -> None:
-        """Add a sun with shadows, and light from all sides."""
         nodes = self._nodes
         nodes.configure_default_lights(enabled=False)
         nodes.configure_environment_map(None)

@@ -97,7 +97,7 @@ class RequestCheck:
     def refusal(self, request: Request) -> str:
         """Return why a request is refused; empty if it is answered."""
         host, origin = (_only(request.headers, name) for name in ("Host", "Origin"))
-        if host is None or (self.names and _name(host) not in self.names):
+        if host is None or (self.names and _name_without_port(host) not in self.names):
             return f"This page is for {', '.join(self.names) or 'requests that name one host'}."
         if origin is None and "Upgrade" in request.headers:
             return "A connection needs an Origin header, the page that it comes from."
@@ -248,8 +248,7 @@ def _only(headers: Headers, name: str) -> str | None:
     return values[0] if len(values) == 1 else None
 
 
-def _name(host: str) -> str:
-    """Return the name in a `Host` header, without its port."""
+def _name_without_port(host: str) -> str:
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

@@ -19,7 +19,6 @@ from pixel2catch.workcells import find_workcell
 
 PLOT_PERIOD = 0.25  #: Least time between two changes of the plots [s]. Source: ours, for slow browsers.
 LEAST_WIDTH = 590  #: Least width of the scene beside both panels [px]: that of a page of 1300 px.
-RATE_PERIOD = 1.0  #: Time over which the rate of pictures is measured [s].
 MOST_LATE = 0.1  #: Largest delay of pictures that is made up for [s]. Source: ours.
 SPEEDS = {"real time": 1.0, "half": 0.5, "a quarter": 0.25, "a tenth": 0.1}  #: Speeds of time by name.
 
@@ -35,31 +34,21 @@ class Playback:
     def __init__(self) -> None:
         """Begin in real time."""
         self._changed = Condition()
-        self._speed, self._is_paused, self._num_steps = 1.0, False, 0
-        self._is_interrupted = False
-        self._due = 0.0
-
-    @property
-    def speed(self) -> float:
-        """Seconds on the page in a real second."""
-        return self._speed
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether time stands still."""
-        return self._is_paused
+        self.speed = 1.0  #: Seconds on the page in a real second.
+        self.is_paused = False  #: Whether time stands still.
+        self._num_steps, self._is_interrupted, self._due = 0, False, 0.0
 
     def set_speed(self, speed: float) -> None:
         """Set the speed."""
-        self._set(_speed=speed)
+        self._set(speed=speed)
 
     def pause(self, is_paused: bool) -> None:
         """Stop time, or continue."""
-        self._set(_is_paused=is_paused, _num_steps=0)
+        self._set(is_paused=is_paused, _num_steps=0)
 
     def step(self) -> None:
         """Stop time after one more step."""
-        self._set(_is_paused=True, _num_steps=self._num_steps + 1)
+        self._set(is_paused=True, _num_steps=self._num_steps + 1)
 
     def interrupt(self) -> None:
         """End all waits until the next `begin`."""
@@ -73,10 +62,10 @@ class Playback:
     def wait(self, duration: float) -> bool:
         """Wait until the next picture is due, this time after the last [s]; return whether to continue."""
         with self._changed:
-            if not self._is_paused:
-                self._due = max(self._due + duration / self._speed, time.monotonic() - MOST_LATE)
+            if not self.is_paused:
+                self._due = max(self._due + duration / self.speed, time.monotonic() - MOST_LATE)
             while not self._is_interrupted:
-                if self._is_paused:
+                if self.is_paused:
                     self._due = time.monotonic()
                     if self._num_steps:
                         self._num_steps -= 1
@@ -105,7 +94,6 @@ class Stage:
         gui.main_panel.set_width(380)
         self.text = gui.add_markdown("")
         self._add_time_controls(gui)
-        self.rate_text = gui.add_markdown("")
         self.picture = Picture(gui, scene.camera)  #: The camera's image, with the box of the policy.
         self.controls = gui.add_folder("Throws")  #: Folder for the controls of a page.
         panel = gui.add_panel()
@@ -113,7 +101,7 @@ class Stage:
         panel.dock_left()
         panel.set_width(330)
         server.on_client_connect(lambda visitor: _fold(panel, visitor))
-        self._plotted, self._counted = 0.0, (time.monotonic(), 0)
+        self._plotted = 0.0
         self.is_playing = False  #: Whether a throw is being shown.
         self.num_pictures = 0  #: Number of pictures so far.
         self._open(scene)
@@ -138,7 +126,7 @@ class Stage:
         for i in range(count):
             with self._server.atomic():
                 self.view.show(frame.exposure, before, (i + 1) / count)
-            self._count()
+            self.num_pictures += 1
             self.is_playing = True
             if not self._playback.wait(CONTROL_DT / count):
                 self.is_playing = False
@@ -185,14 +173,6 @@ class Stage:
     def _plot(self, throw: PlayedThrow, number: int) -> None:
         self._plots.show(throw, number)
         self._plotted = time.monotonic()
-
-    def _count(self) -> None:
-        self.num_pictures += 1
-        (before, num_before), now = self._counted, time.monotonic()
-        if now > before + RATE_PERIOD:
-            rate = (self.num_pictures - num_before) / (now - before)
-            self.rate_text.content = f"{rate:.0f} pictures/s"
-            self._counted = now, self.num_pictures
 
 
 def throw_text(throw: PlayedThrow) -> str:

@@ -93,10 +93,10 @@ class TwinPage:
     def catch(self) -> None:
         """Run a whole throw in a thread, unless one is running."""
         if not self._is_in_trial:
-            self.trial = Thread(target=self._try, args=(self._next_seed(),), daemon=True)
+            self.trial = Thread(target=self._run_throw, args=(self._next_seed(),), daemon=True)
             self.trial.start()
 
-    def _try(self, seed: int) -> None:
+    def _run_throw(self, seed: int) -> None:
         self._problem = ""
         self._problem = run_trial(self._operator, seed).problem
 
@@ -109,7 +109,6 @@ class TwinPage:
         return self.seed - 1
 
     def _words(self, truth: dict[str, Any]) -> dict[str, Any]:
-        """Return the texts of the twin's part of the page."""
         known = {name: truth.get(name) for name in ("object", "outcome")}
         words = PHASES.get(truth.get("phase", ""))
         outcomes = [*self.outcomes.values()]
@@ -125,7 +124,6 @@ class TwinPage:
         }
 
     def _handle(self, request: dict[str, Any]) -> None:
-        """Do what a browser requests of the twin."""
         match request:
             case {"do": "catch"}:
                 self.catch()
@@ -141,7 +139,6 @@ class TwinPage:
                 )
 
     def _point(self) -> None:
-        """Point at the true box of the object."""
         box = self._operator.truth.get("box")
         if not box:
             raise DeploymentError("the camera sees no object: prepare a throw first")
