@@ -176,7 +176,7 @@ def _own_device(device: str, local_rank: int | None) -> str:
     number = int(index or local_rank or 0)
     if number >= torch.cuda.device_count():
         raise DeviceUnavailableError(
-            f"'cuda:{number}' was asked for, but torch finds {torch.cuda.device_count()} CUDA devices; "
+            f"device is 'cuda:{number}', but torch finds {torch.cuda.device_count()} CUDA devices; "
             "use 'cpu', or a device that is there, and with torchrun no more processes than devices."
         )
     return f"cuda:{number}"

@@ -70,13 +70,13 @@ def palm_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num
     Ours: of several robots only the nearest counts; see `_lying_distance` for objects that need all palms.
     """
     closer = _lying_distance(transition.before) - _lying_distance(transition.now)
-    return torch.where(_is_called(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
+    return torch.where(_is_nearest_or_needed(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
 
 
 def fingertips_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Return the sum over the fingertips of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2, 4."""
     closer = _fingertip_distance(transition.before) - _fingertip_distance(transition.now)
-    return torch.where(_is_called(transition, part), closer[:, part.fingertips].sum(dim=-1), 0.0)
+    return torch.where(_is_nearest_or_needed(transition, part), closer[:, part.fingertips].sum(dim=-1), 0.0)
 
 
 def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
@@ -139,7 +139,7 @@ def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
     return transition.now.is_self_contact.float()
 
 
-def _is_called(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
+def _is_nearest_or_needed(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
     """Return whether the part has the palm nearest to the object, or the object needs all palms (ours)."""
     distance = palm_distance(transition.before)
     is_nearest = distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
