@@ -38,12 +38,9 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
             bag = now - START + EPOCH
             mode = mode_of(step) if runs else Mode.IDLE
             picture = messages.image(np.full((48, 64, 3), 20 * step, np.uint8), bag)
-            if images == "jpeg" and step != 3:
-                topic = messages.compressed_topic(PROFILE.camera.image)
-                recorder.record(topic, picture, bag, messages.compress)
-            elif images == "jpeg":  # one that is damaged
-                topic = messages.compressed_topic(PROFILE.camera.image)
-                recorder.record(topic, messages.compress(picture)[:60], bag)
+            if images == "jpeg":  # one is damaged
+                topic, size = messages.compressed_topic(PROFILE.camera.image), 60 if step == 3 else None
+                recorder.record(topic, messages.compress(picture)[:size], bag)
             elif images == "raw":
                 recorder.record(PROFILE.camera.image, picture, bag)
             for late, value in ((0.001, step), (0.004, -1.0)):

@@ -82,24 +82,17 @@ class Export:
         print(f"wrote {out}: {said}")
 
     def _write_recording(self, out: Path) -> str:
-        from pixel2catch.datasets.lerobot import DatasetWriter
-        from pixel2catch.workcells import find_workcell
-
         with needs_extra("deployment"):
             from pixel2catch.datasets.recordings import write_recording
-        profile = self.robot.load()
-        with DatasetWriter(out, find_workcell(profile.workcell)) as writer:
-            write_recording(cast(Path, self.source), profile, writer)
-        return f"{writer.num_episodes} runs of the policy, {writer.num_steps} control steps"
+        num_runs, num_steps = write_recording(out, cast(Path, self.source), self.robot.load())
+        return f"{num_runs} runs of the policy, {num_steps} control steps"
 
     def _write_throws(self, out: Path) -> str:
-        from pixel2catch.datasets.lerobot import DatasetWriter
         from pixel2catch.datasets.throws import write_throws
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.scene.objects import select_objects
-        from pixel2catch.workcells import find_workcell
 
         policy, method = load_policy(self.source)
         cfg = EvaluationCfg(
@@ -111,7 +104,6 @@ class Export:
         )
         if self.images:
             find_gl_backend()
-        with DatasetWriter(out, find_workcell(policy.contract.workcell)) as writer:
-            say(f"throwing {self.throws} times ...")
-            num_caught = write_throws(cfg, policy, method, writer, self.images)
-        return f"{writer.num_episodes} throws, {num_caught} caught; {writer.num_steps} control steps"
+        say(f"throwing {self.throws} times ...")
+        counts = write_throws(out, cfg, policy, method, images=self.images)
+        return "{} throws, {} caught; {} control steps".format(*counts)

@@ -10,16 +10,15 @@ FOLDER/videos/KEY/chunk-000/...        the images of all episodes, one after the
 """
 
 import json
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import UInt8
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
+from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_folder
 from pixel2catch.rendering.video import VideoWriter
@@ -46,172 +45,157 @@ TASK_NAMES = "__index_level_0__"  #: Column that pandas reads as the names of th
 GOP = 2  #: Images from one that is stored whole to the next, for random access. Source: LeRobot.
 SAMPLED = (5, 16)  #: Every so many images, rows and columns count in the images' statistics. Source: ours.
 
-Image = UInt8[np.ndarray, "height width 3"]
+Step = tuple[Mapping[str, Any], Pixels | None]  #: Numbers or booleans by feature, and an image.
+Episode = tuple[str, Iterable[Step]]  #: A task in words, and the control steps.
 
 
-@final
-class DatasetWriter(AbstractContextManager["DatasetWriter"]):
-    """Writes a data set step by step, images at once and everything else at the end of the context.
+def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episode]) -> tuple[int, int]:
+    """Write a data set of a work cell's robots into a new or empty folder.
 
-    All steps have the same features.
+    Images are written at once, everything else at the end. All steps have the same features. Episodes without
+    a step are left out.
+
+    Returns:
+        The number of episodes, and of control steps.
+
+    Raises:
+        InvalidValueError: The folder is not empty or cannot be made, or there is no episode.
     """
+    require_free_folder(folder)
+    steps, ends, tasks, images = list[Mapping[str, Any]](), [0], list[str](), _Images(folder)
+    with closing(images):
+        for task, episode in episodes:
+            for number, (step, image) in enumerate(episode):
+                steps.append({name: np.atleast_1d(value) for name, value in step.items()})
+                if image is not None:
+                    images.add(image, number)
+            if len(steps) > ends[-1]:
+                ends.append(len(steps))
+                tasks.append(task)
+    if not tasks:
+        raise InvalidValueError("there is no episode to write; check that anything was thrown.")
+    columns = _columns(steps, ends, tasks)
+    statistics = {name: _statistics(column) for name, column in columns.items()}
+    info = _info(columns, workcell, len(tasks), len(set(tasks)))
+    if images.pixels:
+        info["video_path"] = f"videos/{{video_key}}/{PATTERN}.mp4"
+        info["features"][IMAGES], statistics[IMAGES] = images.described()
+    _write_tables(folder, columns, _episodes(ends, tasks, has_video=bool(images.pixels)), tasks)
+    for name, content in (("info", info), ("stats", statistics)):
+        (folder / "meta" / f"{name}.json").write_text(json_text(content))
+    return len(tasks), len(steps)
 
-    def __init__(self, folder: Path, workcell: WorkcellSpec) -> None:
-        """Begin a data set of a work cell's robots, in a new or empty folder.
 
-        Raises:
-            InvalidValueError: The folder is not empty or cannot be made.
-        """
-        require_free_folder(folder)
-        self._folder, self._robot, joints = folder, workcell.name, workcell.joint_names
-        seen = ("xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES)
-        self._names = {STATE: joints, ACTION: joints, SEEN: seen}
-        self._steps = list[dict[str, np.ndarray]]()
-        self._ends = list[int]()  # number of steps at the end of each episode
-        self._tasks = list[str]()  # of each episode
-        self._pixels = list[np.ndarray]()
-        self._image_shape = (0, 0, 3)
+class _Images:
+    """The video of a data set, and the pixels of some of its images."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "videos" / IMAGES / f"{FILE}.mp4"
         self._video: VideoWriter | None = None
+        self._shape: tuple[int, ...] = ()
+        self.pixels = list[np.ndarray]()  #: Of each image that counts in the statistics, (num_pixels, 3).
 
-    @property
-    def num_episodes(self) -> int:
-        """Number of ended episodes."""
-        return len(self._ends)
-
-    @property
-    def num_steps(self) -> int:
-        """Number of control steps."""
-        return len(self._steps)
-
-    @property
-    def _begin(self) -> int:
-        """Number of steps before the present episode."""
-        return self._ends[-1] if self._ends else 0
-
-    def add(self, step: Mapping[str, Any], image: Image | None = None) -> None:
-        """Add a control step to the episode: numbers or booleans by feature, and an image."""
-        if image is not None:
-            self._add_image(image)
-        self._steps.append({name: np.atleast_1d(value) for name, value in step.items()})
-
-    def end_episode(self, task: str) -> None:
-        """End an episode with its task; an episode without a step is left out."""
-        if self.num_steps > self._begin:
-            self._ends.append(self.num_steps)
-            self._tasks.append(task)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Write everything else, unless there was an error.
-
-        Raises:
-            InvalidValueError: There was no episode.
-        """
-        if self._video:
-            self._video.close()
-        if error is None:
-            self._write()
-
-    def _add_image(self, image: Image) -> None:
-        path = self._folder / "videos" / IMAGES / f"{FILE}.mp4"
+    def add(self, image: Pixels, number: int) -> None:
+        """Write an image, by its number in the episode."""
         if self._video is None:
-            path.parent.mkdir(parents=True)
-            self._video = VideoWriter(path, fps=FPS, gop=GOP)
-            self._image_shape = image.shape
+            self._path.parent.mkdir(parents=True)
+            self._video, self._shape = VideoWriter(self._path, fps=FPS, gop=GOP), image.shape
         self._video.write(image)
         every, stride = SAMPLED
-        if (self.num_steps - self._begin) % every == 0:
-            self._pixels.append(image[::stride, ::stride].reshape(-1, 3))
+        if number % every == 0:
+            self.pixels.append(image[::stride, ::stride].reshape(-1, 3))
 
-    def _write(self) -> None:
-        import pyarrow
-        from pyarrow import parquet
-
-        if not self._ends:
-            raise InvalidValueError("there is no episode to write; check that anything was thrown.")
-        columns, tasks = self._columns(), list(dict.fromkeys(self._tasks))
-        statistics = {name: _statistics(column) for name, column in columns.items()}
-        if self._pixels:  # shares of full brightness, (3, 1, 1); images are counted
-            found = _statistics(np.concatenate(self._pixels) / 255.0)
-            shaped = {name: [[[value]] for value in values] for name, values in found.items()}
-            statistics[IMAGES] = shaped | {"count": [len(self._pixels)]}
-        names = pyarrow.table({"task_index": np.arange(len(tasks)), TASK_NAMES: tasks})
-        tables = {
-            f"data/{FILE}": pyarrow.table({name: _arrow(column) for name, column in columns.items()}),
-            f"meta/episodes/{FILE}": pyarrow.Table.from_pylist(self._episodes()),
-            "meta/tasks": names.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
-        }
-        for name, table in tables.items():
-            path = self._folder / f"{name}.parquet"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            parquet.write_table(table, path)
-        for name, content in (("info", self._info(columns, len(tasks))), ("stats", statistics)):
-            (self._folder / "meta" / f"{name}.json").write_text(json_text(content))
-
-    def _columns(self) -> dict[str, np.ndarray]:
-        """Return every feature over all ended episodes, (num_steps, size)."""
-        lengths = np.diff(self._ends, prepend=0)
-        episode, tasks = np.repeat(np.arange(self.num_episodes), lengths), list(dict.fromkeys(self._tasks))
-        frame = np.concatenate([np.arange(length) for length in lengths])
-        columns = {
-            name: np.stack([step[name] for step in self._steps[: self._ends[-1]]]) for name in self._steps[0]
-        }
-        columns = {
-            name: column if column.dtype == np.bool_ else column.astype(np.float32)
-            for name, column in columns.items()
-        }
-        columns |= {
-            "timestamp": (frame / FPS).astype(np.float32)[:, None],
-            "frame_index": frame[:, None],
-            "episode_index": episode[:, None],
-            "index": np.arange(len(frame))[:, None],
-            "task_index": np.array([tasks.index(task) for task in self._tasks])[episode][:, None],
-        }
-        return columns
-
-    def _episodes(self) -> list[dict[str, Any]]:
-        rows, files = list[dict[str, Any]](), ["data", "meta/episodes"]
-        files += [f"videos/{IMAGES}"] if self._video else []
-        for number, (begin, end, task) in enumerate(
-            zip([0, *self._ends], self._ends, self._tasks, strict=False)
-        ):
-            row: dict[str, Any] = {"episode_index": number, "tasks": [task], "length": end - begin}
-            row |= {f"{file}/{kind}_index": 0 for file in files for kind in ("chunk", "file")}
-            row |= {"dataset_from_index": begin, "dataset_to_index": end}
-            if self._video:
-                times = {"from_timestamp": begin / FPS, "to_timestamp": end / FPS}
-                row |= {f"videos/{IMAGES}/{name}": time for name, time in times.items()}
-            rows.append(row)
-        return rows
-
-    def _info(self, columns: Mapping[str, np.ndarray], num_tasks: int) -> dict[str, Any]:
-        features: dict[str, Any] = {
-            name: {
-                "dtype": str(column.dtype),
-                "shape": list(column.shape[1:]),
-                "names": list(self._names.get(name, ())) or None,
-            }
-            for name, column in columns.items()
-        }
+    def close(self) -> None:
         if self._video:
-            names = ["height", "width", "channels"]
-            features[IMAGES] = {"dtype": "video", "shape": list(self._image_shape), "names": names}
-        return {
-            "codebase_version": VERSION,
-            "robot_type": self._robot,
-            "total_episodes": self.num_episodes,
-            "total_frames": self.num_steps,
-            "total_tasks": num_tasks,
-            "chunks_size": 1000,
-            "data_files_size_in_mb": 100,
-            "video_files_size_in_mb": 200,
-            "fps": FPS,
-            "splits": {"train": f"0:{self.num_episodes}"},
-            "data_path": f"data/{PATTERN}.parquet",
-            "video_path": f"videos/{{video_key}}/{PATTERN}.mp4" if self._video else None,
-            "features": features,
-        }
+            self._video.close()
+
+    def described(self) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+        """Return the feature, and statistics of shares of full brightness, (3, 1, 1); images are counted."""
+        names = ["height", "width", "channels"]
+        found = _statistics(np.concatenate(self.pixels) / 255.0)
+        shaped = {name: [[[value]] for value in values] for name, values in found.items()}
+        feature = {"dtype": "video", "shape": list(self._shape), "names": names}
+        return feature, shaped | {"count": [len(self.pixels)]}
+
+
+def _columns(
+    steps: Sequence[Mapping[str, Any]], ends: Sequence[int], tasks: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Return every feature over all steps, (num_steps, size)."""
+    lengths, names = np.diff(ends), list(dict.fromkeys(tasks))
+    episode = np.repeat(np.arange(len(lengths)), lengths)
+    frame = np.concatenate([np.arange(length) for length in lengths])
+    stacked = {name: np.stack([step[name] for step in steps]) for name in steps[0]}
+    numbers = {
+        "timestamp": (frame / FPS).astype(np.float32),
+        "frame_index": frame,
+        "episode_index": episode,
+        "index": np.arange(len(frame)),
+        "task_index": np.array([names.index(task) for task in tasks])[episode],
+    }
+    return {
+        name: column if column.dtype == np.bool_ else column.astype(np.float32)
+        for name, column in stacked.items()
+    } | {name: column[:, None] for name, column in numbers.items()}
+
+
+def _write_tables(
+    folder: Path, columns: Mapping[str, np.ndarray], episodes: list[dict[str, Any]], tasks: Sequence[str]
+) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    names = list(dict.fromkeys(tasks))
+    table = pyarrow.table({"task_index": np.arange(len(names)), TASK_NAMES: names})
+    tables = {
+        f"data/{FILE}": pyarrow.table({name: _arrow(column) for name, column in columns.items()}),
+        f"meta/episodes/{FILE}": pyarrow.Table.from_pylist(episodes),
+        "meta/tasks": table.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
+    }
+    for name, table in tables.items():
+        path = folder / f"{name}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        parquet.write_table(table, path)
+
+
+def _episodes(ends: Sequence[int], tasks: Sequence[str], *, has_video: bool) -> list[dict[str, Any]]:
+    rows, files = list[dict[str, Any]](), ["data", "meta/episodes"]
+    files += [f"videos/{IMAGES}"] if has_video else []
+    for number, (begin, end, task) in enumerate(zip(ends[:-1], ends[1:], tasks, strict=True)):
+        row: dict[str, Any] = {"episode_index": number, "tasks": [task], "length": end - begin}
+        row |= {f"{file}/{kind}_index": 0 for file in files for kind in ("chunk", "file")}
+        row |= {"dataset_from_index": begin, "dataset_to_index": end}
+        if has_video:
+            row[f"videos/{IMAGES}/from_timestamp"] = begin / FPS
+            row[f"videos/{IMAGES}/to_timestamp"] = end / FPS
+        rows.append(row)
+    return rows
+
+
+def _info(
+    columns: Mapping[str, np.ndarray], workcell: WorkcellSpec, num_episodes: int, num_tasks: int
+) -> dict[str, Any]:
+    joints = list(workcell.joint_names)
+    seen = ["xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES]
+    names = {STATE: joints, ACTION: joints, SEEN: seen}
+    return {
+        "codebase_version": VERSION,
+        "robot_type": workcell.name,
+        "total_episodes": num_episodes,
+        "total_frames": len(columns["index"]),
+        "total_tasks": num_tasks,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": FPS,
+        "splits": {"train": f"0:{num_episodes}"},
+        "data_path": f"data/{PATTERN}.parquet",
+        "video_path": None,
+        "features": {
+            name: {"dtype": str(column.dtype), "shape": list(column.shape[1:]), "names": names.get(name)}
+            for name, column in columns.items()
+        },
+    }
 
 
 PANDAS = {

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.camera.image import Pixels
-from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, DatasetWriter
+from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, write_dataset
 from pixel2catch.deployment.recorder import SERVO, TARGETS
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
@@ -18,46 +19,34 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.link import Command, JointTargets, Mode
+from pixel2catch.workcells import find_workcell
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
 TASK = "Catch the thrown object."
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Decisions:
-    """The decisions of the policy in its runs, with their inputs."""
-
-    joint_pos: np.ndarray  #: Newest measured joint positions [rad], (num_steps, num_joints).
-    target: np.ndarray  #: Joint targets [rad], (num_steps, num_joints).
-    box: np.ndarray  #: Newest box that perception had found [px], (num_steps, 4).
-    run: np.ndarray  #: Number of the run, (num_steps,).
-    image: np.ndarray  #: Number of the newest image, (num_steps,); -1 for none.
-
-
-def write_recording(recording: Path, profile: Profile, writer: DatasetWriter) -> None:
+def write_recording(folder: Path, recording: Path, profile: Profile) -> tuple[int, int]:
     """Write the runs of a recorded deployment, with images if there are any; without rewards or success.
 
     The image of a step is the newest that had arrived at the decision.
+
+    Returns:
+        The number of runs, and of control steps.
 
     Raises:
         PerceptionError: It cannot be read.
         DeploymentError: The policy never ran in it.
     """
-    decisions = _decisions(recording, profile)
-    run, box = decisions.run, torch.from_numpy(decisions.box)
-    before = np.arange(len(run)) - (np.diff(run, prepend=-1) == 0)
-    pixels = pixel_features(box[before], box, RGB_CAMERA).numpy()
-    is_last = np.diff(run, append=-1) != 0
-    pictures = _pictures(recording, profile, decisions.image)
-    for row, picture in enumerate(pictures):
-        step = {STATE: decisions.joint_pos[row], ACTION: decisions.target[row]}
-        step[SEEN] = np.concatenate((decisions.box[row], pixels[row]))
-        writer.add(step | {DONE: is_last[row]}, picture)
-        if is_last[row]:
-            writer.end_episode(TASK)
+    steps, runs, images = _decisions(recording, profile)
+    pictures = zip(runs, zip(steps, _pictures(recording, profile, images), strict=True), strict=True)
+    episodes = ((TASK, (step for _, step in run)) for _, run in groupby(pictures, key=itemgetter(0)))
+    return write_dataset(folder, find_workcell(profile.workcell), episodes)
 
 
-def _decisions(recording: Path, profile: Profile) -> _Decisions:
+def _decisions(
+    recording: Path, profile: Profile
+) -> tuple[list[dict[str, np.ndarray]], np.ndarray, np.ndarray]:
+    """Return features, number of the run, and number of the newest image (-1 for none) of each decision."""
     servo, orders, boxes, images = _read(recording, profile)
     newest = np.searchsorted(
         [status.time for status in servo], [order.target_stamp for _, order in orders], side="right"
@@ -74,14 +63,18 @@ def _decisions(recording: Path, profile: Profile) -> _Decisions:
             "--record' or 'rehearse --record' wrote, of a throw at least."
         )
     times, decided, known, runs = zip(*chosen, strict=True)
-    seen = np.searchsorted([time for time, _ in boxes], times)  # said of a decision just after it
-    return _Decisions(
-        joint_pos=np.array([status.joint_pos for status in known]),
-        target=np.array([order.joint_pos_target for order in decided]),
-        box=np.array([boxes[min(row, len(boxes) - 1)][1] for row in seen]),
-        run=np.array(runs),
-        image=np.searchsorted(images, times, side="right") - 1,
-    )
+    run = np.array(runs)
+    # The status with the box of a decision is recorded just after it.
+    rows = np.minimum(np.searchsorted([time for time, _ in boxes], times), len(boxes) - 1)
+    box = torch.from_numpy(np.array([boxes[row][1] for row in rows]))
+    before = np.arange(len(run)) - (np.diff(run, prepend=-1) == 0)
+    seen = torch.cat((box, pixel_features(box[before], box, RGB_CAMERA)), dim=1).numpy()
+    is_last = np.diff(run, append=-1) != 0
+    steps = [
+        {STATE: status.joint_pos, ACTION: order.joint_pos_target, SEEN: seen[row], DONE: is_last[row]}
+        for row, (order, status) in enumerate(zip(decided, known, strict=True))
+    ]
+    return steps, run, np.searchsorted(images, times, side="right") - 1
 
 
 def _read(

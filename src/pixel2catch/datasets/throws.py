@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import repeat
-from typing import Any, final
+from pathlib import Path
+from typing import final
 
 import numpy as np
 import torch
@@ -11,9 +12,11 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.camera.image import Pixels
-from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter
-from pixel2catch.envs.catch_env import CatchEnv, Step
+from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, Step, write_dataset
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.catch_env import Step as EnvStep
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
+from pixel2catch.files import require_free_folder
 from pixel2catch.mdp.control_step import Measurement
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import Method
@@ -57,7 +60,7 @@ class _Watcher:
         }
         return self._actor.act(observations)
 
-    def watch(self, step: Step, state: RoundState) -> None:
+    def watch(self, step: EnvStep, state: RoundState) -> None:
         """Record a step."""
         rewards = torch.stack([*step.rewards.values()]).sum(dim=0)
         made = {ACTION: step.joint_pos_target, REWARD: rewards[:, None]}
@@ -67,15 +70,19 @@ class _Watcher:
 
 
 def write_throws(
-    cfg: EvaluationCfg, actor: Actor, method: Method, writer: DatasetWriter, images: bool
-) -> int:
-    """Throw once in every environment, write every trial until its decision, and return the catches.
+    folder: Path, cfg: EvaluationCfg, actor: Actor, method: Method, *, images: bool
+) -> tuple[int, int, int]:
+    """Throw once in every environment, and write every trial until its decision.
 
     With `images`, the images of the robot's camera at the decisions are drawn, without latency.
+
+    Returns:
+        The number of throws, of catches, and of control steps.
 
     Raises:
         DeviceUnavailableError: Images cannot be drawn on this machine.
     """
+    require_free_folder(folder)
     env = cfg.make_env(method)
     try:
         watcher = _Watcher(actor, env)
@@ -83,17 +90,18 @@ def write_throws(
         names = [env.world.objects.names[row] for row in record.object_id.tolist()]
     finally:
         env.close()
-    for row, (name, is_success) in enumerate(zip(names, record.is_success.tolist(), strict=True)):
+
+    def steps(row: int) -> Iterator[Step]:
         moments = [moment for moment in watcher.moments if moment.is_thrown[row]]
-        pictures = _pictures([moment.qpos[row].numpy() for moment in moments], cfg.task.scene, name)
-        pictures = pictures if images else repeat(None, len(moments))
-        for number, (moment, picture) in enumerate(zip(moments, pictures, strict=True), 1):
-            step: dict[str, Any] = {key: value[row].numpy() for key, value in moment.features.items()}
-            is_last = number == len(moments)
-            step |= {DONE: is_last, SUCCESS: is_last and is_success}
-            writer.add(step, picture)
-        writer.end_episode(f"Catch the thrown object: {name}.")
-    return int(record.is_success.sum())
+        pictures = _pictures([moment.qpos[row].numpy() for moment in moments], cfg.task.scene, names[row])
+        for moment, picture in zip(moments, pictures if images else repeat(None), strict=False):
+            is_last = moment is moments[-1]
+            ends = {DONE: is_last, SUCCESS: is_last and bool(record.is_success[row])}
+            yield {key: value[row].numpy() for key, value in moment.features.items()} | ends, picture
+
+    episodes = ((f"Catch the thrown object: {name}.", steps(row)) for row, name in enumerate(names))
+    num_throws, num_steps = write_dataset(folder, env.workcell, episodes)
+    return num_throws, int(record.is_success.sum()), num_steps
 
 
 def _pictures(qpos: list[np.ndarray], scene: SceneCfg, object_name: str) -> Iterator[Pixels]:
