@@ -6,7 +6,6 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Seed
-from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
@@ -36,11 +35,10 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.studies import cpu_slots, run_grid
+        from pixel2catch.cli.studies import cpu_slots, finish, run_grid
         from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.report import as_markdown, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.evaluation.stress_report import stress_rows, stress_sections
         from pixel2catch.scene.objects import select_objects
@@ -60,9 +58,5 @@ class Stress:
         results = plan_results(find_policies(self.policies), settings, self.out)
         grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
         run_grid(grid, slots, "stress")
-        if rows := stress_rows(results):
-            sections = stress_sections(rows)
-            print(as_markdown("Stress suite", sections), end="", flush=True)
-            files = write_report(self.out, "Stress suite", sections, {"results": rows})
-            say(f"wrote {self.out}: {files}")
-        grid.require_whole()
+        rows = stress_rows(results)
+        finish(grid, self.out, "Stress suite", stress_sections(rows) if rows else [], results=rows)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.evaluation.grid import Status, StudyGrid
+from pixel2catch.evaluation.report import Row, Section, as_markdown, write_report
 from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
 
 JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a cluster at once. Source: ours.
@@ -59,3 +60,17 @@ def cpu_slots(jobs: int, device: str, slurm: tuple[str, ...], out: Path) -> Sequ
     if jobs == 1:
         return [ThisProcess("", device)]
     return [Worker("", device, ONE_THREAD) for _ in range(jobs)]
+
+
+def finish(
+    grid: StudyGrid, out: Path, title: str, sections: Sequence[Section], **rows: Sequence[Row]
+) -> None:
+    """Print and write the report of a study; `rows` are those behind it, by kind.
+
+    Raises:
+        StudyError: If a cell failed; the report has all others.
+    """
+    if sections:
+        print(as_markdown(title, sections), end="", flush=True)
+        say(f"wrote {out}: {write_report(out, title, sections, rows)}")
+    grid.require_whole()

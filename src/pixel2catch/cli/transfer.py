@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, NotEmpty, ResultsFolder, Seed, Within
-from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath, policy_folder
@@ -42,10 +41,9 @@ class Transfer:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.studies import cpu_slots, run_grid
+        from pixel2catch.cli.studies import cpu_slots, finish, run_grid
         from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
-        from pixel2catch.evaluation.report import as_markdown, write_report
         from pixel2catch.evaluation.transfer import (
             order_rows,
             rounds_of,
@@ -67,13 +65,10 @@ class Transfer:
         cells = policy_cells(rounds, replace(whole, trials=1), throw_metrics, is_alone=self.jobs == 1)
         grid = StudyGrid(cells)
         run_grid(grid, cpu_slots(self.jobs, "cpu", (), self.out), "transfer")
-        if rows := transfer_rows(results, whole.trials):
-            orders = list(order_rows(rows))
-            sections = transfer_sections(rows, orders)
-            print(as_markdown("Transfer", sections), end="", flush=True)
-            files = write_report(self.out, "Transfer", sections, {"results": rows, "orders": orders})
-            say(f"wrote {self.out}: {files}")
-        grid.require_whole()
+        rows = transfer_rows(results, whole.trials)
+        orders = list(order_rows(rows))
+        sections = transfer_sections(rows, orders) if rows else []
+        finish(grid, self.out, "Transfer", sections, results=rows, orders=orders)
 
     def _evaluation(self) -> "EvaluationCfg":
         """Return the evaluation, in rounds.

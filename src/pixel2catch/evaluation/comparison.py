@@ -289,18 +289,21 @@ def rates_table(rows: Sequence[Row]) -> list[Cells]:
             "method": row["method"],
             "objects": row["objects"],
             "seeds": str(row["seeds"]),
-            **{
-                column: text
-                for title, name in MAIN_RATES.items()
-                for column, text in (
-                    (f"{title} [%]", _spread(row[name])),
-                    (f"{title}, 95 % interval", _interval(row[name])),
-                    (f"{title}, paper", _spread(row["paper"] and row["paper"][name], digits=2)),
-                )
-            },
+            **_rate_cells(row, "T.R."),
+            **_rate_cells(row, "S.R."),
         }
         for row in rows
     ]
+
+
+def _rate_cells(row: Row, title: str) -> Cells:
+    rate, paper = row[MAIN_RATES[title]], row["paper"] and row["paper"][MAIN_RATES[title]]
+    low, high = rate["interval"]
+    return {
+        f"{title} [%]": _spread(rate),
+        f"{title}, 95 % interval": f"[{100 * low:.1f}, {100 * high:.1f}]",
+        f"{title}, paper": _spread(paper, digits=2),
+    }
 
 
 def quality_table(rows: Sequence[Row]) -> list[Cells]:
@@ -343,8 +346,3 @@ def _spread(rate: Row | None, digits: int = 1) -> str:
         return DASH
     deviation = DASH if rate["deviation"] is None else f"{100 * rate['deviation']:.{digits}f}"
     return f"{100 * rate['mean']:.{digits}f} ± {deviation}"
-
-
-def _interval(rate: Row) -> str:
-    low, high = rate["interval"]
-    return f"[{100 * low:.1f}, {100 * high:.1f}]"

@@ -101,8 +101,7 @@ def transfer_rows(results: Sequence[PolicyResult], num_rounds: int) -> list[Row]
             if engine != home and at_home:
                 row[f"{name}_change"] = paired_difference(at_home[event], found["throws"][event])
         rows.append(row)
-    places = [(row["policy"], row["restitution"]) for row in rows]
-    policies, labels = ([*dict.fromkeys(values)] for values in zip(*places, strict=True))
+    policies, labels = ([*dict.fromkeys(row[name] for row in rows)] for name in ("policy", "restitution"))
     return sorted(rows, key=lambda row: (policies.index(row["policy"]), labels.index(row["restitution"])))
 
 
