@@ -18,7 +18,7 @@ COLUMNS = ("transitions", "episodes", *MAIN_RATES.values())  #: Columns of `metr
 NUM_BINS = 60  #: Most bins from the start to the end of the longest training. Source: ours.
 MOST_METRICS = 2**26  #: Largest size of a `metrics.csv` [bytes]; long trainings have 100,000. Source: ours.
 
-Columns = Mapping[str, Float[ndarray, " num_updates"]]
+Columns = Mapping[str, Float[ndarray, " _"]]  #: One value for each update; trainings differ in length.
 
 
 @dataclass(frozen=True, kw_only=True)
