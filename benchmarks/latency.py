@@ -143,7 +143,7 @@ def main() -> None:
     ages = [moment - struct.unpack_from("<d", data, 4)[0] for moment, data in images]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deploy.txt"
-        with make_transport("dds", "replayer", LOOPBACK, clock) as node:
+        with make_transport("replayer", LOOPBACK, clock) as node:
             with deployment(args, out) as process:
                 wait_for(node, profile, process)
                 set_real_time(SERVO_PRIORITY)  # as the drivers that it stands for

@@ -30,7 +30,7 @@ def lab(seconds: float, results) -> None:
     """Send on a schedule; measure how long the command to an image takes."""
     clock, answers = RealClock(), []
     pixels = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
-    with make_transport("dds", "lab", LOOPBACK, clock) as node:
+    with make_transport("lab", LOOPBACK, clock) as node:
         images, states = node.publisher(IMAGES), node.publisher(STATES)
         commands = node.subscription(COMMANDS, depth=10)
         time.sleep(SETTLE)
@@ -52,7 +52,7 @@ def lab(seconds: float, results) -> None:
 def pipeline(seconds: float, results) -> None:
     """Wait for messages; answer images at once."""
     clock, ages = RealClock(), {"image_ms": [], "joint_state_ms": []}
-    with make_transport("dds", "brain", LOOPBACK, clock) as node:
+    with make_transport("brain", LOOPBACK, clock) as node:
         images, states = node.subscription(IMAGES, depth=10), node.subscription(STATES, depth=100)
         commands = node.publisher(COMMANDS)
         cpu, begin = time.process_time(), clock.now()

@@ -48,7 +48,7 @@ fi
 
 if is_asked 3; then
 echo "== 3. Ctrl-C at torchrun, then one GPU resumes what two have written"
-$TORCHRUN -m $TRAIN --transitions 1000000000 --report-seconds 1 --out "$OUT/stop" > "$OUT/stop.log" 2>&1 & pid=$!
+$TORCHRUN -m $TRAIN --transitions 1000000000 --out "$OUT/stop" > "$OUT/stop.log" 2>&1 & pid=$!
 for _ in $(seq 120); do grep -q "transitions ·" "$OUT/stop.log" && break; sleep 1; done
 sleep 3; kill -INT $pid; start=$SECONDS; wait $pid
 check "interrupted within 25 s, told once" "[ $((SECONDS - start)) -lt 25 ] && [ \$(grep -c 'interrupted:' $OUT/stop.log) = 1 ]"

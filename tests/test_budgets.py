@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from pixel2catch.cli.fields import PREFIX, default_of
-from pixel2catch.cli.help import option_rules
+from pixel2catch.cli.fields import PREFIX, default_of, option_rules
 from pixel2catch.cli.main import COMMANDS, load_command
 
 ROOT = Path(__file__).parents[1]

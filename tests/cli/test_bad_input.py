@@ -49,12 +49,13 @@ BAD = [
     ("evaluate --env.scene.physics-hz nan", "physics_hz is nan"),
     ("evaluate --env.scene.physics-hz 100", "physics_hz is 100; it must be a multiple"),
     ("train --learning-rate nan", "learning_rate is nan"),
-    ("train --discount 1.5", "discount is 1.5; it must be from 0 to 1"),
+    ("train --teacher-share 1.5", "teacher_share is 1.5; it must be from 0 to 1"),
+    ("train --discount 0.9", "reproduce --training"),
     ("train --hidden 512 0", "hidden is 0"),
     ("train --rewards arm.success nan", "rewards.arm.success is nan"),
     ("evaluate --device gpu", "device is 'gpu'; it must be cpu, cuda, or cuda:1"),
     ("reproduce --evaluation-device cpu gpu", "evaluation_device is 'gpu'"),
-    ("twin --web --port 99999", "port is 99999; it must be from 1 to 65535"),
+    ("twin --web --address localhost:99999", "address is 'localhost:99999'; give HOST:PORT"),
     ("twin --clock 2", "clock is 2; it must be greater than 0, and at most 1"),
     # fields of the task
     (f"{EVALUATE} --env.randomization.friction -1 -1", "env.randomization.friction is -1"),
@@ -193,7 +194,7 @@ STRESS = "stress proposed --axes nominal --trials 500"
 @pytest.mark.parametrize(
     ("line", "sign", "number", "status", "words"),
     [
-        (f"{TRAIN} --report-seconds 0 --out run", "k/s", signal.SIGINT, 130, "interrupted: "),
+        (f"{TRAIN} --out run", "k/s", signal.SIGINT, 130, "interrupted: "),
         (STRESS, "stress: ", signal.SIGTERM, 143, "pixel2catch: terminated"),
     ],
     ids=["train-SIGINT", "stress-SIGTERM"],

@@ -14,6 +14,7 @@ import torch
 import commands
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.device import prepare
+from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import main, parse
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.evaluation.loading import load_policy
@@ -177,6 +178,8 @@ def test_train_has_and_explains_every_option_of_its_configuration():
     text = " ".join(pixel2catch("train", "--help").stdout.replace("│", "").split())
     assert "None" not in text
     for field in dataclasses.fields(TrainCfg):
+        if field.name in HIDDEN:
+            continue
         flag = f"--{field.name.replace('_', '-')}" + ("" if field.default is False else r" [A-Z{\[]\S*")
         said = re.search(rf"{flag} .*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
         assert said, field.name

@@ -107,8 +107,6 @@ def test_a_missing_device_and_another_configuration_are_refused(
         (("--methods", "propose"), "proposed"),
         (("--training", "seed=4"), "'seed'"),
         (("--training", "num_envs=0"), "num_envs is 0"),
-        (("--report-only",), "study.json"),
-        (("--report-only", "--methods", "only_wh", "--seeds", "2"), "leave out --methods, --seeds."),
     ],
 )
 def test_bad_input_leaves_nothing(

@@ -78,7 +78,7 @@ def run_laboratory(words: Connection, rate: float) -> None:
     """Run a laboratory as a process until the other end of the pipe is closed."""
     set_niceness(-10)
     clock = RealClock(rate)
-    with make_transport("dds", "laboratory", LOOPBACK, clock) as transport:
+    with make_transport("laboratory", LOOPBACK, clock) as transport:
         lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
         try:
             while True:

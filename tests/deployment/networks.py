@@ -8,7 +8,7 @@ import pytest
 import rclpy_stand_in
 
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, ROS, RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""
@@ -20,13 +20,12 @@ def memory_nodes(stack: ExitStack) -> MakeNode:
 
 
 def dds_nodes(stack: ExitStack) -> MakeNode:
-    return lambda name: stack.enter_context(make_transport("dds", name, LOOPBACK, RealClock()))
+    return lambda name: stack.enter_context(make_transport(name, LOOPBACK, RealClock()))
 
 
 def ros_nodes(stack: ExitStack) -> MakeNode:
     """Nodes of the rclpy that is installed, or else of its stand-in."""
     patch = stack.enter_context(pytest.MonkeyPatch.context())
-    patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if not find_spec("rclpy"):
         rclpy_stand_in.install(patch)
-    return lambda name: stack.enter_context(make_transport("ros", name, LOOPBACK, RealClock()))
+    return lambda name: stack.enter_context(make_transport(name, ROS, RealClock()))

@@ -21,7 +21,7 @@ from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.dds import THIS_MACHINE, dds_type
-from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic, make_transport
+from pixel2catch.ros2.transport import ANY, ROS, RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -97,13 +97,13 @@ def test_a_domain_that_does_not_exist_is_refused(make, monkeypatch):
 def test_rclpy_needs_a_sourced_ros_2():
     if find_spec("rclpy"):
         pytest.skip("ROS 2 is sourced")
-    with pytest.raises(DeploymentError, match=r"source ROS 2 .* or take the transport dds"):
-        make_transport("ros", "node", LOOPBACK, RealClock())
+    with pytest.raises(DeploymentError, match=r"source ROS 2 .* or another --network"):
+        make_transport("node", ROS, RealClock())
 
 
 def send_latched(is_sent) -> None:
     """Send a latched message from another process, and wait."""
-    with make_transport("dds", "driver", ANY, RealClock()) as node:
+    with make_transport("driver", ANY, RealClock()) as node:
         node.publisher(MODE).publish(messages.safety_mode(1))
         is_sent.set()
         time.sleep(4.0 * PATIENCE)

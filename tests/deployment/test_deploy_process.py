@@ -75,7 +75,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessBe
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with ExitStack() as stack:
         clock = RealClock(RATE)
-        node = stack.enter_context(make_transport("dds", "bench", LOOPBACK, clock))
+        node = stack.enter_context(make_transport("bench", LOOPBACK, clock))
         yield ProcessBench(node, clock, stack, tmp_path)
 
 

@@ -14,7 +14,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.record import Record
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock
+from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, RealClock
 
 INTERFACES = [name for _, name in socket.if_nameindex()]
 
@@ -42,7 +42,7 @@ def test_only_the_twin_needs_no_identified_dynamics():
     """If a robot may be connected, commands are no faster than its joints."""
     profile = Profile.load("ur5e_allegro_v4")
     twin = Link().limits(profile).joints
-    for link in (Link(network=ANY), Link(transport="ros")):
+    for link in (Link(network=ANY), Link(network=ROS)):
         assert not link.is_twin
         assert (link.limits(profile).joints.speed < twin.speed).all()
 

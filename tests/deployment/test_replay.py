@@ -109,11 +109,11 @@ def test_a_recording_without_images_is_refused(tmp_path: Path):
     assert not (tmp_path / "now").exists()
 
 
-def test_the_command_reports_the_differences(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_reports_the_differences(tmp_path: Path):
     record(tmp_path / "then", "jpeg", new_pipeline())
     args = ["replay", str(tmp_path / "then"), "--out", str(tmp_path / "now"), "--segmenter", "color"]
-    assert main([*args, "--color", "340", "20", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    assert main([*args, "--color", "340", "20"]) == 0
+    report = json.loads((tmp_path / "now" / "report.json").read_text())
     assert report["decided"]["num_both"] >= report["decided"]["num_then"] - 1 > 18
     assert report["deploy"]["num_steps"] > 20
     assert max(report["decided"][part]["max"] for part in ("arm", "hand")) < 0.2

@@ -84,7 +84,7 @@ def real_time_lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[RealTimeLab]:
 
 
 def join(name: str, clock: RealClock) -> Transport:
-    return make_transport("dds", name, LOOPBACK, clock)
+    return make_transport(name, LOOPBACK, clock)
 
 
 def test_a_terminated_servo_stops_the_robot_first(real_time_lab: RealTimeLab):

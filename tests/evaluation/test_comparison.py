@@ -13,7 +13,6 @@ import pytest
 import torch
 from PIL import Image
 
-from pixel2catch.cli.main import main
 from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.comparison import (
     GROUPS,
@@ -274,7 +273,7 @@ def test_an_earlier_study_is_read(tmp_path: Path):
     """Its results are those that it was reported with."""
     copytree(EARLIER / "2026-11-21-comparison", tmp_path / "study")
     shown = read_rows(tmp_path / "study" / "report" / "table.json")
-    assert main(["reproduce", "--report-only", "--out", str(tmp_path / "study")]) == 0
+    write_comparison(ComparisonFolder(tmp_path / "study"))
     again = read_rows(tmp_path / "study" / "report" / "table.json")
     for before, now in zip(shown, again, strict=True):
         assert (now["method"], now["objects"], now["paper"]) == tuple(

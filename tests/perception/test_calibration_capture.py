@@ -132,7 +132,7 @@ class Robot(threading.Thread):
 
     def run(self) -> None:
         clock = RealClock()
-        with make_transport("dds", "camera_and_arm", LOOPBACK, clock) as node:
+        with make_transport("camera_and_arm", LOOPBACK, clock) as node:
             image, state = (
                 node.publisher(topic) for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic)
             )

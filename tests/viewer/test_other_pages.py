@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from domains import PATIENCE, free_port, own_domain
-from pixel2catch.cli.operate import Keys
+from pixel2catch.cli.operate import KEYS
 from pixel2catch.deployment.operator import EVENT, KEY
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
@@ -29,7 +29,7 @@ PROFILE = Profile.load("ur5e_allegro_v4")
 @contextmanager
 def started(*args: str | Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A command that serves a page, and the page's address."""
-    command = [sys.executable, "-m", "pixel2catch", *map(str, args), "--port", str(free_port())]
+    command = [sys.executable, "-m", "pixel2catch", *map(str, args), "--address", f"127.0.0.1:{free_port()}"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert process.stdout is not None
@@ -59,7 +59,7 @@ def test_the_twin_has_a_page(monkeypatch: pytest.MonkeyPatch):
 def test_an_operator_has_a_page_whose_switch_is_let_go_at_its_end(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with (
-        make_transport("dds", "laboratory", LOOPBACK, RealClock()) as node,
+        make_transport("laboratory", LOOPBACK, RealClock()) as node,
         started("operate", "--web") as (process, address),
     ):
         heard = node.subscription(PROFILE.operator.dead_man, depth=1000)
@@ -92,7 +92,7 @@ def test_beside_a_pedal_the_page_has_no_switch(tmp_path: Path, monkeypatch: pyte
         started("operate", pedal, "--web") as (_, address),
         connect(f"{address.replace('http', 'ws')}/operate/link", origin=Origin(address)) as visitor,
     ):
-        keys.write(EVENT.pack(1, 2, KEY, Keys().hold[0], 1))
+        keys.write(EVENT.pack(1, 2, KEY, KEYS[0][0], 1))
         states = (json.loads(said) for said in visitor if isinstance(said, str))
         state = next(state for state in states if state["is_held"])
         assert not state["has_switch"]

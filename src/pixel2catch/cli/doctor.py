@@ -163,8 +163,8 @@ def dds() -> str:
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
-        make_transport("dds", "receiver", LOOPBACK, clock) as receiver,
-        make_transport("dds", "sender", LOOPBACK, clock) as sender,
+        make_transport("receiver", LOOPBACK, clock) as receiver,
+        make_transport("sender", LOOPBACK, clock) as sender,
     ):
         subscription, publisher = receiver.subscription(topic), sender.publisher(topic)
         begin = clock.now()

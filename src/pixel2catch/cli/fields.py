@@ -1,13 +1,15 @@
-"""Fields of the task as options, `--env.sensing.latency-steps 1 3`, and their defaults."""
+"""How the fields of commands become options; those of the task, `--env.sensing.latency-steps 1 3`, too."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import is_dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import tyro
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath
+from pixel2catch.checks import CameraPath, DynamicsPath, Requirement, RobotModelPath
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
@@ -15,6 +17,60 @@ if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
     from pixel2catch.evaluation.stress.suite import Change, Setting
     from pixel2catch.policy import LoadedPolicy
+    from pixel2catch.viewer import PageCfg
+
+TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
+"""Where the classes of the task's fields are."""
+
+HIDDEN = (
+    *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip", "value_loss"),
+    *("value_loss_scale", "entropy_scale", "gradient_clip", "report_seconds"),
+)
+"""Fields of `TrainCfg` that are no options of `train`; Python and `reproduce --training` set them."""
+
+
+def option_rules(hidden: Collection[str] = HIDDEN) -> ConstructorRegistry:
+    """Return tyro's rules with ours: short names, no default where there is none, plain flags.
+
+    Fields of nested option classes have no prefix, except those of the task. A flag that is off has no
+    counterpart; one that is on has its negation beside it.
+    """
+    registry, entered = ConstructorRegistry(), list[Any]()
+
+    @registry.struct_rule
+    def rule(info: StructTypeInfo) -> StructConstructorSpec | None:
+        if not is_dataclass(info.type) or info.type in entered:
+            return None
+        entered.append(info.type)
+        try:
+            spec = ConstructorRegistry.get_struct_spec(info)
+        finally:
+            entered.pop()
+        if not isinstance(spec, StructConstructorSpec):
+            return None
+        absent = hidden if info.type.__name__ == "TrainCfg" else ()
+        is_task = any(part in info.type.__module__ for part in TASK_MODULES)
+        return replace(spec, fields=tuple(_option(field, is_task, absent) for field in spec.fields))
+
+    return registry
+
+
+def _option(field: StructFieldSpec, is_task: bool, hidden: Collection[str]) -> StructFieldSpec:
+    """Return a field with its name and help as an option."""
+    kind: Any = field.type
+    is_absent = (field.name == "dynamics" and is_task) or (field.name == "env" and field.default is None)
+    if is_absent or field.name in hidden:
+        return replace(field, type=tyro.conf.Suppress[tyro.conf.Fixed[kind]])
+    declared = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    is_nested = is_dataclass(field.default) or is_dataclass(declared)
+    if is_nested and field.name != "env" and not is_task:
+        return replace(field, type=Annotated[kind, tyro.conf.arg(name="")])
+    if field.default is False:
+        kind = tyro.conf.FlagCreatePairsOff[kind]
+    if field.default in (None, (), {}) or field.default is False:
+        kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
+    return replace(field, type=kind)
+
 
 PREFIX = "--env."  #: What options that are fields of the task begin with.
 HELP = "--env.help"
@@ -78,9 +134,9 @@ def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
     values = {}
     for name, inner in parts.items():
         old, new = getattr(task, name), getattr(source, name)
-        is_whole = "" in inner or not dataclasses.is_dataclass(old)
+        is_whole = "" in inner or not is_dataclass(old)
         values[name] = new if is_whole else with_given(old, new, inner)
-    return dataclasses.replace(task, **values)
+    return replace(task, **values)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,8 +163,8 @@ class TaskOptions:
                 )
         changed = with_given(task, self.env, self.given)
         if self.robot_model:
-            scene = dataclasses.replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
-            changed = dataclasses.replace(changed, scene=scene)
+            scene = replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
+            changed = replace(changed, scene=scene)
         return changed
 
     def beneath(self, setting: "Setting", command: str) -> "Setting":
@@ -116,7 +172,7 @@ class TaskOptions:
         if not self.given and not self.robot_model:
             return setting
         change = partial(_disturbed, self, command, setting.level.change)
-        return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))
+        return replace(setting, level=replace(setting.level, change=change))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -138,6 +194,36 @@ class SimulatedTask(TaskOptions):
         for remark in camera_remark(policy, task):
             say(remark)
         return task
+
+
+@dataclasses.dataclass(frozen=True)
+class HostAndPort(Requirement):
+    """A host and a port, as HOST:PORT."""
+
+    def require(self, name: str, value: str) -> None:
+        """Refuse other text."""
+        host, _, port = value.rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65_536:
+            raise InvalidValueError(
+                f"{name} is '{value}'; give HOST:PORT with a port from 1 to 65535, such as 127.0.0.1:8080."
+            )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """Where a page is served."""
+
+    #: Host and port of the page; of ports in use, the next free one. If other machines can reach it, as with
+    #: 0.0.0.0:8080, the page's address has a token.
+    address: Annotated[str, HostAndPort()] = "127.0.0.1:8080"
+
+    @property
+    def cfg(self) -> "PageCfg":
+        """The address for pages."""
+        from pixel2catch.viewer import PageCfg
+
+        host, _, port = self.address.rpartition(":")
+        return PageCfg(host=host.strip("[]"), port=int(port))
 
 
 def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":

@@ -6,11 +6,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
 from pixel2catch.cli.console import say
-from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock, make_transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, NetworkName, RealClock, make_transport
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.control_loop import Connection
@@ -42,9 +42,8 @@ class Network:
     """The network of a robot and its deployment."""
 
     robot: Robot = field(default_factory=Robot)  #: The robot.
-    transport: Literal["dds", "ros"] = "dds"  #: dds: DDS without ROS 2; ros: rclpy of a sourced ROS 2.
-    #: Network of the robot: an interface of this machine, such as eth0, or any for CYCLONEDDS_URI or the
-    #: choice of DDS. lo is this machine only, where the digital twin is, and no robot's driver.
+    #: Network of the robot: an interface of this machine, such as eth0; any for CYCLONEDDS_URI or the choice
+    #: of DDS; or ros for the rclpy of a sourced ROS 2. lo is the digital twin on this machine.
     network: NetworkName = LOOPBACK
     clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
 
@@ -52,7 +51,7 @@ class Network:
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
         """Join the network as a node of this name; print which network it is."""
         clock = RealClock(self.clock)
-        with make_transport(self.transport, node, self.network, clock) as transport:
+        with make_transport(node, self.network, clock) as transport:
             domain = os.environ.get("ROS_DOMAIN_ID") or 0
             say(f"network: {self.network}, {self._reach}; ROS_DOMAIN_ID {domain}")
             yield transport, clock
@@ -60,14 +59,14 @@ class Network:
     @property
     def is_twin(self) -> bool:
         """Whether only the digital twin can be reached: DDS on this machine reaches no driver."""
-        return self.network == LOOPBACK and self.transport == "dds"
+        return self.network == LOOPBACK
 
     @property
     def _reach(self) -> str:
         if self.is_twin:
             return "the digital twin on this machine; for a robot: --network INTERFACE"
-        if self.network == LOOPBACK:
-            return "ROS 2 on this machine"
+        if self.network == ROS:
+            return "what ROS 2 reaches"
         return "everything that DDS reaches" if self.network == ANY else "everything on this interface"
 
 
@@ -99,7 +98,7 @@ class Link(Network):
 
         limits = self.limits(profile)
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=is_dry_run)
-        join = partial(make_transport, self.transport, f"{NODE}_servo", self.network)
+        join = partial(make_transport, f"{NODE}_servo", self.network)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None

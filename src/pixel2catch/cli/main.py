@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Annotated, Any, Union
 
@@ -14,8 +14,7 @@ import tyro
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say_on_terminal
-from pixel2catch.cli.fields import HELP, TaskHelp, default_of
-from pixel2catch.cli.help import option_rules
+from pixel2catch.cli.fields import HELP, HIDDEN, TaskHelp, default_of, option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
@@ -33,71 +32,66 @@ REMOVED = {
 }
 """Commands that are gone, and what to do instead."""
 
-REMOVED_OPTIONS = {
-    "bench --json": "give --out FILE.json",
-    "bench --plot": "give --out FILE.json and draw its numbers",
-    "calibrate --board-pose": "leave it out; the board's pose is found from the images",
-    "calibrate --chessboard": "give images of the printed board, or a .yaml of ROS's camera_calibration",
-    "calibrate --image-topic": "give --topic, with --source",
-    "calibrate --json": "read camera.json",
-    "calibrate --num-views": "leave it out; 15 views are taken, and Ctrl-C ends it earlier",
-    "catch --seed": "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'",
-    "deploy --mask-robot": "leave it out; the robot's own motion is always ignored",
-    "deploy --no-mask-robot": "leave it out; the robot's own motion is always ignored",
-    "deploy --point": "give --box, a box around the object",
-    "deploy --record-images": "leave it out; images are recorded as JPEG",
-    "deploy --saturation": "leave it out; grey pixels are left out",
-    "deploy --seconds": "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'",
-    "deploy --value": "leave it out; dark pixels are left out",
-    "deploy sam2+background": "give --segmenter sam2 or --segmenter background",
-    "doctor --camera": "run 'pixel2catch track 0 --seconds 3'",
-    "doctor --checkpoint": "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'",
-    "evaluate --html": "give --out FILE.json; 'pixel2catch play' draws throws",
-    "evaluate --physics-hz": "give --env.scene.physics-hz",
-    "export --web-demo": "run 'python companions/web_demo/export.py FOLDER'",
-    "identify --hold-out": "leave it out; the last recording judges the fit",
-    "identify --physics-hz": "leave it out; the fit has 480 Hz",
-    "play --layout": "leave it out; several throws are side by side, and --throws 1 --seed S draws one",
-    "play --meshes": "give makers' models with --robot-model, or leave it out",
-    "play --view": "leave it out; the robot's view is in a corner",
-    "record --dry-run": "leave it out; a recording needs motion",
-    "rehearse --domain": "set ROS_DOMAIN_ID",
-    "rehearse --json": "read report.json in the folder of --out",
-    "replay --mask-robot": "leave it out; the robot's own motion is always ignored",
-    "replay --no-mask-robot": "leave it out; the robot's own motion is always ignored",
-    "replay --perception-ms": "leave it out; a replay takes 10 ms for an image",
-    "replay --point": "give --box, a box around the object",
-    "replay --saturation": "leave it out; grey pixels are left out",
-    "replay --value": "leave it out; dark pixels are left out",
-    "replay --web": "open the recording with a viewer of MCAP files",
-    "replay sam2+background": "give --segmenter sam2 or --segmenter background",
-    "reproduce --evaluation-physics-hz": "evaluations have 600 Hz",
-    "reproduce --launcher": "leave it out; --slurm alone selects the cluster",
-    "reproduce --physics-hz": "give --training physics_stages=120,120,240 or env.scene.physics_hz=120",
-    "reproduce --transitions": "give --training transitions=NUMBER",
-    "scene --surface": "leave it out; give --env.scene.robot-surface to evaluate",
-    "stress --json": "read table.json in the folder of the results",
-    "stress --launcher": "leave it out; --slurm alone selects the cluster",
-    "stress --physics-hz": "give --env.scene.physics-hz",
-    "track --joint-states": "leave it out; the topic is /joint_states",
-    "track --json": "read summary.json in the folder of --out",
-    "track --point": "give --box, a box around the object",
-    "track --saturation": "leave it out; grey pixels are left out",
-    "track --value": "leave it out; dark pixels are left out",
-    "track --workcell": "give --mask-robot NAME",
-    "track sam2+background": "give --segmenter sam2 or --segmenter background",
-    "train --cone": "give --env.scene.cone",
-    "train --latency-steps": "give --env.sensing.latency-steps",
-    "train --multiccd": "give --env.scene.multiccd True",
-    "train --no-multiccd": "give --env.scene.multiccd False",
-    "train --physics-hz": "give --env.scene.physics-hz for one rate, or --physics-stages for several",
-    "train --web": "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves",
-    "transfer --json": "read table.json in the folder of the results",
-    "transfer --physics-hz": "give --env.scene.physics-hz",
-    "twin --domain": "set ROS_DOMAIN_ID",
-    "twin --draw-dynamics": "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json",
-}
-"""Options that are gone, and what to do instead. See docs/changes.md."""
+REMOVED_OPTIONS = (
+    ("bench", "--json", "give --out FILE.json"),
+    ("bench", "--plot", "give --out FILE.json and draw its numbers"),
+    ("calibrate", "--board-pose", "leave it out; the board's pose is found from the images"),
+    ("calibrate", "--chessboard", "give images of the printed board, or a .yaml of ROS's camera_calibration"),
+    ("calibrate", "--image-topic", "give --topic, with --source"),
+    ("calibrate", "--json", "read camera.json"),
+    ("calibrate", "--num-views", "leave it out; 15 views are taken, and Ctrl-C ends it earlier"),
+    ("catch", "--seed", "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'"),
+    ("deploy", "--record-images", "leave it out; images are recorded as JPEG"),
+    ("deploy", "--seconds", "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'"),
+    ("deploy record operate calibrate", "--transport", "leave it out; give --network ros for rclpy"),
+    ("deploy replay", "--mask-robot --no-mask-robot", "leave it out; the robot's motion is always ignored"),
+    ("deploy replay track", "--point", "give --box, a box around the object"),
+    ("deploy replay track", "--saturation", "leave it out; grey pixels are left out"),
+    ("deploy replay track", "--value", "leave it out; dark pixels are left out"),
+    ("deploy replay track", "sam2+background", "give --segmenter sam2 or --segmenter background"),
+    ("doctor", "--camera", "run 'pixel2catch track 0 --seconds 3'"),
+    ("doctor", "--checkpoint", "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'"),
+    ("evaluate", "--html", "give --out FILE.json; 'pixel2catch play' draws throws"),
+    ("evaluate stress transfer", "--physics-hz", "give --env.scene.physics-hz"),
+    ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
+    ("identify", "--hold-out", "leave it out; the last recording judges the fit"),
+    ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),
+    ("operate", "--hold --arm --stop", "give --keys HOLD ARM STOP"),
+    ("play", "--layout", "leave it out; several throws are side by side, and --throws 1 --seed S draws one"),
+    ("play", "--meshes", "give makers' models with --robot-model, or leave it out"),
+    ("play", "--view", "leave it out; the robot's view is in a corner"),
+    ("play operate twin", "--host --port", "give --address HOST:PORT"),
+    ("record", "--dry-run", "leave it out; a recording needs motion"),
+    ("rehearse replay", "--json", "read report.json in the folder of --out"),
+    ("rehearse twin", "--domain", "set ROS_DOMAIN_ID"),
+    ("replay", "--perception-ms", "leave it out; a replay takes 10 ms for an image"),
+    ("replay", "--web --host --port", "open the recording with a viewer of MCAP files"),
+    ("reproduce", "--evaluation-physics-hz", "evaluations have 600 Hz"),
+    ("reproduce", "--physics-hz", "give --training physics_stages=120,120,240 or env.scene.physics_hz=120"),
+    ("reproduce", "--report-only", "leave it out; the same command writes the report again"),
+    ("reproduce", "--transitions", "give --training transitions=NUMBER"),
+    ("reproduce stress", "--launcher", "leave it out; --slurm alone selects the cluster"),
+    ("scene", "--surface", "leave it out; give --env.scene.robot-surface to evaluate"),
+    ("stress transfer", "--json", "read table.json in the folder of the results"),
+    ("track", "--joint-states", "leave it out; the topic is /joint_states"),
+    ("track", "--json", "read summary.json in the folder of --out"),
+    ("track", "--workcell", "give --mask-robot NAME"),
+    ("train", "--cone", "give --env.scene.cone"),
+    ("train", "--latency-steps", "give --env.sensing.latency-steps"),
+    ("train", "--multiccd", "give --env.scene.multiccd True"),
+    ("train", "--no-multiccd", "give --env.scene.multiccd False"),
+    ("train", "--physics-hz", "give --env.scene.physics-hz for one rate, or --physics-stages for several"),
+    ("train", "--report-seconds", "leave it out; lines of progress have 10 s between them"),
+    (
+        "train",
+        "--schedule --kl-target --discount --gae-lambda --ratio-clip "
+        "--value-clip --value-loss --value-loss-scale --entropy-scale --gradient-clip",
+        "set it in Python or by 'reproduce --training NAME=VALUE'",
+    ),
+    ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
+    ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),
+)
+"""Commands, their options that are gone, and what to do instead. See docs/changes.md."""
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
@@ -183,25 +177,37 @@ def parse(args: Sequence[str]):
     """
     if args and args[0] in REMOVED:
         raise InvalidValueError(f"there is no command '{args[0]}'; {REMOVED[args[0]]}.")
-    for option in (f"{args[0]} {arg.partition('=')[0]}" for arg in args):
-        if option in REMOVED_OPTIONS:
-            raise InvalidValueError(f"there is no '{option}'; {REMOVED_OPTIONS[option]}.")
+    given = {arg.partition("=")[0] for arg in args[1:]}
+    for commands, options, fix in REMOVED_OPTIONS:
+        if args and args[0] in commands.split() and (found := given & {*options.split()}):
+            raise InvalidValueError(f"there is no '{args[0]} {min(found)}'; {fix}.")
     if args and not args[0].startswith("-") and args[0] not in COMMANDS:
         raise UnknownNameError("command", args[0], COMMANDS)
-    options: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": option_rules()}
     if args and args[0] in COMMANDS:
-        name, *rest = args
-        kind, prog = load_command(name), f"pixel2catch {name}"
-        if HELP in rest:
-            kind, rest = TaskHelp, ["--help"]
-        return tyro.cli(kind, prog=prog, args=rest, default=default_of(kind, rest), **options)
+        return parse_options(args[0], args[1:])
     kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
     return tyro.cli(
         Union[*kinds],  # type: ignore[valid-type]
         prog="pixel2catch",
         description=DESCRIPTION,
         args=args,
-        **options,
+        config=(tyro.conf.DisallowNone,),
+        registry=option_rules(),
+    )
+
+
+def parse_options(name: str, args: Sequence[str], hidden: Collection[str] = HIDDEN) -> Any:
+    """Return a command with its options; `hidden` names fields that are none."""
+    kind = load_command(name)
+    if HELP in args:
+        kind, args = TaskHelp, ["--help"]
+    return tyro.cli(
+        kind,
+        prog=f"pixel2catch {name}",
+        args=args,
+        default=default_of(kind, args),
+        config=(tyro.conf.DisallowNone,),
+        registry=option_rules(hidden),
     )
 
 

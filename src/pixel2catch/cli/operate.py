@@ -10,11 +10,11 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import Within
 from pixel2catch.cli.console import say, saying_changes
+from pixel2catch.cli.fields import PageOptions
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
-from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.operator import OperatorConsole, Press
@@ -26,31 +26,27 @@ if TYPE_CHECKING:
 KeyCode = Annotated[int, Within(1, 767)]  #: Code of a key or button. Source: Linux, input-event-codes.h.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Keys:
-    """Key codes; any one of them is enough."""
-
-    #: Hold the dead-man's switch. Default: space bar, first button of a gamepad or joystick.
-    hold: tuple[KeyCode, ...] = (57, 288, 304)
-    arm: tuple[KeyCode, ...] = (28, 296, 315)  #: Request arming. Default: enter, start button.
-    stop: tuple[KeyCode, ...] = (1, 289, 305)  #: Request a stop. Default: escape, second button.
+KEYS = (57, 288, 304), (28, 296, 315), (1, 289, 305)
+"""Key codes that hold the switch (space bar, first buttons), arm (enter, start) and stop (escape, second)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Operate:
     """Hold the dead-man's switch, arm and stop with a pedal, a gamepad or a keyboard (Linux), or on a page.
 
-    The robot may move while a key of --hold is pressed. It stops when the key is released, the device is
-    unplugged, or this command ends. This command prints the code of each pressed key. The page shows the
+    The robot may move while the first of the --keys is pressed. It stops when the key is released, the
+    device is unplugged, or this command ends. The code of each pressed key is printed. The page shows the
     camera's image, takes prompts, and stops the robot. Without a device, a button of the page is the switch,
     released when its browser loses the focus or the connection. The page is no safety device.
     """
 
     #: Input device, such as /dev/input/by-id/usb-...-event-kbd; not needed with --web.
     device: Positional[Path | None] = None
-    keys: Keys = field(default_factory=Keys)  #: Keys of the device.
+    #: Key codes of the device: hold the switch, arm, stop. Default: space bar, enter and escape, or a
+    #: gamepad's first, start and second button.
+    keys: tuple[KeyCode, KeyCode, KeyCode] | None = None
     web: bool = False  #: Serve a page for the operator.
-    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    page: PageOptions = field(default_factory=PageOptions)  #: Where that page is served.
     network: Network = field(default_factory=Network)  #: Connection to the deployment.
 
     def run(self) -> None:
@@ -73,8 +69,8 @@ class Operate:
             say(f"listening to {self.device or 'the page'}; Ctrl-C ends it, and stops the robot")
             stop, report = stack.enter_context(StopRequest()), _report(page if switches else None)
             if switches:
-                keys = self.keys.hold, self.keys.arm, self.keys.stop
-                operate_by_keys(console, switches, keys, clock, lambda: stop.is_set, report)
+                hold, arm, halt = ((key,) for key in self.keys) if self.keys else KEYS
+                operate_by_keys(console, switches, (hold, arm, halt), clock, lambda: stop.is_set, report)
             elif page:
                 page.operate(lambda: stop.is_set, lambda status: report([], status))
 
@@ -90,7 +86,7 @@ class Operate:
         button = None if self.device else HeldButton()
         scene = SceneCfg(workcell=profile.workcell)
         return OperatorPage(
-            self.page, "Pixel2Catch operator", scene, profile, node, clock, console, button=button
+            self.page.cfg, "Pixel2Catch operator", scene, profile, node, clock, console, button=button
         )
 
 

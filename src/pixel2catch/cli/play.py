@@ -8,11 +8,10 @@ from tyro.conf import Positional
 from pixel2catch.checks import Count, FilmPath, Seed
 from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import SimulatedTask
+from pixel2catch.cli.fields import PageOptions, SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
-from pixel2catch.viewer import PageCfg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +27,7 @@ class Play:
     throws: Count = 4  #: Number of throws.
     seed: Seed = 0  #: Seed of all random numbers.
     web: bool = False  #: Serve a page with throws to play with, instead of writing a video.
-    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    page: PageOptions = field(default_factory=PageOptions)  #: Where that page is served.
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
@@ -71,5 +70,5 @@ class Play:
         prepare("cpu")
         with needs_extra("viewer"):
             from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
-        args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
+        args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page.cfg}
         serve_until_interrupted(PlayCfg(**args, dynamics=self.task.dynamics, camera=self.task.camera))

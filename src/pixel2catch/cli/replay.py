@@ -10,10 +10,12 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder
 from pixel2catch.cli.deploy import make_pipeline, summary_lines
 from pixel2catch.cli.link import Robot
-from pixel2catch.files import json_text
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
+
+REPORT = "report.json"  #: File in the output folder with the comparison and all times.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +27,9 @@ class Replay:
     """
 
     recording: Positional[Path]  #: Recording of `deploy --record` or `rehearse --record`, with images.
-    out: NewFolder  #: New folder for the recording (MCAP) of the new decisions.
+    out: NewFolder  #: New folder for the recording (MCAP) of the new decisions and report.json.
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: PolicyPath | None = None
-    json: bool = False  #: Print the report as one JSON object.
     robot: Robot = field(default_factory=Robot)  #: The recorded robot.
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
 
@@ -47,7 +48,8 @@ class Replay:
             "deploy": statistics.summary(),
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
-        print(json_text(report) if self.json else "\n".join([*notes, *_lines(report)]) + "\n", end="")
+        write_atomically({self.out / REPORT: json_text(report).encode()})
+        print("\n".join([*notes, *_lines(report)]))
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:

@@ -27,9 +27,6 @@ OWN = ("device", "seed")  #: Fields of `TrainCfg` that a study sets for each tra
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
 JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `shared_gpus`.
 
-OF_STUDY = ("methods", "seeds", "preset", "training", "num_envs", "trials")
-"""Options that say what a study is; the others say where."""
-
 TRAINING, EVALUATION = "training", "evaluation"
 
 
@@ -61,33 +58,18 @@ class Reproduce:
     #: Where to evaluate: cpu, or one or several CUDA devices.
     evaluation_device: tuple[Device, ...] = ("cpu",)
     out: ResultsFolder = Path("results")  #: Folder of the study.
-    report_only: bool = False  #: Train and evaluate nothing; write the report of the results in the folder.
 
     def run(self) -> None:
         """Compute what is missing, and write the report."""
         from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
-        from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.report import markdown
 
         folder = ComparisonFolder(self.out)
-        grid = StudyGrid([])
-        if self.report_only:
-            self._require_whole_study()
-        else:
-            grid = self._compute(folder)
+        grid = self._compute(folder)
         rates = write_comparison(folder)
         print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
         say(f"wrote the report: {folder.path / 'report'}: table.md, page.html")
         grid.require_whole()
-
-    def _require_whole_study(self) -> None:
-        default = Reproduce()
-        ignored = [name for name in OF_STUDY if getattr(self, name) != getattr(default, name)]
-        if ignored:
-            options = ", ".join(f"--{name.replace('_', '-')}" for name in ignored)
-            raise InvalidValueError(
-                f"--report-only writes the report of the whole study in '{self.out}'; leave out {options}."
-            )
 
     def _compute(self, folder: "ComparisonFolder") -> "StudyGrid":
         from pixel2catch.cli.studies import run_grid
@@ -152,19 +134,19 @@ class Reproduce:
 
     def _experiment(self) -> "Experiment":
         """Return the configuration of all trainings; seed and device are replaced in each."""
-        from pixel2catch.cli.main import parse
+        from pixel2catch.cli.main import parse_options
         from pixel2catch.learning.config import GONE, TrainCfg, require_known
         from pixel2catch.learning.experiment import Experiment
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
-        args = ["train", "--device", "cpu", "--preset", self._preset]
+        args = ["--device", "cpu", "--preset", self._preset]
         for option in self.training:
             name, _, value = option.partition("=")
             if name not in free and name != "task" and not name.startswith("env."):
                 require_known({name} & GONE.keys())
                 raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
             args += [f"--{name.replace('_', '-')}", *value.split(",")]
-        train = parse(args)
+        train = parse_options("train", args, hidden=())
         return Experiment(env=train.env, train=train.train)
 
     @property

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2.dds import domain_id
-from pixel2catch.ros2.transport import ROS_ON_LOOPBACK, RealClock
+from pixel2catch.ros2.transport import RealClock
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import SERVO_PRIORITY, scheduled
 
@@ -17,6 +17,9 @@ NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
 
 MIDDLEWARE = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 """Values of RMW_IMPLEMENTATION that plain DDS can receive from; the first is the default of ROS 2."""
+
+ROS_ON_LOOPBACK = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+"""Settings that limit ROS 2 to this machine, the older one first."""
 
 
 def kernel(root: Path = Path("/")) -> str:

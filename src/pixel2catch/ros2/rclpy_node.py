@@ -6,7 +6,6 @@ A node imports rclpy; this module can be imported without ROS 2. Tested with rcl
 # pyright: reportMissingImports=false
 # ROS 2 is no package of pip's.
 
-import os
 from functools import partial
 from threading import Thread
 from typing import Any, final
@@ -14,9 +13,6 @@ from typing import Any, final
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.transport import (
-    ANY,
-    LOOPBACK,
-    ROS_ON_LOOPBACK,
     Endpoint,
     Publisher,
     RealClock,
@@ -32,12 +28,11 @@ OWN_NODES = "pixel2catch"  #: Prefix of the names of our nodes, whose subscripti
 class RosTransport(Transport):
     """A node of rclpy, with a thread that receives."""
 
-    def __init__(self, node_name: str, clock: RealClock, *, network: str) -> None:
+    def __init__(self, node_name: str, clock: RealClock) -> None:
         """Join.
 
         Raises:
-            DeploymentError: The network is this machine only and ROS 2 is not set so, or an interface, which
-                rclpy cannot choose; this version of ROS 2 is too old; or rclpy cannot be started.
+            DeploymentError: This version of ROS 2 is too old, or rclpy cannot be started.
             ImportError: ROS 2 is not sourced.
         """
         import rclpy
@@ -46,20 +41,10 @@ class RosTransport(Transport):
         from rclpy.signals import SignalHandlerOptions
         from rclpy.subscription import Subscription as RclpySubscription
 
-        if network == LOOPBACK and not any(
-            os.environ.get(name) == value for name, value in ROS_ON_LOOPBACK.items()
-        ):
-            settings = " or ".join(f"{name}={value}" for name, value in ROS_ON_LOOPBACK.items())
-            raise DeploymentError(f"ROS 2 would use the whole network: set {settings} first.")
-        if network not in (LOOPBACK, ANY):
-            raise DeploymentError(
-                f"rclpy cannot choose the interface {network}: use --network {ANY}, and name the interface "
-                "in the settings of the middleware, such as CYCLONEDDS_URI."
-            )
         if not hasattr(RclpySubscription, "CallbackType"):
             raise DeploymentError(
                 "this rclpy does not give the time at which a message was sent, so that an old switch would "
-                "count: use ROS 2 Iron or newer, or the transport dds."
+                "count: use ROS 2 Iron or newer, or another --network."
             )
         self._clock, self._queues = clock, MessageQueues(clock)
         self._num_own: dict[str, int] = {}

@@ -166,11 +166,8 @@ class Transport(ABC):
         self.close()
 
 
-LOOPBACK, ANY = "lo", "any"
-"""Networks besides the interfaces of this machine: this machine only, and the transport's own choice."""
-
-ROS_ON_LOOPBACK = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""Settings that limit ROS 2 to this machine, the older one first."""
+LOOPBACK, ANY, ROS = "lo", "any", "ros"
+"""Networks besides the interfaces of this machine: this machine only, the choice of DDS, and rclpy's."""
 
 
 @final
@@ -180,32 +177,28 @@ class Reachable(Requirement):
 
     def require(self, name: str, value: str) -> None:
         """Refuse an unknown interface, and name the known ones."""
-        known = dict.fromkeys((LOOPBACK, *(interface for _, interface in socket.if_nameindex()), ANY))
+        known = dict.fromkeys((LOOPBACK, *(name for _, name in socket.if_nameindex()), ANY, ROS))
         if value not in known:
             raise UnknownNameError(name, value, known)
 
 
 NetworkName = Annotated[str, Reachable()]
-"""`LOOPBACK`, an interface of this machine, or `ANY`."""
-
-TRANSPORTS = {"dds": ("dds", "DdsTransport"), "ros": ("rclpy_node", "RosTransport")}
-"""Module and class of each transport; they are loaded by name, as their libraries may be missing."""
+"""`LOOPBACK`, an interface of this machine, `ANY` or `ROS`."""
 
 
-def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
-    """Join a network, a `NetworkName`, by one of `TRANSPORTS`.
+def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
+    """Join a network, a `NetworkName`, by rclpy if it is `ROS`, else by DDS.
 
     Raises:
-        UnknownNameError: There is no such transport or network.
-        DeploymentError: Its library is missing, or it cannot be started.
+        UnknownNameError: There is no such network.
+        DeploymentError: The library is missing, or it cannot be started.
     """
-    if name not in TRANSPORTS:
-        raise UnknownNameError("transport", name, TRANSPORTS)
     Reachable().require("network", network)
-    module, kind = TRANSPORTS[name]
-    try:
-        return getattr(import_module(f"pixel2catch.ros2.{module}"), kind)(node_name, clock, network=network)
+    try:  # imported here, as the libraries may be missing
+        if network == ROS:
+            return import_module("pixel2catch.ros2.rclpy_node").RosTransport(node_name, clock)
+        return import_module("pixel2catch.ros2.dds").DdsTransport(node_name, clock, network=network)
     except ImportError as error:
-        remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds"
-        remedy = install_command("deployment") if name == "dds" else remedy
-        raise DeploymentError(f"the transport '{name}' cannot be loaded ({error}): {remedy}.") from error
+        remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or another --network"
+        remedy = remedy if network == ROS else install_command("deployment")
+        raise DeploymentError(f"the network '{network}' cannot be joined ({error}): {remedy}.") from error

@@ -340,7 +340,7 @@ def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode
     set_niceness(FIRST)
     with (
         drawing_process(task.scene, seed) as draw,
-        make_transport("dds", "pixel2catch_twin", LOOPBACK, clock) as transport,
+        make_transport("pixel2catch_twin", LOOPBACK, clock) as transport,
         closing(SimulatedLab(task, seed)) as lab,
     ):
         node = LabNode(lab, profile, transport, CameraDriver(draw))

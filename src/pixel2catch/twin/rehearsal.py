@@ -196,7 +196,7 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
             stack.enter_context(_running_command(logs, "twin", *common, *twin_args)),
             stack.enter_context(_running_command(logs, "deploy", *common, *deploy_args)),
         ]
-        node = stack.enter_context(make_transport("dds", "pixel2catch_operator", LOOPBACK, clock))
+        node = stack.enter_context(make_transport("pixel2catch_operator", LOOPBACK, clock))
         operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
 
         def is_ready() -> bool:

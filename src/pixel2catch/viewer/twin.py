@@ -171,7 +171,7 @@ def _serve(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> None
     end_with_parent()
     torch.set_num_threads(1)
     clock = RealClock(rate)
-    with make_transport("dds", "pixel2catch_page", LOOPBACK, clock) as node:
+    with make_transport("pixel2catch_page", LOOPBACK, clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)
         print(f"the twin's page: {page.page.address}", file=sys.stderr, flush=True)
         while True:
