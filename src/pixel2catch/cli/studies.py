@@ -49,6 +49,7 @@ def run_grid(
 
     if grid.missing:
         with progress_bar(name) as bar:
+            watch()
             grid.run(slots, watch, logs)
 
 
