@@ -24,7 +24,7 @@ from peers import follow, methods
 from pixel2catch.camera.image import Pixels
 from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.files import write_atomically
-from pixel2catch.perception.sources import camera_for, video_images
+from pixel2catch.perception.sources import ImageFit, video_images
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.scene.scene import SceneCfg, build_model
@@ -148,7 +148,7 @@ def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list
             return [camera.image(empty)]
     frames = islice(video_images(paths[throw % len(paths)], []), NUM_BACKGROUNDS)
     images = [frame.pixels for frame in frames]
-    fit, _ = camera_for((images[0].shape[1], images[0].shape[0]), None)
+    fit = ImageFit(own=(images[0].shape[1], images[0].shape[0]))
     return [fit.image(image) for image in images]
 
 

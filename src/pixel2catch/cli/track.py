@@ -131,15 +131,13 @@ class Track:
         return scores
 
     def _fit(self, source: "SourceCfg", notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
-        """How the images are scaled, and the camera of the scaled images."""
-        from pixel2catch.perception.sources import ImageFit, camera_for, image_size
+        """How images without a camera file are scaled, and the camera of the scaled images."""
+        from pixel2catch.perception.sources import ImageFit, image_size
 
         camera = self.perception.camera_spec(notes)
-        size = image_size(source)
-        if size is None:
-            size = (camera.width, camera.height)
-            return ImageFit(own=size, size=size), camera
-        fit, camera = camera_for(size, camera if self.perception.camera else None)
+        size = (camera.width, camera.height)
+        own = None if self.perception.camera else image_size(source)
+        fit = ImageFit(own=own or size, size=size)
         if fit.changes:
             (width, height), (wide, high) = fit.own, fit.size
             notes.append(
@@ -231,8 +229,6 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
     )
     if summary["num_skipped"]:
         yield f"Control steps without an image: {summary['num_skipped']}; differences after them are large."
-    if summary["num_identical"]:
-        yield f"Images equal to the one before: {summary['num_identical']}; does the camera repeat?"
     yield from (f"Note: {note}" for note in summary["notes"])
     limit = f"{summary['limit_ms']:.1f} ms"
     yield (

@@ -22,7 +22,7 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.bag_images import bag_images
 from pixel2catch.ros2.bags import BAG_SUFFIXES
 from pixel2catch.ros2.messages import MOST_PIXELS
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 PHASE = 0.5
 """Control steps from the first image to the first tick. Source: ours; with half a step, the jitter of a
@@ -47,10 +47,6 @@ OPTIONS = {
 }
 """Options of FFmpeg: formats, none of which refers to other files, and the largest number of pixels."""
 
-SAME_SHAPE = 0.02
-"""Largest relative difference of the aspect ratios of a camera file and of the images. Source: ours: rounding
-to whole pixels."""
-
 Size = tuple[int, int]  #: Width and height [px].
 
 
@@ -59,7 +55,7 @@ class ImageFit:
     """Scales images of one size to another, equally along both axes, with a black frame."""
 
     own: Size  #: Of the images as they are.
-    size: Size  #: Of the scaled images with their frame.
+    size: Size = (RGB_CAMERA.width, RGB_CAMERA.height)  #: Of the scaled images with their frame.
 
     @property
     def changes(self) -> bool:
@@ -73,10 +69,6 @@ class ImageFit:
         return round(scale * self.own[0]), round(scale * self.own[1])
 
     @property
-    def _factors(self) -> tuple[float, float]:
-        return self._inner[0] / self.own[0], self._inner[1] / self.own[1]
-
-    @property
     def _corner(self) -> Size:
         """Column and row of the first pixel of the scaled image in the frame."""
         return (self.size[0] - self._inner[0]) // 2, (self.size[1] - self._inner[1]) // 2
@@ -85,53 +77,18 @@ class ImageFit:
         """Return the scaled image; an image of an unexpected size is returned as it is."""
         if not self.changes or (image.shape[1], image.shape[0]) != self.own:
             return image
-        method = cv2.INTER_AREA if self._factors[0] < 1.0 else cv2.INTER_LINEAR
-        inner = cv2.resize(image, self._inner, interpolation=method)
         (left, top), (width, height) = self._corner, self._inner
+        method = cv2.INTER_AREA if width < self.own[0] else cv2.INTER_LINEAR
+        inner = cv2.resize(image, self._inner, interpolation=method)
         right, bottom = self.size[0] - left - width, self.size[1] - top - height
         return cv2.copyMakeBorder(inner, top, bottom, left, right, cv2.BORDER_CONSTANT)
 
-    def point(self, point: tuple[float, float]) -> tuple[float, float]:
-        """Return a point of an image in the scaled image."""
-        (fx, fy), (left, top) = self._factors, self._corner
-        return fx * point[0] + left, fy * point[1] + top
-
     def box(self, box: Edges) -> Edges:
         """Return a box of an image in the scaled image."""
-        return *self.point(box[:2]), *self.point(box[2:])
-
-    def camera(self, camera: CameraSpec) -> CameraSpec:
-        """Return the camera of the scaled images, given the camera of the images."""
-        (fx, fy), (cx, cy) = self._factors, self.point((camera.cx, camera.cy))
-        width, height = self.size
-        return replace(camera, width=width, height=height, fx=fx * camera.fx, fy=fy * camera.fy, cx=cx, cy=cy)
-
-
-def camera_for(own: Size, calibrated: CameraSpec | None) -> tuple[ImageFit, CameraSpec]:
-    """Return how images of a size are scaled to the policies' size, and the camera of the scaled images.
-
-    Images of a calibrated camera are not scaled if they are no larger than that.
-
-    Args:
-        own: Size of the images.
-        calibrated: The camera that took them; None if it is unknown.
-
-    Raises:
-        PerceptionError: The calibrated camera's images have another aspect ratio.
-    """
-    usual = (RGB_CAMERA.width, RGB_CAMERA.height)
-    fit = ImageFit(own=own, size=usual)
-    if calibrated is None:
-        return fit, RGB_CAMERA
-    size = (calibrated.width, calibrated.height)
-    if abs(own[0] * size[1] / (own[1] * size[0]) - 1.0) > SAME_SHAPE:
-        raise PerceptionError(
-            f"the images have {own[0]} by {own[1]} px, those of the camera file {size[0]} by {size[1]}, "
-            "another shape: calibrate the camera at the size of the images, or leave --camera out."
-        )
-    if own == size and own[0] <= usual[0] and own[1] <= usual[1]:
-        return ImageFit(own=own, size=own), calibrated
-    return fit, fit.camera(ImageFit(own=size, size=own).camera(calibrated))
+        (left, top), (width, height) = self._corner, self._inner
+        fx, fy = width / self.own[0], height / self.own[1]
+        xmin, ymin, xmax, ymax = box
+        return fx * xmin + left, fy * ymin + top, fx * xmax + left, fy * ymax + top
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +213,7 @@ def is_camera(source: str) -> bool:
     return source.isdecimal() or source.startswith(f"{DEVICES}/video")
 
 
-def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCapture:
+def open_camera(source: str) -> cv2.VideoCapture:
     """Open a camera by its number or device, and set the policies' image size and 30 images a second.
 
     Raises:
@@ -274,8 +231,8 @@ def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCaptur
             f"the camera '{source}' cannot be opened; video devices here: {found}. Plug it in, close other "
             "programs that use it, and be a member of the group 'video'."
         )
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, RGB_CAMERA.width)
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, RGB_CAMERA.height)
     capture.set(cv2.CAP_PROP_FPS, round(1.0 / CONTROL_DT))
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     return capture
