@@ -31,7 +31,7 @@ class Disc:
 
 
 class Follower:
-    """A segmenter that is told what moves, as the extractor tells it."""
+    """A segmenter with its foreground, as the tracker uses them."""
 
     def __init__(self, segmenter: Segmenter | None = None) -> None:
         self.segmenter = segmenter or BackgroundSubtraction()

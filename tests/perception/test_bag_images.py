@@ -59,16 +59,6 @@ def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Pa
     assert notes[0].startswith("damaged images, passed over: 2; the last of 0 bytes at")
 
 
-def test_an_image_that_lacks_bytes_is_passed_over(tmp_path: Path):
-    topic, received, message = raw(1, IMAGE)
-    message.data = message.data[:-1]
-    notes: list[str] = []
-    assert (
-        len(read(save_bag(tmp_path / "bag", [raw(0, IMAGE), (topic, received, message)]), notes=notes)) == 1
-    )
-    assert notes
-
-
 def test_one_of_several_topics_is_chosen_by_name(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [raw(0, IMAGE), compressed(0, jpeg(IMAGE))])
     both = r"/camera/image_raw, /camera/image_raw/compressed"
@@ -93,14 +83,6 @@ def test_encodings_without_colour_are_refused(tmp_path: Path):
 def test_a_bag_without_images_says_so(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [joint_state(stamp_of(0), NAMES, np.zeros(len(NAMES)))])
     with pytest.raises(PerceptionError, match="no topic has images"):
-        read(path)
-
-
-def test_a_cut_bag_is_refused(tmp_path: Path):
-    path = save_bag(tmp_path / "bag", [raw(step, IMAGE) for step in range(3)])
-    (file,) = path.glob("*.mcap")
-    file.write_bytes(file.read_bytes()[:1000])
-    with pytest.raises(PerceptionError, match="not a readable rosbag2"):
         read(path)
 
 

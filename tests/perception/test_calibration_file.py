@@ -74,21 +74,17 @@ def changed(path: Path, name: str, value: object) -> None:
     ("name", "value", "words"),
     [
         ("format_version", 99, "format_version is 99, this code reads 1"),
-        ("camera", None, "field 'camera': it is missing"),
         ("camera.fx", None, "field 'camera.fx': it is missing"),
         ("camera.fx", -1.0, "camera.fx is -1; it must be from 1"),
-        ("camera.fx", "wide", "Expected `float`"),
-        ("camera.cy", float("nan"), "'cy' has the number nan"),
         ("camera.zoom", 2.0, "unknown field 'camera.zoom'"),
         ("camera.quat", [1.0, 1.0, 0.0, 0.0], "it must have length 1"),
-        ("camera.pos", [1.0, 2.0], "field 'camera.pos': Expected `array` of length 3, got 2"),
         ("distortion", [0.1], "distortion has 1 numbers"),
         ("pose_covariance", [[1.0]], "6 rows of 6"),
         ("pose_covariance", [[-1.0 * (i == j) for j in range(6)] for i in range(6)], "negative variances"),
         ("focal_std", -0.1, "focal_std is -0.1"),
     ],
 )
-def test_an_entry_that_cannot_be_is_named(tmp_path: Path, name: str, value: object, words: str):
+def test_a_bad_entry_is_refused_by_name(tmp_path: Path, name: str, value: object, words: str):
     path = tmp_path / "camera.json"
     changed(path, name, value)
     with pytest.raises(InvalidValueError, match="Calibrate again, or correct that entry") as error:

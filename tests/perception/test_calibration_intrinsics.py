@@ -155,20 +155,9 @@ def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
         intrinsics_of_images(tmp_path, BOARD)
 
 
-def test_finds_every_corner_where_it_is(tmp_path: Path):
-    pose = board_poses(1)[0]
-    path = tmp_path / "image.png"
-    cv2.imwrite(str(path), rendered(pose, np.random.default_rng(0)))
-    view = BOARD.find(read_image(path))
-    assert view is not None
-    np.testing.assert_allclose(view.points, CORNERS, atol=1e-6)
-    np.testing.assert_allclose(view.pixels, pixels_of(pose, CORNERS, lens()), atol=0.2)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("just words", "cannot read the file of camera_calibration .* It needs image_width"),
         (
             "header:\n  a: 1\nk:\n- 1.0\n",
             "cannot read the file of camera_calibration .* It needs image_width",

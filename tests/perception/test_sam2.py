@@ -57,7 +57,7 @@ def test_memory_is_constant_after_what_the_model_reads(folder: Path) -> None:
     assert 300_000 < at_20 < 350_000
 
 
-def test_what_is_forgotten_is_never_used(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deleted_memory_is_never_used(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = random_images(40)
     segmenter = Sam2Segmenter(folder, "cpu")
     results = run(segmenter, images)
@@ -68,7 +68,7 @@ def test_what_is_forgotten_is_never_used(folder: Path, monkeypatch: pytest.Monke
     assert remembered_bytes(hoarder) > 5 * remembered_bytes(segmenter)
 
 
-def test_the_past_matters_up_to_a_new_start(folder: Path) -> None:
+def test_a_new_start_deletes_the_past(folder: Path) -> None:
     images = random_images(6)
     segmenter, other = Sam2Segmenter(folder, "cpu"), Sam2Segmenter(folder, "cpu")
     expected = run(segmenter, images)
@@ -77,19 +77,7 @@ def test_the_past_matters_up_to_a_new_start(folder: Path) -> None:
     assert_equal(run(other, images), expected)
 
 
-def test_found_has_a_mask_and_lost_has_none(folder: Path, tmp_path: Path) -> None:
-    lost_folder = save_tiny_sam2(tmp_path, certainty=-CERTAIN)
-    for result in run(Sam2Segmenter(folder, "cpu"), random_images(3)):
-        assert result.score > 0.99
-        assert result.mask is not None
-        assert result.mask.shape == (HEIGHT, WIDTH)
-        assert result.mask.any()
-    for result in run(Sam2Segmenter(lost_folder, "cpu"), random_images(3)):
-        assert result.score < 0.01
-        assert result.mask is None
-
-
-def test_what_was_lost_is_found_again(folder: Path) -> None:
+def test_a_lost_object_is_found_again(folder: Path) -> None:
     """Forced by the bias of the head that says whether the object is there; the memory stays as large."""
     segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(24)
     head = segmenter._model.mask_decoder.pred_obj_score_head.proj_out
@@ -105,7 +93,7 @@ def test_what_was_lost_is_found_again(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of PyTorch's own compiler
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
-def test_compiled_modules_see_what_plain_ones_see(folder: Path, device: str) -> None:
+def test_compiled_modules_give_the_same_masks(folder: Path, device: str) -> None:
     """In float32: in bfloat16 noise would hide a memory that is not the right one."""
     images = random_images(24)
     plain = run(Sam2Segmenter(folder, device, dtype=torch.float32), images)
@@ -133,20 +121,7 @@ def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
             assert result.score > 0.99
 
 
-@pytest.mark.parametrize(
-    ("prompt", "points", "labels"),
-    [
-        (BoxPrompt(box=(0.0, 0.0, WIDTH, HEIGHT)), [[0.0, 0.0], [SIZE, SIZE]], [2, 3]),
-        (BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)), [[SIZE / 4, SIZE / 2], [SIZE, SIZE]], [2, 3]),
-    ],
-)
-def test_prompts_reach_the_encoder_in_its_coordinates(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    prompt: BoxPrompt,
-    points: list[list[float]],
-    labels: list[int],
-) -> None:
+def test_prompts_reach_the_encoder_in_its_coordinates(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     segmenter = Sam2Segmenter(folder, "cpu")
     encoder, seen = segmenter._model.prompt_encoder, []
     embed = encoder.shared_embedding.forward
@@ -155,15 +130,15 @@ def test_prompts_reach_the_encoder_in_its_coordinates(
         "forward",
         lambda coords, shape: (seen.append(coords), embed(coords, shape))[1],
     )
-    segmenter.start(random_images(1)[0], prompt)
+    segmenter.start(random_images(1)[0], BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)))
     # The encoder's own last point is padding.
-    assert seen[0][0, 0, :-1].tolist() == points
+    assert seen[0][0, 0, :-1].tolist() == [[SIZE / 4, SIZE / 2], [SIZE, SIZE]]
     assert segmenter._session is not None
     given = segmenter._session.point_inputs_per_obj[0][0]["point_labels"]
-    assert given.flatten().tolist() == labels
+    assert given.flatten().tolist() == [2, 3]
 
 
-@pytest.mark.parametrize("left", [-40.0, WIDTH + 1.0, float("nan")])
+@pytest.mark.parametrize("left", [-40.0, float("nan")])
 def test_a_prompt_off_the_image_is_refused(folder: Path, left: float) -> None:
     segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(2)
     run(segmenter, images)
@@ -172,7 +147,7 @@ def test_a_prompt_off_the_image_is_refused(folder: Path, left: float) -> None:
     assert segmenter.track(images[1]).mask is not None
 
 
-def test_an_image_of_another_size_is_refused_and_harms_nothing(folder: Path) -> None:
+def test_an_image_of_another_size_is_refused(folder: Path) -> None:
     images = random_images(4)
     expected = run(Sam2Segmenter(folder, "cpu"), images)
     segmenter = Sam2Segmenter(folder, "cpu")
@@ -208,7 +183,6 @@ def test_a_mask_lies_where_its_logits_do() -> None:
     assert (columns.min(), columns.max() + 1) == (4 * 5, 9 * 5)
 
 
-@pytest.mark.parametrize("size", [0, -32, 100])
-def test_impossible_image_sizes_are_refused(folder: Path, size: int) -> None:
-    with pytest.raises(InvalidValueError, match=f"multiple of 32, not {size}"):
-        Sam2Segmenter(folder, "cpu", image_size=size)
+def test_an_image_size_between_multiples_of_32_is_refused(folder: Path) -> None:
+    with pytest.raises(InvalidValueError, match="multiple of 32, not 100"):
+        Sam2Segmenter(folder, "cpu", image_size=100)

@@ -18,11 +18,6 @@ from pixel2catch.perception.sam2 import Sam2Segmenter
 ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
 
 
-def cut_weights(folder: Path) -> None:
-    weights = folder / "model.safetensors"
-    weights.write_bytes(weights.read_bytes()[:100_000])
-
-
 def drop_weights(folder: Path) -> None:
     weights = folder / "model.safetensors"
     kept = {
@@ -47,16 +42,8 @@ def replace_by_the_makers_file(folder: Path) -> None:
 
 
 def change_type(folder: Path) -> None:
-    change_config(folder, "model_type", "sam3_video")
-
-
-def change_value(folder: Path) -> None:
-    change_config(folder, "memory_attention_num_layers", "two")
-
-
-def change_config(folder: Path, name: str, value: object) -> None:
     config = folder / "config.json"
-    config.write_text(json.dumps(json.loads(config.read_text()) | {name: value}))
+    config.write_text(json.dumps(json.loads(config.read_text()) | {"model_type": "sam3_video"}))
 
 
 @pytest.mark.parametrize(
@@ -65,12 +52,10 @@ def change_config(folder: Path, name: str, value: object) -> None:
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
         (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
         (replace_by_the_makers_file, "has no weights"),
-        (change_value, "cannot be read as SAM 2: .*memory_attention_num_layers"),
-        (cut_weights, "cannot be read as SAM 2"),
         (drop_weights, "lacks [0-9]+ weights of SAM 2, such as memory_encoder"),
     ],
 )
-def test_a_bad_checkpoint_says_what_is_wrong_and_where_to_get_one(
+def test_a_bad_checkpoint_is_named_with_its_download(
     tmp_path: Path, spoil: Callable[[Path], None], message: str
 ) -> None:
     spoil(save_tiny_sam2(tmp_path))
@@ -97,26 +82,7 @@ def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch
         import_anew()
 
 
-def test_another_version_of_transformers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    version = "6.0.0"
-    metadata = tmp_path / f"transformers-{version}.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: transformers\nVersion: {version}\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(PerceptionError, match=rf"transformers <6,>=5\.\d+, and {version} is .*\[sam2\]"):
-        import_anew()
-
-
 def test_compiling_without_a_compiler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
         Sam2Segmenter(tmp_path, "cpu", is_compiled=True)
-
-
-def test_a_torchvision_for_another_torch_is_named() -> None:
-    """Such a build fails when it registers its operators; transformers wraps that error."""
-    error = ImportError("cannot import")
-    error.__cause__ = RuntimeError("operator torchvision::nms does not exist")
-    advice = sam2._import_advice(error)
-    for words in ("torchvision::nms does not exist", "pip uninstall torchvision", "[sam2]"):
-        assert words in advice

@@ -18,10 +18,8 @@ from pixel2catch.perception.sources import (
     LONGEST_PAUSE,
     CameraReader,
     SourceCfg,
-    is_camera,
     live_ticks,
     on_control_clock,
-    open_camera,
     ticks_of,
     video_images,
 )
@@ -120,17 +118,6 @@ def test_stamps_that_go_back_are_passed_over_and_said():
 @pytest.fixture
 def capture(tmp_path: Path) -> cv2.VideoCapture:
     return cv2.VideoCapture(str(save_video(tmp_path / "v.mp4", islice(throw(), 12))))
-
-
-def test_names_of_cameras():
-    assert all(is_camera(name) for name in ("0", "12", "/dev/video0", "/dev/video-by-id"))
-    assert not any(is_camera(name) for name in ("throw.mp4", "0.mp4", "video0", "bags/one", "-1"))
-
-
-def test_a_missing_camera_says_what_to_do(capfd: pytest.CaptureFixture[str]):
-    with pytest.raises(PerceptionError, match=r"'99' cannot be opened; video devices here: .* group 'video'"):
-        open_camera("99")
-    assert capfd.readouterr().err == ""
 
 
 def test_only_the_newest_image_waits(capture: cv2.VideoCapture):

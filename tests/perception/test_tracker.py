@@ -120,10 +120,8 @@ def test_an_object_may_leave_the_image_at_one_side():
     assert seen.verdict is Verdict.SEEN
 
 
-@pytest.mark.parametrize(
-    "image", [np.zeros((240, 320, 3), dtype=np.uint8), np.zeros((480, 640, 3), dtype=np.float32)]
-)
-def test_a_wrong_image_is_refused_at_the_start_and_skipped_later(image: np.ndarray):
+def test_a_wrong_image_is_refused_at_the_start_and_skipped_later():
+    image = np.zeros((240, 320, 3), dtype=np.uint8)
     with pytest.raises(PerceptionError, match=r"must be \(480, 640, 3\) and uint8"):
         play([image], color_tracker())
     _, wrong, after = play([picture(START), image, picture(moved(START, 3, 0))], color_tracker())
@@ -131,7 +129,7 @@ def test_a_wrong_image_is_refused_at_the_start_and_skipped_later(image: np.ndarr
     assert "rgb8" in wrong.message
 
 
-def test_joint_positions_that_are_not_finite_do_not_stop_the_loop_and_stages_are_timed():
+def test_joint_positions_that_are_not_finite_skip_the_image():
     subject = color_tracker(RobotMask(UR5E_ALLEGRO))
     joints = HOME, HOME * np.nan, HOME
     images = [Image(pixels=picture(START), stamp=0.1 * i, joint_pos=each) for i, each in enumerate(joints)]
@@ -150,7 +148,7 @@ def test_a_lost_object_is_pointed_out_again():
     assert seen[-1].edges == far
 
 
-def test_an_object_that_vanished_at_the_robot_is_in_the_hand_and_no_other_is_searched():
+def test_no_other_object_is_searched_after_one_vanished_at_the_robot():
     robot = RobotMask(UR5E_ALLEGRO)
     rows, columns = np.nonzero(robot.at(HOME))
     u, v = int(np.median(columns)), int(np.median(rows))
@@ -243,7 +241,7 @@ def swinging(num_steps: int, amplitude: float, radius: float) -> Disc:
     [(60.0, 55.0), (5.0, 9.0), (30.0, 10.0)],
     ids=["an arm", "something slow", "something that turns back"],
 )
-def test_what_does_not_fly_is_not_found(amplitude: float, radius: float):
+def test_other_motion_is_no_flight(amplitude: float, radius: float):
     assert first_prompt(Prompter(), (swinging(NUM_EMPTY + 20, amplitude, radius),)) is None
 
 
@@ -262,7 +260,7 @@ def specks(number: int, generator: np.random.Generator) -> ImageMotion:
     return ImageMotion(image=image, difference=blank, moving=moving, unknown=np.zeros(shape, dtype=bool))
 
 
-@pytest.mark.parametrize("number", [3, 6, 12, 20, 400])
+@pytest.mark.parametrize("number", [3, 20, 400])
 def test_specks_are_no_flight_and_cost_little(number: int, monkeypatch: pytest.MonkeyPatch):
     calls = Counter[str]()
     distance = Blob.distance

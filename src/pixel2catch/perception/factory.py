@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 
 TIMED_IMAGES = 10  #: Images that measure the time of one on CUDA.
 
-HOPELESS_ON_CPU = 512
-"""Side of SAM 2's image from which no CPU is fast enough for a camera [px]. Source: measured: 0.6 s at 512, 5
-s at 1,024 px on two cores."""
-
 LONGEST_IMAGE_TIME = 2 * CONTROL_DT
 """Longest time of an image with which a camera is followed [s]. Source: rehearsals: with 60 ms as many
 objects are caught as with 10 ms, with 100 ms a third of them."""
@@ -96,17 +92,17 @@ class PerceptionArgs:
     def _make_sam2(self, is_live: bool, say: Callable[[str], None] | None) -> "Segmenter":
         if self.checkpoint is None:
             raise InvalidValueError("the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model.")
-        from pixel2catch.perception.sam2 import Sam2Segmenter, image_size_of
+        from pixel2catch.perception.sam2 import Sam2Segmenter
 
-        size = self.image_size or image_size_of(self.checkpoint)
-        if is_live and self.device == "cpu" and size >= HOPELESS_ON_CPU:
-            raise _too_slow(f"SAM 2 takes seconds for an image of {size} px on a CPU")
         sam2 = Sam2Segmenter(self.checkpoint, self.device, self.image_size, is_compiled=self.compile)
         if is_live or say is not None:
             took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)
-            cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {size} px on {self.device}"
+            cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {sam2.image_size} px on {self.device}"
             if is_live and took > LONGEST_IMAGE_TIME:
-                raise _too_slow(cost)
+                raise InvalidValueError(
+                    f"{cost}, and a camera gives one every {1e3 * CONTROL_DT:.0f} ms: take --device cuda, a "
+                    "smaller --image-size or --segmenter background, or record a video and track that."
+                )
             if say is not None:
                 use = "fast enough for a camera" if took < CONTROL_DT else "a camera gives one every 33 ms"
                 say(f"{cost}: {use}.")
@@ -129,13 +125,6 @@ class PerceptionArgs:
         from pixel2catch.perception.segmenter import ColorRange
 
         return self.color and ColorRange(hue=self.color)
-
-
-def _too_slow(cost: str) -> InvalidValueError:
-    return InvalidValueError(
-        f"{cost}, and a camera gives one every {1e3 * CONTROL_DT:.0f} ms: take --device cuda, a smaller "
-        "--image-size or --segmenter background, or record a video and track that."
-    )
 
 
 def _on_image(name: str, box: Edges, camera: CameraSpec) -> Edges:

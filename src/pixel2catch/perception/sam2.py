@@ -10,7 +10,6 @@ folder. It never uses the network.
 
 import shutil
 import time
-from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 from typing import Any, cast
@@ -26,7 +25,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import read_json_object
-from pixel2catch.installation import install_command, requirements
+from pixel2catch.installation import install_command
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     ImageMotion,
@@ -37,38 +36,18 @@ from pixel2catch.perception.segmenter import (
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.sim.factory import require_cuda
 
-
-def _require_version() -> None:
-    """Refuse a version of transformers whose SAM 2 may differ; one without metadata is accepted."""
-    wanted = requirements("sam2").get("transformers")
-    if wanted and not wanted.contains(found := version("transformers"), prereleases=True):
-        raise PerceptionError(
-            f"SAM 2 needs transformers {wanted}, and {found} is installed: {install_command('sam2')}."
-        )
-
-
-def _import_advice(error: BaseException) -> str:
-    if isinstance(error, ModuleNotFoundError) and error.name in ("huggingface_hub", "transformers"):
-        return f"SAM 2 needs the package transformers, which is not installed: {install_command('sam2')}."
-    while cause := error.__cause__ or error.__context__:  # transformers wraps it
-        error = cause
-    return (
-        f"SAM 2 cannot be imported from transformers: {error}. If that is about torchvision, it "
-        f"does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
-        f"install the version made for this PyTorch. If not: {install_command('sam2')} --upgrade"
-    )
-
-
 try:
-    _require_version()
     from huggingface_hub.errors import StrictDataclassError
     from transformers import Sam2VideoConfig, Sam2VideoInferenceSession, Sam2VideoModel
     from transformers.utils.logging import disable_progress_bar
 except (ImportError, RuntimeError) as import_error:
-    raise PerceptionError(_import_advice(import_error)) from import_error
+    raise PerceptionError(
+        f"SAM 2 cannot be imported from transformers: {import_error.__cause__ or import_error}. Install it: "
+        f"{install_command('sam2')} --upgrade. A torchvision of another PyTorch must go: pip uninstall "
+        "torchvision."
+    ) from import_error
 
 MODEL_ID = "facebook/sam2.1-hiera-tiny"  #: Public name of the smallest checkpoint.
-USUAL_SIZE = 1024  #: Side of the square image of all public checkpoints [px].
 
 STRIDES = (4, 8, 16)
 """Image pixels per cell of the encoder's three feature maps. Source: the model's architecture."""
@@ -317,17 +296,6 @@ def load_sam2(
     if missing:
         raise _unusable(folder, f"{folder} lacks {len(missing)} weights of SAM 2, such as {missing[0]}")
     return model.eval().requires_grad_(False).to(device)
-
-
-def image_size_of(folder: Path) -> int:
-    """Return the side of the square image of a checkpoint [px].
-
-    Raises:
-        PerceptionError: The folder, or a file in it, is missing or damaged.
-    """
-    _require_files(folder)
-    size = read_json_object(folder / "config.json").get("image_size")
-    return size if isinstance(size, int) else USUAL_SIZE
 
 
 def _require_files(folder: Path) -> None:

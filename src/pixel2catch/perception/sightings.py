@@ -1,6 +1,6 @@
 """Following the object through a stream of images: a row, a picture and a summary of what was seen."""
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf
@@ -123,27 +123,23 @@ class Tally:
         self._verdicts: Counter[Verdict] = Counter()
         self._doubts: Counter[str] = Counter()
         self._durations: dict[str, list[float]] = {}
-        self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
-        self._last_image: np.ndarray | None = None
-        self._longest_pause = self._seconds = 0.0
+        self._num_valid = self._num_seen = self._num_skipped = 0
+        self._seconds = 0.0
 
     def add(self, sighting: Sighting) -> None:
         """Count one more."""
-        box, image = sighting.box, sighting.tick.image
+        box = sighting.box
         self.num_steps += 1
-        self.num_without_joints += image.joint_pos is None
+        self.num_without_joints += sighting.tick.image.joint_pos is None
         self._verdicts[box.verdict] += 1
         if box.doubt:
             self._doubts[box.doubt] += 1
         self._seconds = sighting.time
         self._num_skipped += sighting.num_skipped
-        self._longest_pause = max(self._longest_pause, sighting.tick.now - image.stamp)
         if box.verdict is Verdict.REPEATED:
             return
         self._num_valid += box.is_valid
         self._num_seen += box.verdict is Verdict.SEEN
-        last, self._last_image = self._last_image, image.pixels
-        self._num_identical += last is not None and np.array_equal(image.pixels, last)
         if "segment" in sighting.durations:
             for stage, took in sighting.durations.items():
                 self._durations.setdefault(stage, []).append(took)
@@ -171,8 +167,6 @@ class Tally:
             "doubts": dict(self._doubts.most_common()),
             "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
             "num_skipped": self._num_skipped,
-            "num_identical": self._num_identical,
-            "longest_pause": self._longest_pause,
             "stages_ms": stages,
             "limit_ms": 1e3 * CONTROL_DT,
             "is_fast_enough": self.is_fast_enough,
@@ -185,33 +179,20 @@ Canvas = UInt8[np.ndarray, "rows columns 3"]
 SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
 """Colours of a new box, of a held one, and of one that is too old."""
 
-UNKNOWN, OUTLINE, TEXT, FRAME = (120, 120, 120), (255, 80, 255), (235, 235, 235), (70, 70, 70)
+UNKNOWN, OUTLINE = (120, 120, 120), (255, 80, 255)
 HEADER = 24  #: Height of the line of text [px].
-PLOT_ROWS, PLOT_COLUMNS, PLOT_HEIGHT = 2, 4, 72  #: Plots of the features, and the height of one [px].
-HISTORY = 150  #: Control steps in a plot: 5 s.
-
-LIMITS = {
-    **dict.fromkeys(("cx", "cy"), (0.0, 1.0)),
-    **dict.fromkeys(("w", "h"), (0.0, 0.25)),
-    **dict.fromkeys(("dcx", "dcy"), (-60.0, 60.0)),
-    **dict.fromkeys(("dw", "dh"), (-20.0, 20.0)),
-}
-"""Lower and upper end of a plot; differences [px]. Source: ours; rendered catches move by 61 px."""
 
 
 class Annotator:
-    """Draws one picture per control step, all of one size, with plots of the last steps."""
+    """Draws one picture per control step, all of one size."""
 
     def __init__(self, camera: CameraSpec = RGB_CAMERA) -> None:
-        """Start with empty plots, for images of the camera's size."""
+        """Draw on images of the camera's size."""
         self._camera = camera
-        self._past: deque[tuple[tuple[float, ...], Color]] = deque(maxlen=HISTORY)
 
     def picture(self, sighting: Sighting) -> Canvas:
-        """Return the image with box and outline, a line of text above and the plots below."""
-        color = _color(sighting)
-        self._past.append((sighting.features, color))
-        return np.concatenate([self._header(sighting), self._image(sighting, color), self._plots()])
+        """Return the image with box and outline, and a line of text above."""
+        return np.concatenate([self._header(sighting), self._image(sighting, _color(sighting))])
 
     def _header(self, sighting: Sighting) -> Canvas:
         box = sighting.box
@@ -220,7 +201,8 @@ class Annotator:
         words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took]
         words += [box.doubt] if box.doubt else []
         header = np.zeros((HEADER, self._camera.width, 3), dtype=np.uint8)
-        _write(header, "   ".join(words), (8, HEADER - 8), _color(sighting))
+        place, font = (8, HEADER - 8), cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(header, "   ".join(words), place, font, 0.42, _color(sighting), 1, cv2.LINE_AA)
         return header
 
     def _image(self, sighting: Sighting, color: Color) -> Pixels:
@@ -238,32 +220,6 @@ class Annotator:
             cv2.rectangle(image, (xmin - 1, ymin - 1), (xmax, ymax), color, 1)
         return image
 
-    def _plots(self) -> Canvas:
-        strip = np.zeros((PLOT_ROWS * PLOT_HEIGHT, self._camera.width, 3), dtype=np.uint8)
-        width = self._camera.width // PLOT_COLUMNS
-        values = np.array([features for features, _ in self._past])
-        for i, name in enumerate(PIXEL_FEATURES):
-            top, left = PLOT_HEIGHT * (i // PLOT_COLUMNS), width * (i % PLOT_COLUMNS)
-            part = strip[top : top + PLOT_HEIGHT, left : left + width]
-            _plot(part, name, values[:, i], [color for _, color in self._past])
-        return strip
-
-
-def _plot(canvas: Canvas, name: str, values: np.ndarray, colors: list[Color]) -> None:
-    """Draw the last values of one feature, the newest at the right."""
-    height, width = canvas.shape[:2]
-    low, high = LIMITS[name]
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    rows = np.rint((height - 4) - share * (height - 8)).astype(int).tolist()
-    columns = np.rint((width - 2) - np.arange(len(values))[::-1] * (width - 3) / HISTORY).astype(int).tolist()
-    places = list(zip(columns, rows, strict=True))
-    cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), FRAME, 1)
-    if low < 0.0:
-        cv2.line(canvas, (0, height // 2), (width - 1, height // 2), FRAME, 1)
-    for start, end, color in zip(places[:1] + places[:-1], places, colors, strict=True):
-        cv2.line(canvas, start, end, color, 1)
-    _write(canvas, f"{name} {values[-1]:.3g}{' px' if low < 0.0 else ''}", (6, 15), TEXT)
-
 
 def _color(sighting: Sighting) -> Color:
     if not sighting.box.is_valid:
@@ -271,7 +227,3 @@ def _color(sighting: Sighting) -> Color:
     if sighting.box.verdict is Verdict.SEEN:
         return SEEN
     return HELD if sighting.is_fresh else STALE
-
-
-def _write(canvas: Canvas, text: str, place: tuple[int, int], color: Color) -> None:
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, 1, cv2.LINE_AA)
