@@ -26,9 +26,7 @@ UNREADABLE = (BadZipFile, EOFError, RuntimeError, SyntaxError, TokenError, Value
 """Exceptions of zipfile and numpy for damaged files."""
 
 MOST_CHARACTERS = 2**16  #: Most characters of an array of text; names of joints have some hundred.
-MOST_DIRECTORY = (
-    2**18
-)  #: Largest list of members of an archive [bytes]; usual are some thousand. Source: ours.
+MOST_DIRECTORY = 2**18  #: Largest list of members of an archive [bytes]; usual are some thousand.
 
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _END, _END_64 = b"PK\x05\x06", b"PK\x06\x07"  # signatures at the end of an archive. Source: its specification

@@ -30,10 +30,7 @@ DEPTHS = {messages.IMAGE: 16}  #: Messages kept between two polls by type: half 
 DEPTH = 2048  #: Likewise of other types: a second of joint states.
 THINNING = 4  #: Every so many rows and columns are used for the brightness [px].
 
-RATE_SHARE, MOST_RATE_SHARE = (
-    0.95,
-    1.5,
-)  #: Range of a driver's rate as a share of the profile's. Source: ours.
+RATE_SHARE, MOST_RATE_SHARE = 0.95, 1.5  #: Range of a driver's rate, in the profile's. Source: ours.
 CLOCK_ERROR = 0.02  #: Largest difference of two clocks [s]. Source: training, docs/deployment.md.
 LEAST_IMAGES = 10  #: Images from which a change of the exposure is visible. Source: ours.
 MOST_CHANGE = 0.03  #: Largest relative change of the brightness of a still scene. Source: ours.
