@@ -69,8 +69,10 @@ def test_an_operator_has_a_page_whose_switch_is_let_go_at_its_end(monkeypatch: p
             end = time.monotonic() + PATIENCE
             while True not in said:  # on a slow machine a browser may be silent for too long: it presses anew
                 assert time.monotonic() < end
-                for do in ("press", "hold"):
-                    visitor.send(json.dumps({"do": do}))
+                newest = visitor.recv(PATIENCE)
+                if isinstance(newest, str) and "time" in (state := json.loads(newest)):
+                    for do in ("press", "hold"):
+                        visitor.send(json.dumps({"do": do, "heard": state["time"]}))
                 node.wait(0.01)
                 said += [messages.read_boolean(message.data) for message in heard.take()]
             process.send_signal(signal.SIGINT)
