@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ import pixel2catch
 from pixel2catch.servo.laws import entry
 
 PACKAGE = Path(pixel2catch.__file__).parent
+BUDGETS = tomllib.loads(Path(__file__).parents[1].joinpath("budgets.toml").read_text(encoding="utf-8"))
 
 
 class FileCounter:

@@ -1,6 +1,5 @@
 """The budgets of `budgets.toml`: lines, files and options. A commit that raises one says why."""
 
-import tomllib
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -8,12 +7,12 @@ from pathlib import Path
 import pytest
 import tyro
 
+from paths import BUDGETS
 from pixel2catch.cli.fields import PREFIX, default_of, option_rules
 from pixel2catch.cli.main import COMMANDS, load_command
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "pixel2catch"
-BUDGETS = tomllib.loads((ROOT / "budgets.toml").read_text(encoding="utf-8"))
 
 
 def lines(paths: Iterable[Path]) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recorded import ARM, clean, position
 
-from paths import files_run
+from paths import BUDGETS, files_run
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.main import main
 from pixel2catch.identification import fit
@@ -21,7 +21,6 @@ from pixel2catch.identification.simulation import RecordedMotion, behind_play
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
-MOST_FILES = 16  #: Budget of files of the package from a recording to its dynamics file.
 PHYSICS_HZ = 60
 NOISE = 2e-4
 NOMINAL = JointDynamics.nominal(ARM)
@@ -78,7 +77,7 @@ def result(folder: Path) -> dict:
 
 
 def test_a_recording_passes_few_files(run: tuple[Path, set[str]]):
-    assert len(run[1]) <= MOST_FILES, sorted(run[1])
+    assert len(run[1]) <= BUDGETS["whole"]["files_from_recording_to_dynamics"], sorted(run[1])
 
 
 def test_the_dynamics_file_has_what_was_simulated(out: Path):

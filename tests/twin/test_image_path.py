@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from paths import FileCounter
+from paths import BUDGETS, FileCounter
 from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.policy import Policy
@@ -16,7 +16,6 @@ from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.stepped import in_step
 
-MOST_FILES = 24
 NUM_LOOKS = 40
 """Looks of the control loop that are counted, 2 to 3 control steps: images arrive, commands are sent."""
 
@@ -50,4 +49,4 @@ def test_an_image_passes_few_files_on_its_way_to_a_command(monkeypatch: pytest.M
     assert outcome.is_success
     assert len(looks) == NUM_LOOKS
     assert {"perception/background.py", "policy/policy.py", "servo/tick.py"} <= files
-    assert len(files) <= MOST_FILES, "\n".join(sorted(files))
+    assert len(files) <= BUDGETS["whole"]["files_from_image_to_command"], "\n".join(sorted(files))
