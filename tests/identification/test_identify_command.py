@@ -31,6 +31,8 @@ SMALL = ("--robot", "ur5e", "--free", "damping", "latency")
 @pytest.fixture(scope="module", autouse=True)
 def _coarse() -> Iterator[None]:
     """Fit at a low rate, which is fast."""
+    import pixel2catch.identification.identify  # noqa: F401 (its annotations need the class itself)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fit, "FitCfg", partial(fit.FitCfg, physics_dt=1 / PHYSICS_HZ))
         yield
