@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from snapshots import measurement, privileged
 
 from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
@@ -17,6 +16,7 @@ from pixel2catch.mdp.observations import ObservationInputs, observe, pixel_colum
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from snapshots import measurement, privileged
 
 PROPOSED = METHODS["proposed"]
 ARM, HAND = agents_of(UR5E_ALLEGRO)

@@ -8,7 +8,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from snapshots import NUM_JOINTS, privileged, transition
 from torch import Tensor
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of
@@ -16,6 +15,7 @@ from pixel2catch.mdp import rewards
 from pixel2catch.mdp.control_step import Transition
 from pixel2catch.methods import METHODS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from snapshots import NUM_JOINTS, privileged, transition
 
 ARM, HAND = agents_of(UR5E_ALLEGRO)
 RESTING_ARM, RESTING_HAND = agents_of(UR5E_ALLEGRO, RESTING_REWARDS)

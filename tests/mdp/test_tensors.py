@@ -7,11 +7,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from snapshots import tensors
 from torch import Tensor
 
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, clone, select, write
+from snapshots import tensors
 
 NUM_ENVS = 4
 MASKS = st.lists(st.booleans(), min_size=NUM_ENVS, max_size=NUM_ENVS).map(torch.tensor)
