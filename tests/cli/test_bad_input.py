@@ -133,6 +133,13 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
+def files_beside(places: dict[str, Path]) -> set[Path]:
+    """Return all files beside the inputs, without bytecode."""
+    return {
+        path for each in places.values() for path in each.parent.rglob("*") if "__pycache__" not in str(path)
+    }
+
+
 @pytest.mark.parametrize(("line", "words"), BAD, ids=[line[:60] for line, _ in BAD])
 def test_one_line_says_what_is_right(
     line: str,
@@ -142,13 +149,13 @@ def test_one_line_says_what_is_right(
     monkeypatch: pytest.MonkeyPatch,
 ):
     monkeypatch.setenv(VARIABLE, "")
-    before = sorted(path for place in places.values() for path in place.parent.rglob("*"))
+    before = files_beside(places)
     assert main([word.format_map(places) for word in line.split()]) == 2
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err.startswith("pixel2catch: error: ")
     assert words in output.err
-    assert sorted(path for place in places.values() for path in place.parent.rglob("*")) == before
+    assert files_beside(places) == before
 
 
 @pytest.mark.parametrize("name", COMMANDS)
