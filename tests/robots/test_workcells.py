@@ -127,21 +127,24 @@ def test_boxes_about_the_hands_hold_them(workcell: WorkcellSpec):
                 assert (place < np.array(palm.spec.upper) - 0.012).all(), tip
 
 
-def test_a_random_roll_out(workcell: WorkcellSpec):
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
+def test_a_random_roll_out(workcell: WorkcellSpec, device: str):
     assert list(methods_of(workcell)) == list(METHODS)
     method = find_method("proposed+fit", workcell)
-    env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=3, seed=0)
+    env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=3, device=device)
     assert sum(env.action_sizes.values()) == len(workcell.joints)
     contract = contract_of(method, workcell)
     assert {n: agent.num_inputs for n, agent in contract.agents.items()} == env.observation_sizes
-    generator = torch.Generator().manual_seed(0)
-    step = env.step({n: torch.zeros(3, size) for n, size in env.action_sizes.items()})
+    generator = torch.Generator(device).manual_seed(0)
+    step = env.step({n: torch.zeros(3, size, device=device) for n, size in env.action_sizes.items()})
     for _ in range(5):
         actions = {
-            n: torch.rand(3, size, generator=generator) * 2 - 1 for n, size in env.action_sizes.items()
+            n: torch.rand(3, size, generator=generator, device=device) * 2 - 1
+            for n, size in env.action_sizes.items()
         }
         step = env.step(actions)
     assert all(torch.isfinite(value).all() for value in (*step.rewards.values(), step.observation.state))
+    env.check()
     env.close()
 
 
