@@ -8,7 +8,7 @@ import torch
 
 from pixel2catch import WAITS_IN_A_LOOP
 
-MOST_SLEEPERS = 16  #: With many more cores than threads there is no need for any. Source: ours.
+MOST_SLEEPERS = 16  #: Most sleeping threads that are created; if more are needed, none are. Source: ours.
 
 _sleepers: list[Thread] = []
 

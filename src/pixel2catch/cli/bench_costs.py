@@ -199,6 +199,6 @@ def _forget_peak() -> None:
 
 
 def _peak_bytes() -> int:
-    """Return the most memory that this process has had since then [bytes]."""
+    """Return the largest memory of this process since `_forget_peak` [bytes]."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])

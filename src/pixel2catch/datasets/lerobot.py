@@ -43,7 +43,7 @@ FILE = "chunk-000/file-000"  #: Name of the only file of data, of episodes, and 
 PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"  #: Pattern of such names in the format.
 TASK_NAMES = "__index_level_0__"  #: Column that pandas reads as the names of the rows.
 GOP = 2  #: Images from one that is stored whole to the next, for random access. Source: LeRobot.
-SAMPLED = (5, 16)  #: Every so many images, rows and columns count in the images' statistics. Source: ours.
+SAMPLED = (5, 16)  #: Statistics use every 5th image, and every 16th row and column. Source: ours.
 
 Step = tuple[Mapping[str, Any], Pixels | None]  #: Numbers or booleans by feature, and an image.
 Episode = tuple[str, Iterable[Step]]  #: A task in words, and the control steps.

@@ -28,7 +28,7 @@ DISCOVERY = 5.0  #: Real time within which all programs of the profile are found
 SECONDS = 2.0  #: Duration of listening then [s]: a change of lamps and exposure controls. Source: ours.
 DEPTHS = {messages.IMAGE: 16}  #: Messages kept between two polls by type: half a second of images.
 DEPTH = 2048  #: Likewise of other types: a second of joint states.
-THINNING = 4  #: Every so many rows and columns are used for the brightness [px].
+THINNING = 4  #: Step between the rows and columns that give the brightness [px].
 
 RATE_SHARE, MOST_RATE_SHARE = 0.95, 1.5  #: Range of a driver's rate, in the profile's. Source: ours.
 CLOCK_ERROR = 0.02  #: Largest difference of two clocks [s]. Source: training, docs/deployment.md.

@@ -32,7 +32,7 @@ NUM_EQUAL = 4
 """Number of equal images in a row that shows a frozen camera; sensor noise changes every image. Source: ours;
 a camera that is read faster than it exposes repeats single images."""
 
-THINNING = 8  #: Every so many rows and columns are compared before all [px]. Source: ours.
+THINNING = 8  #: Rows and columns are compared in steps of this size first [px]. Source: ours.
 DISTRUST_TIME = 1.0
 """Time for which images are refused after one that is older than the one before [s]. Source: ours."""
 

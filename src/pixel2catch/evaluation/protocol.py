@@ -262,7 +262,7 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
 def shake_action(
     test_steps: Int[Tensor, " num_envs"], commands: Sequence[JointCommand]
 ) -> Float[Tensor, "num_envs num_joints"]:
-    """Return an arm's action after so many steps of the test: 0 in the hold test, then a sine."""
+    """Return an arm's action by the number of steps since the test began: 0 in the hold test, then a sine."""
     time = (test_steps - HOLD_TEST_STEPS + 0.5) * CONTROL_DT
     wave = torch.where(time > 0.0, torch.sin(2.0 * pi * SHAKE_FREQUENCY * time), 0.0)
     amplitude = [lead / command.scale for lead, command in zip(SHAKE_LEAD, commands, strict=False)]

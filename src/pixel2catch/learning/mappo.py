@@ -40,7 +40,7 @@ class Mappo:
         networks: Networks of every agent.
         steps: Gradient steps of every agent.
         rollout: Observations, actions and so on since the last update, (rollout_steps, num_envs, ...).
-        rewards: Rewards of every agent since then, (rollout_steps, num_envs).
+        rewards: Rewards of every agent since the last update, (rollout_steps, num_envs).
         is_done: Whether an episode ended at that step, (rollout_steps, num_envs).
         next_states: Input of the value networks after the last step.
     """

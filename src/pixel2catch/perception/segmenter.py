@@ -128,7 +128,7 @@ class ImageTrack:
 
     center: tuple[float, float]  #: Middle of its last box [px].
     velocity: tuple[float, float] = (0.0, 0.0)  #: Its last change in an image interval [px].
-    num_missed: int = 0  #: Images since then.
+    num_missed: int = 0  #: Images since the last box.
     num_seen: int = 0  #: Images in which it was seen; the velocity is known from two on.
     others: tuple[tuple[float, float], ...] = ()  #: Middles of the other things in the last image [px].
     limits: PlausibilityCfg = USUAL  #: What can be the object.
