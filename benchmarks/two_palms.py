@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import SIZES_TASK

@@ -45,7 +45,7 @@ BAD = [
     ("excite --recordings 100000", "recordings is 100,000; it must be from 1 to 1000"),
     ("evaluate --seed -1", "seed is -1; it must be from 0 to 4,294,967,295"),
     ("train --seed 1" + 400 * "0", "seed is huge"),
-    ("bench --seconds inf", "seconds is inf; it must be a finite number"),
+    ("excite --seconds inf", "seconds is inf; it must be a finite number"),
     ("evaluate --env.scene.physics-hz nan", "physics_hz is nan"),
     ("evaluate --env.scene.physics-hz 100", "physics_hz is 100; it must be a multiple"),
     ("train --learning-rate nan", "learning_rate is nan"),

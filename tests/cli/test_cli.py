@@ -13,7 +13,7 @@ import torch
 
 import commands
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare
 from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import main, parse
 from pixel2catch.cli.reproduce import METHODS
@@ -164,13 +164,12 @@ def test_evaluate_prints_one_json_object(untrained: Path, tmp_path: Path):
 def test_bench_splits_a_training_into_its_parts(tmp_path: Path):
     out = tmp_path / "new" / "costs.json"
     task = ["--env.scene.cone", "pyramidal", "--env.scene.physics-hz", "60", "--env.episode.max-steps", "5"]
-    assert main(["bench", "--num-envs", "4", "--seconds", "0.1", *task, "--out", str(out)]) == 0
+    assert main(["bench", "--num-envs", "4", "--updates", "1", *task, "--out", str(out)]) == 0
     (row,) = json.loads(out.read_text())["results"]
     assert (row["device"], row["num_envs"], row["physics_hz"]) == ("cpu", 4, 60.0)
-    parts = [row[f"{part}_us"] for part in ("acting", "physics", "sensing", "update")]
+    parts = [row[f"{part}_us"] for part in ("acting", "environment", "update")]
     assert min(parts) > 0.0
     assert sum(parts) == pytest.approx(1e6 / row["training_steps_per_second"])
-    assert row["trained_steps_per_second"] < row["physics_steps_per_second"]
     assert row["rss_bytes"] > 1e8 > row["device_bytes"]
 
 

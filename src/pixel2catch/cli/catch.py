@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pixel2catch.checks import Count, FilmPath
-from pixel2catch.cli.console import evaluating, results_console, say
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import evaluating, prepare, results_console, say
 from pixel2catch.errors import DeviceUnavailableError
 
 VIDEO_THROWS = 2  #: Number of throws in the film.

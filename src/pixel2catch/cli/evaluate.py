@@ -7,8 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, OutputFile, Seed
-from pixel2catch.cli.console import evaluating, results_console
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import evaluating, prepare, results_console
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath

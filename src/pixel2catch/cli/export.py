@@ -7,8 +7,7 @@ from typing import Literal, cast
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Seed
-from pixel2catch.cli.console import say
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.link import Robot
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import require_free_file, write_atomically

@@ -35,6 +35,7 @@ REMOVED = {
 REMOVED_OPTIONS = (
     ("bench", "--json", "give --out FILE.json"),
     ("bench", "--plot", "give --out FILE.json and draw its numbers"),
+    ("bench", "--seconds", "give --updates"),
     ("calibrate", "--board-pose", "leave it out; the board's pose is found from the images"),
     ("calibrate", "--chessboard", "give images of the printed board, or a .yaml of ROS's camera_calibration"),
     ("calibrate", "--image-topic", "give --topic, with --source"),

@@ -6,8 +6,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, FilmPath, Seed
-from pixel2catch.cli.console import say
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import PageOptions, SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra

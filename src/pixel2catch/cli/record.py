@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
-from pixel2catch.cli.console import say, saying_changes
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare, say, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra

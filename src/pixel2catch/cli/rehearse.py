@@ -57,7 +57,7 @@ class Rehearse:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
         if cfg.lockstep:
-            from pixel2catch.cli.device import prepare
+            from pixel2catch.cli.console import prepare
             from pixel2catch.evaluation.loading import load_policy
             from pixel2catch.twin.stepped import rehearse_stepped
 

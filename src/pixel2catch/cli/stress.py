@@ -6,7 +6,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Seed
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pixel2catch.checks import AtMostFull, Seed
-from pixel2catch.cli.console import say, saying_changes
-from pixel2catch.cli.device import prepare
+from pixel2catch.cli.console import prepare, say, saying_changes
 from pixel2catch.cli.fields import PageOptions
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
