@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from pixel2catch.evaluation.report import markdown
+from pixel2catch.reports import markdown
 from pixel2catch.robots.maker import Surface, add_maker_bodies, maker_parts
 from pixel2catch.robots.poses import rotation_matrix, sphere_points
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
@@ -127,4 +127,4 @@ def _support(model: mujoco.MjModel, geom: int, ways: Float[ndarray, "some 3"]) -
 
 if __name__ == "__main__":
     for table in differences(find_workcell("ur5e_allegro"), tuple(sys.argv[1:]), "collision"):
-        print(markdown(table, 1))
+        print(markdown(table))

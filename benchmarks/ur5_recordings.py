@@ -17,7 +17,8 @@ from rich.console import Console
 from pixel2catch.arrays import read_table
 from pixel2catch.identification.checks import check_recording
 from pixel2catch.identification.recording import Recording, joints_of, require_motion
-from pixel2catch.identification.report import check_grid
+from pixel2catch.identification.report import check_rows, check_title
+from pixel2catch.reports import terminal_table
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = joints_of(UR5E_ALLEGRO, "ur5e")
@@ -29,7 +30,8 @@ def main() -> None:
     )
     parser.add_argument("folders", nargs="+", type=Path, help="folders of log files")
     for folder in parser.parse_args().folders:
-        Console(width=120).print(check_grid(folder.name, check_recording(read_ur5(folder))).for_terminal())
+        checks = check_recording(read_ur5(folder))
+        Console(width=120).print(terminal_table(check_title(folder.name, checks), check_rows(checks)))
 
 
 def read_ur5(folder: Path) -> Recording:

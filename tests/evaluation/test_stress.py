@@ -1,6 +1,5 @@
 """The stress suite: its settings, the same throws for all, the report by hand, and the command."""
 
-import csv
 import json
 import os
 import pickle
@@ -18,7 +17,7 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.policy_cells import PolicyEntry, find_policies, plan_results, throw_rounds
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.report import Row, as_markdown, read_rows
+from pixel2catch.evaluation.report import Row, read_rows
 from pixel2catch.evaluation.stress.suite import AXES, select_settings
 from pixel2catch.evaluation.stress_report import (
     REAL_ROBOT,
@@ -29,6 +28,7 @@ from pixel2catch.evaluation.stress_report import (
 )
 from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.reports import as_markdown
 from pixel2catch.workcells import find_workcell, workcells
 
 EARLIER = Path(__file__).parents[2] / "experiments" / "results"
@@ -135,8 +135,8 @@ def arguments(policies: list[str], out: Path, *options: str) -> list[str]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """All files but the page, which names the command and the time."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "page.html")
+    """All files but table.json, which names the command and the time."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "table.json")
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
@@ -148,12 +148,12 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     before = files(tmp_path)
     settings = ("nominal", "edge_noise-10")
     cells = {f"cells/{policy}/{name}.json" for policy in ("first", "second") for name in settings}
-    assert set(before) == cells | {"table.json", "table.csv", "table.md", "heatmap.png"}
+    assert set(before) == cells | {"table.md", "heatmap.png"}
     assert before["table.md"].decode() == printed.out
-    rows = list(csv.DictReader(before["table.csv"].decode().splitlines()))
+    rows = read_rows(tmp_path / "table.json")
     assert [(row["setting"], row["policy"], row["method"], row["trials"]) for row in rows[:2]] == [
-        ("nominal", "first", "proposed", "2"),
-        ("nominal", "second", "only_wh", "2"),
+        ("nominal", "first", "proposed", 2),
+        ("nominal", "second", "only_wh", 2),
     ]
     assert main(arguments(policies, tmp_path, "--num-envs", "3")) == 2
     assert "evaluation.num_envs: 2 there, 3 now" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from pixel2catch.evaluation.policy_cells import (
     plan_results,
     policy_cells,
 )
-from pixel2catch.evaluation.report import Row, as_csv, as_markdown, read_rows
+from pixel2catch.evaluation.report import Row, read_rows
 from pixel2catch.evaluation.slots import ThisProcess
 from pixel2catch.evaluation.stress_report import REAL_ROBOT
 from pixel2catch.evaluation.transfer import (
@@ -35,6 +35,7 @@ from pixel2catch.evaluation.transfer import (
 )
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.reports import as_markdown
 from pixel2catch.scene.scene import SceneCfg
 
 ENGINES = ("mujoco", "physx")
@@ -98,9 +99,6 @@ def test_the_tables_compare_each_engine_with_home(tmp_path: Path):
     assert "| one | 0.5 | mujoco | 100.0 [51, 100] |" in text
     assert "| one | 0.5 | physx | 75.0 [30, 95] | 75.0 [30, 95] | 75.0 [30, 95] | -25.0 [" in text
     assert "| 0, 1 | 1 |" in text.splitlines()[-1]
-    lines = as_csv(rows).splitlines()
-    assert len(lines) == 1 + 4
-    assert "success_rate_change_difference_low" in lines[0]
 
 
 def test_nothing_bounces_in_drake(tmp_path: Path):
@@ -172,7 +170,7 @@ def test_rounds_have_the_throws_of_the_whole(
     made.run()
     again = capsys.readouterr()
     assert ("done" in again.err, again.out) == (False, printed.out)
-    names = {"cells", "table.md", "table.csv", "orders.csv", "table.json", "heatmap.png", "page.html"}
+    names = {"cells", "table.md", "table.json", "heatmap.png"}
     assert {path.name for path in tmp_path.iterdir()} == names
     (row,) = read_rows(tmp_path / "table.json")
     settings = [coarse.beneath(each, "transfer") for each in transfer_settings(("mujoco",), (0.0,))]

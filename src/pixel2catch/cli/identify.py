@@ -9,11 +9,12 @@ from tyro.conf import Positional
 from pixel2catch.checks import DynamicsPath, NewFolder
 from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.reports import circumstances
+from pixel2catch.reports import circumstances, terminal_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from pixel2catch.identification.checks import DataCheck
     from pixel2catch.identification.identify import Identification
     from pixel2catch.identification.importers import RecordedNames
     from pixel2catch.identification.recording import Recording
@@ -38,7 +39,7 @@ class Identify:
     #: its name, or arm, hand, or the work cell's name. Optional with --check: all recorded joints are
     #: checked.
     robot: str | None = None
-    #: New or empty folder for dynamics.json, report.html and result.json.
+    #: New or empty folder for dynamics.json, report.md and result.json.
     out: NewFolder | None = None
     #: Only check the data of one joint or more, without a fit; the exit status is 1 if they cannot be fitted.
     check: bool = False
@@ -58,7 +59,7 @@ class Identify:
         """Check, fit, and write the report."""
         from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
-        from pixel2catch.identification.report import DYNAMICS, PAGE, check_grid, write_report
+        from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -75,23 +76,22 @@ class Identify:
             report("checking the data")
             sources = checked(recordings)
         for source in sources:
-            results_console().print(check_grid(source.recording.name, source.checks).for_terminal())
+            _print_checks(source.recording.name, source.checks)
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
             write_report(self.out, result, circumstances())
         _print_result(result)
-        say(f"wrote {self.out / DYNAMICS} and the report {self.out / PAGE}")
+        say(f"wrote {self.out / DYNAMICS} and the report {self.out / REPORT}")
 
     def _check(self, workcell: "WorkcellSpec") -> None:
         """Print the data checks; exit with a status if one forbids a fit."""
         from pixel2catch.identification.checks import check_recording
-        from pixel2catch.identification.report import check_grid
 
         with working() as report:
             found = [(each, check_recording(each)) for each in self._read(workcell, report)]
         for recording, checks in found:
-            results_console().print(check_grid(recording.name, checks).for_terminal())
+            _print_checks(recording.name, checks)
         if any(check.forbids_fit for _, checks in found for check in checks):
             raise SystemExit(EXIT_UNFIT)
 
@@ -125,21 +125,22 @@ class Identify:
         return RecordedNames.of(Profile.load(self.profile), joints)
 
 
+def _print_checks(name: str, checks: "Sequence[DataCheck]") -> None:
+    from pixel2catch.identification.report import check_rows, check_title
+
+    results_console().print(terminal_table(check_title(name, checks), check_rows(checks)))
+
+
 def _print_result(result: "Identification") -> None:
-    """Print errors and parameters as tables, then what is not identified."""
+    """Print errors and parameters as tables, then what is not identified, and warnings."""
     from rich.text import Text
 
-    from pixel2catch.identification.report import (
-        NOTHING_HELD_OUT,
-        errors_grid,
-        open_questions,
-        parameters_grid,
-    )
+    from pixel2catch.identification.report import error_rows, open_questions, parameter_rows, warnings
 
     console = results_console()
-    console.print(errors_grid(result).for_terminal())
-    console.print(parameters_grid(result).for_terminal())
+    console.print(terminal_table("Tracking error, RMS [mrad]", error_rows(result)))
+    console.print(terminal_table("Parameters with 95 % intervals", parameter_rows(result)))
     for question in open_questions(result.fit):
         console.print(Text(f"- {question}"))
-    if not result.of(is_held_out=True):
-        console.print(Text(NOTHING_HELD_OUT, style="bold red"))
+    for warning in warnings(result):
+        console.print(Text(warning, style="bold yellow"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pixel2catch.checks import Count, Device, ResultsFolder, Within
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.reports import circumstances
+from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
@@ -62,13 +62,12 @@ class Reproduce:
     def run(self) -> None:
         """Compute what is missing, and write the report."""
         from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
-        from pixel2catch.evaluation.report import markdown
 
         folder = ComparisonFolder(self.out)
         grid = self._compute(folder)
         rates = write_comparison(folder)
         print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
-        say(f"wrote the report: {folder.path / 'report'}: table.md, page.html")
+        say(f"wrote the report: {folder.path / 'report'}: table.md")
         grid.require_whole()
 
     def _compute(self, folder: "ComparisonFolder") -> "StudyGrid":

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.evaluation.grid import Status, StudyGrid
-from pixel2catch.evaluation.report import Row, Section, as_markdown, write_report
+from pixel2catch.evaluation.report import Row, write_report
 from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
+from pixel2catch.reports import Section, as_markdown, circumstances
 
 JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a cluster at once. Source: ours.
 REFRESH_SECONDS = 2.0  #: Time between two looks at what running cells have done [s].
@@ -72,6 +73,7 @@ def finish(
         StudyError: If a cell failed; the report has all others.
     """
     if sections:
+        data = {**rows, "circumstances": circumstances()}
         print(as_markdown(title, sections), end="", flush=True)
-        say(f"wrote {out}: {write_report(out, title, sections, rows)}")
+        say(f"wrote {out}: {write_report(out, title, sections, data)}")
     grid.require_whole()

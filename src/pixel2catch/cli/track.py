@@ -20,12 +20,11 @@ from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
-from pixel2catch.reports import circumstances
+from pixel2catch.reports import Cells, circumstances, terminal_table
 from pixel2catch.scene.constants import OBJECT_RADIUS
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
-    from pixel2catch.evaluation.report import Cells
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting, Tally
     from pixel2catch.perception.sources import ImageFit, SourceCfg
@@ -178,8 +177,6 @@ class Track:
 
 def _print_result(tally: "Tally", summary: dict[str, Any]) -> None:
     """Print the duration of the stages, what was found, and whether it is fast enough."""
-    from pixel2catch.evaluation.report import terminal_table
-
     stages = [
         {
             "stage": stage,
@@ -196,7 +193,7 @@ def _print_result(tally: "Tally", summary: dict[str, Any]) -> None:
         console.print(Text(line))
 
 
-def _truth_rows(truth: dict[str, Any]) -> "Iterator[Cells]":
+def _truth_rows(truth: dict[str, Any]) -> Iterator[Cells]:
     """Accuracy of the boxes, by labelled phase."""
     for phase, row in truth.items():
         if row["images"] + row["hidden"]:

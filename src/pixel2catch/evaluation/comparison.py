@@ -1,7 +1,7 @@
 """A comparison of methods with several seeds each: its folder, its rows and its report."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
@@ -11,22 +11,15 @@ from pixel2catch.evaluation.curves import Columns, Curves, gather, read_metrics
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics, pooled_counts, rate, wilson_interval
-from pixel2catch.evaluation.report import DASH, Cells, Row, Section, percent, table, write_files, write_report
+from pixel2catch.evaluation.report import Row, percent, table, write_files, write_report
 from pixel2catch.evaluation.result_tables import CONTACT_RATES, MAIN_RATES, PAPER, RATES
 from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading
-from pixel2catch.reports import circumstances_lines
+from pixel2catch.reports import DASH, Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")  #: Extremes over all throws of all seeds.
 FILE = "study.json"
-MOVED = {
-    "training physics_hz": "training physics_stages",
-    "training cone": "training env.scene.cone",
-    "training multiccd": "training env.scene.multiccd",
-    "training latency_steps": "training env.sensing.latency_steps",
-}
-"""Entries of the configurations of earlier studies, and their names in this revision."""
 
 RATES_NOTE = (
     "T.R.: the palm is within 8 cm of the object once. S.R.: it is for 20 control steps in a row. "
@@ -125,8 +118,7 @@ class ComparisonFolder:
         if content is None:
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
         with reading("study", self.path / FILE, "Mend it, or name another folder with --out.", StudyError):
-            plan = content["plan"]
-            return decoded(Plan, plan | {"configuration": _current(plan["configuration"])})
+            return decoded(Plan, content["plan"])
 
     def sessions(self) -> list[Json]:
         """Return time, command and machine of each session of the study."""
@@ -163,15 +155,6 @@ class ComparisonFolder:
         return Plan(methods=methods, seeds=max(before.seeds, plan.seeds), configuration=asked)
 
 
-def _current(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of any revision as this one writes it."""
-    if not MOVED.keys() & configuration.keys():
-        return dict(configuration)
-    return {"training value_loss": "clipped"} | {
-        MOVED.get(key, key): each for key, each in configuration.items()
-    }
-
-
 def _read(path: Path) -> Json | None:
     """Return the content of a JSON file; nothing if it is absent or incomplete."""
     try:
@@ -187,28 +170,36 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
         StudyError: If there is no study.
         OSError: If it cannot be written; an earlier report is then unchanged.
     """
-    from pixel2catch.evaluation.figures import curves_figure, objects_figure
+    from pixel2catch.evaluation.figures import curves_picture, heat_map
 
     plan = folder.plan()
-    results, objects = list(summary_rows(folder, plan)), list(object_rows(folder, plan))
-    trainings, curves = list(training_rows(folder, plan)), all_curves(folder, plan)
-    rates = rates_table(results)
+    data: dict[str, list[Row]] = {
+        "results": list(summary_rows(folder, plan)),
+        "objects": list(object_rows(folder, plan)),
+        "trainings": list(training_rows(folder, plan)),
+        "sessions": list(folder.sessions()),
+    }
+    results, objects, curves = data["results"], data["objects"], all_curves(folder, plan)
+    rates, trainings = rates_table(results), [_training_line(row) for row in data["trainings"]]
     configuration = [{"name": name, "value": f"{value}"} for name, value in plan.configuration.items()]
     sections = [
         Section(title="Results", text=RATES_NOTE, rows=rates),
         Section(title="Holds and contact", text=QUALITY_NOTE, rows=quality_table(results)),
-        Section(title="Trainings", text=TRAININGS_NOTE, rows=[_training_line(row) for row in trainings]),
-        Section(title="Sessions", rows=_sessions(folder.sessions())),
+    ]
+    if curves:
+        pictures = {"curves.png": curves_picture(curves)}
+        sections.append(Section(title="Learning curves", text=CURVES_NOTE, pictures=pictures))
+    if objects:
+        by, pictures = (
+            ("object", "method"),
+            {"objects.png": heat_map(objects, ("object", "method"), "objects")},
+        )
+        lines = table(objects, by, _percent)
+        sections.append(Section(title="S.R. by object", text=OBJECTS_NOTE, rows=lines, pictures=pictures))
+    sections += [
+        Section(title="Trainings", text=TRAININGS_NOTE, rows=trainings),
         Section(title="Configuration", rows=configuration),
     ]
-    data: dict[str, Sequence[Row]] = {"results": results, "objects": objects, "trainings": trainings}
-    if objects:
-        lines = table(objects, ("object", "method"), _percent)
-        part = Section(title="S.R. by object", text=OBJECTS_NOTE, rows=lines)
-        sections.insert(2, replace(part, figure=objects_figure(objects), file="objects.png"))
-    if curves:
-        part = Section(title="Learning curves", text=CURVES_NOTE)
-        sections.insert(2, replace(part, figure=curves_figure(curves), file="curves.png"))
     write_report(folder.path / "report", "Comparison of methods", sections, data)
     return rates
 
@@ -284,26 +275,16 @@ def _paper(method: str, group: str) -> Row | None:
 
 def rates_table(rows: Sequence[Row]) -> list[Cells]:
     """Return T.R. and S.R. with deviation, interval, and the paper's numbers."""
-    return [
-        {
-            "method": row["method"],
-            "objects": row["objects"],
-            "seeds": str(row["seeds"]),
-            **_rate_cells(row, "T.R."),
-            **_rate_cells(row, "S.R."),
-        }
-        for row in rows
-    ]
-
-
-def _rate_cells(row: Row, title: str) -> Cells:
-    rate, paper = row[MAIN_RATES[title]], row["paper"] and row["paper"][MAIN_RATES[title]]
-    low, high = rate["interval"]
-    return {
-        f"{title} [%]": _spread(rate),
-        f"{title}, 95 % interval": f"[{100 * low:.1f}, {100 * high:.1f}]",
-        f"{title}, paper": _spread(paper, digits=2),
-    }
+    lines = []
+    for row in rows:
+        line = {name: str(row[name]) for name in ("method", "objects", "seeds")}
+        for title, name in MAIN_RATES.items():
+            low, high = row[name]["interval"]
+            line[f"{title} [%]"] = _spread(row[name])
+            line[f"{title}, 95 % interval"] = f"[{100 * low:.1f}, {100 * high:.1f}]"
+            line[f"{title}, paper"] = _spread(row["paper"] and row["paper"][name], digits=2)
+        lines.append(line)
+    return lines
 
 
 def quality_table(rows: Sequence[Row]) -> list[Cells]:
@@ -329,11 +310,6 @@ def _training_line(row: Row) -> Cells:
         "transitions": f"{row['transitions']:,}",
         "duration [min]": f"{row['seconds'] / 60:.1f}",
     }
-
-
-def _sessions(sessions: Sequence[Json]) -> list[Cells]:
-    lines = [(session["command"], *circumstances_lines(session)) for session in sessions]
-    return [dict(zip(("command", "where", "versions"), line, strict=True)) for line in lines]
 
 
 def _percent(row: Row) -> str:

@@ -1,7 +1,8 @@
-"""Pictures of results: learning curves, rates of objects, rates as a coloured table."""
+"""Pictures of results as PNG files: learning curves, and rates as a coloured table."""
 
 from collections.abc import Callable, Sequence
-from itertools import groupby, pairwise
+from io import BytesIO
+from itertools import pairwise
 from typing import Any
 
 import matplotlib
@@ -17,7 +18,6 @@ from pixel2catch.methods import METHODS
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours for readers with any kind of colour vision. Source: Okabe and Ito 2008; grey: ours."""
 
-MARKERS = "oDPsv^X<>p*hd8"  #: Marks beside the colours, for print without colour.
 LINES = ("-", (0, (4, 1.5)))  #: Line styles: of the first methods, and of others in the same colours.
 
 STYLE: dict[Any, Any] = {
@@ -32,23 +32,23 @@ STYLE: dict[Any, Any] = {
     "lines.solid_capstyle": "round",
 }
 
+DPI = 110  #: Pixels of an inch.
 HEAT = "viridis"  #: Colours of rates. Source: Smith and van der Walt 2015, Matplotlib.
 DARK = 60.0  #: Rate [%] below which a cell is dark and has white letters.
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.5  #: Size of a cell [inch].
 
 
 def look(method: str) -> dict[str, Any]:
-    """Return colour, mark and line style of a method, the same in every picture."""
+    """Return colour and line style of a method, the same in every picture."""
     names, name = list(METHODS), method.partition("+")[0]
     number = names.index(name) if name in names else len(names)
     return {
         "color": PALETTE[number % len(PALETTE)],
-        "marker": MARKERS[number % len(MARKERS)],
         "linestyle": LINES[number // len(PALETTE) % len(LINES)],
     }
 
 
-def curves_figure(curves: Curves) -> Figure:
+def curves_picture(curves: Curves) -> bytes:
     """Draw T.R. and S.R. in training over transitions: mean over seeds, with one standard deviation."""
     millions = curves.transitions / 1e6
     with matplotlib.rc_context(STYLE):
@@ -66,57 +66,18 @@ def curves_figure(curves: Curves) -> Figure:
             axes.set(xlim=(0.0, curves.edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()
         panels[0].set_ylabel("% of episodes")
-        _add_legend(figure, panels[0])
-        return figure
-
-
-def objects_figure(rows: Sequence[Row]) -> Figure:
-    """Draw the S.R. of each object with its 95 % interval, a mark for each method, seen objects on top."""
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    objects = list(dict.fromkeys((row["objects"], row["object"]) for row in rows))
-    groups = {name: len(list(members)) for name, members in groupby(objects, key=lambda each: each[0])}
-    height = max(0.32, 0.09 * len(methods)) * len(objects) + 1.6
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, height), layout="constrained")
-        panels = figure.subplots(
-            len(groups), 1, sharex=True, squeeze=False, height_ratios=list(groups.values())
-        )[:, 0]
-        for axes, group in zip(panels, groups, strict=True):
-            _draw_objects(axes, [row for row in rows if row["objects"] == group], methods)
-            axes.set_title(f"{group} objects", loc="left", fontsize=10)
-        panels[-1].set(xlabel="S.R. [% of throws], 95 % interval", xlim=(-1.0, 101.0))
-        _add_legend(figure, panels[0])
-        return figure
-
-
-def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> None:
-    names = list(dict.fromkeys(row["object"] for row in rows))
-    for number, method in enumerate(methods):
-        own = [row for row in rows if row["method"] == method]
-        style: dict[str, Any] = look(method) | {"linestyle": "none"}
-        offset = 0.7 * ((number + 0.5) / len(methods) - 0.5)
-        rate = np.array([100.0 * row["success_rate"] for row in own])
-        bounds = np.array([row["success_rate_interval"] for row in own]).reshape(-1, 2)
-        axes.errorbar(
-            rate,
-            [names.index(row["object"]) + offset for row in own],
-            xerr=np.maximum(0.0, np.stack((rate - 100.0 * bounds[:, 0], 100.0 * bounds[:, 1] - rate))),
-            elinewidth=1.2,
-            markersize=4.5,
-            label=method.replace("_", " "),
-            **style,
-        )
-    axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x")
-    for border in range(1, len(names)):
-        axes.axhline(border - 0.5, color="#E4E4E4", linewidth=0.8)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
+        return _png(figure)
 
 
 def heat_map(
-    rows: Sequence[Row], by: tuple[str, str], group: str, mark: Callable[[Row], str], digits: int = 0
-) -> Figure:
+    rows: Sequence[Row],
+    by: tuple[str, str],
+    group: str,
+    mark: Callable[[Row], str] = lambda _: "",
+    digits: int = 0,
+) -> bytes:
     """Draw the S.R. of rows as a coloured table.
 
     Args:
@@ -151,9 +112,10 @@ def heat_map(
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label("S.R. [% of throws]")
         bar.outline.set_visible(False)  # type: ignore[operator]
-    return figure
+        return _png(figure)
 
 
-def _add_legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
+def _png(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from rich.table import Table
 
 from pixel2catch.evaluation.metrics import Metrics
-from pixel2catch.evaluation.report import Cells, percent, terminal_table
+from pixel2catch.evaluation.report import percent
+from pixel2catch.reports import Cells, terminal_table
 from pixel2catch.scene.objects import SEEN, UNSEEN
 
 PAPER = {

@@ -10,9 +10,10 @@ from scipy.stats import kendalltau
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.evaluation.metrics import pooled_counts, wilson_interval
 from pixel2catch.evaluation.policy_cells import PolicyResult
-from pixel2catch.evaluation.report import Cells, Row, Section, percent, table
+from pixel2catch.evaluation.report import Row, percent, table
 from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.evaluation.stress.trained import is_trained_on
+from pixel2catch.reports import Cells, Section
 
 SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")  #: Rates in the rows.
 UNTRAINED = "†"  #: Mark of a setting that a policy was not trained on.
@@ -68,10 +69,10 @@ def stress_sections(rows: Sequence[Row]) -> list[Section]:
     by, group = ("title", "policy"), "axis"
     if len(policies) > len(sources):  # the picture is higher than it is wide
         by, group = ("policy", "title"), "method"
-    figure = heat_map(rows, by, group, _mark)
+    picture = heat_map(rows, by, group, _mark)
     order = compare_order([row for row in rows if row["level"] == REALITY])
     sections = [
-        Section(title="Success rates", text=text, rows=lines, figure=figure, file="heatmap.png"),
+        Section(title="Success rates", text=text, rows=lines, pictures={"heatmap.png": picture}),
         Section(title="Sources", rows=[{"title": name, "source": each} for name, each in sources.items()]),
     ]
     if order:

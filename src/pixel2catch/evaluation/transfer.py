@@ -8,10 +8,11 @@ from pixel2catch.evaluation.grid import Json
 from pixel2catch.evaluation.metrics import Metrics, metrics, paired_difference, pooled_counts, rate
 from pixel2catch.evaluation.policy_cells import PolicyResult
 from pixel2catch.evaluation.protocol import Trials
-from pixel2catch.evaluation.report import Cells, Row, Section, percent
+from pixel2catch.evaluation.report import Row, percent
 from pixel2catch.evaluation.result_tables import RATES
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
 from pixel2catch.evaluation.stress_report import ORDER_NOTE, compare_order, order_line
+from pixel2catch.reports import Cells, Section
 from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
@@ -124,9 +125,9 @@ def transfer_sections(rows: Sequence[Row], orders: Sequence[Row]) -> list[Sectio
     places = [
         row | {"place": f"{row['policy']}, restitution {row['restitution']}"} for row in map(dict, rows)
     ]
-    figure = heat_map(places, ("place", "engine"), "policy", _difference, digits=1)
+    picture = heat_map(places, ("place", "engine"), "policy", _difference, digits=1)
     lines = [_line(row) for row in rows]
-    sections = [Section(title="Engines", text=text, rows=lines, figure=figure, file="heatmap.png")]
+    sections = [Section(title="Engines", text=text, rows=lines, pictures={"heatmap.png": picture})]
     if orders:
         lines = [
             {"engine": row["engine"], "restitution": row["restitution"], **order_line(row)} for row in orders
