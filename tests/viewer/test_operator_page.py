@@ -20,7 +20,6 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image
 from pixel2catch.viewer.visitors import HeldButton
@@ -41,7 +40,6 @@ class Desk:
         self.page = OperatorPage(
             PageCfg(port=free_port()),
             "desk",
-            SceneCfg(),
             PROFILE,
             page_node,
             self.clock,
@@ -93,8 +91,9 @@ def until(is_true: Callable[[], Any], go_on: Callable[[], Any]) -> None:
 @contextmanager
 def link(address: str) -> Iterator[Connection]:
     """What the page's script connects to."""
-    origin = Origin(address.removesuffix("/operate"))
-    with connect(f"{address.replace('http', 'ws')}/link", origin=origin, open_timeout=PATIENCE) as visitor:
+    with connect(
+        f"{address.replace('http', 'ws')}/link", origin=Origin(address), open_timeout=PATIENCE
+    ) as visitor:
         yield visitor
 
 

@@ -63,7 +63,7 @@ def test_an_operator_has_a_page_whose_switch_is_let_go_at_its_end(monkeypatch: p
         started("operate", "--web") as (process, address),
     ):
         heard = node.subscription(PROFILE.operator.dead_man, depth=1000)
-        link = f"{address.replace('http', 'ws')}/operate/link"
+        link = f"{address.replace('http', 'ws')}/link"
         with connect(link, origin=Origin(address), open_timeout=PATIENCE) as visitor:
             said: list[bool] = []
             end = time.monotonic() + PATIENCE
@@ -92,7 +92,7 @@ def test_beside_a_pedal_the_page_has_no_switch(tmp_path: Path, monkeypatch: pyte
     with (
         open(os.open(pedal, os.O_RDWR), "wb", buffering=0) as keys,
         started("operate", pedal, "--web") as (_, address),
-        connect(f"{address.replace('http', 'ws')}/operate/link", origin=Origin(address)) as visitor,
+        connect(f"{address.replace('http', 'ws')}/link", origin=Origin(address)) as visitor,
     ):
         keys.write(EVENT.pack(1, 2, KEY, KEYS[0][0], 1))
         states = (json.loads(said) for said in visitor if isinstance(said, str))

@@ -78,15 +78,12 @@ class Operate:
         self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
     ) -> "OperatorPage":
         """Open the page; its button is the switch if there is no device."""
-        from pixel2catch.scene.scene import SceneCfg
-
         with needs_extra("viewer"):
             from pixel2catch.viewer.operator_page import OperatorPage
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
-        scene = SceneCfg(workcell=profile.workcell)
         return OperatorPage(
-            self.page.cfg, "Pixel2Catch operator", scene, profile, node, clock, console, button=button
+            self.page.cfg, "Pixel2Catch operator", profile, node, clock, console, button=button
         )
 
 

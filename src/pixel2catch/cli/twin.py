@@ -57,7 +57,7 @@ class Twin:
                 with needs_extra("viewer"):
                     from pixel2catch.viewer.twin import twin_page
                 profile = twin_profile(find_workcell(task.scene.workcell))
-                stack.enter_context(twin_page(self.page.cfg, task.scene, profile, self.clock))
+                stack.enter_context(twin_page(self.page.cfg, profile, self.clock))
             counts = serve(task, self.seed, self.clock, on_cycle)
         late = f"{counts.num_late:,} of them late, the worst by {1000 * counts.worst:.0f} ms"
         say(f"{counts.num_cycles:,} cycles, {late}")

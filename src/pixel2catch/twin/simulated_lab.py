@@ -133,7 +133,6 @@ class SimulatedLab:
         self.workcell = workcell = find_workcell(task.scene.workcell)
         num_joints = len(workcell.joints)
         self._robot = slice(num_joints)
-        self._object_pose = slice(num_joints, num_joints + 7)  # position and quaternion, in `qpos`
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
@@ -262,7 +261,6 @@ class SimulatedLab:
             "throw": self.num_throws,
             "object": None if self.phase is Phase.EMPTY else self.object_name,
             "box": self._visible_box(),
-            "object_pose": [round(value, 4) for value in self._qpos[self._object_pose].tolist()],
             "is_tracked": record is not None and bool(record.is_tracked),
             "is_success": record is not None and bool(record.is_success),
             "joint_speed": self.max_joint_speed,

@@ -10,31 +10,20 @@ from math import isfinite
 from threading import Event
 from typing import Any, final
 
-import numpy as np
-import viser
-
 from pixel2catch.camera.image import Verdict
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
-from pixel2catch.rendering.camera import Exposure, Moment
-from pixel2catch.rendering.room import Bystanders
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport
-from pixel2catch.scene.scene import OBJECT_START, SceneCfg
 from pixel2catch.servo.status_words import fault_words, latencies, refusal_words, status_words, verdict_words
-from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.images import jpeg
-from pixel2catch.viewer.scene import SceneView
-from pixel2catch.viewer.server import OwnPage, open_server, page_files
+from pixel2catch.viewer.server import open_server
 from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
-from pixel2catch.workcells import find_workcell
-
-PATH = "/operate"  #: Path of the page on its server.
 
 PERIOD = 0.02  #: Real time between two polls of network and page [s]. Source: ours, half of the switch's.
-PICTURE_TIME = 1 / 15  #: Time between two images and updates of the scene [s]. Source: ours.
+PICTURE_TIME = 1 / 15  #: Time between two images [s]. Source: ours.
 SILENCE = 1.0  #: Time without messages after which deployment or camera are absent [s]. Source: ours.
 REFUSAL_TIME = 6.0  #: Time for which the reason of a refused arming is shown [s].
 REQUEST_AGE = 0.5
@@ -57,7 +46,6 @@ class OperatorPage:
         self,
         cfg: PageCfg,
         title: str,
-        scene: SceneCfg,
         profile: Profile,
         transport: Transport,
         clock: Clock,
@@ -71,7 +59,6 @@ class OperatorPage:
         Args:
             cfg: Where it is served.
             title: Title in the browser.
-            scene: Robot and camera; the twin's scene, if it is one.
             profile: Topics and names of the robot's drivers.
             transport: The node of the page.
             clock: The clock of the deployment.
@@ -83,11 +70,8 @@ class OperatorPage:
         self._button, self._more, self._title = button, more, title
         self._images = transport.subscription(profile.camera.image)
         self._visitors = Visitors(self._handle, self._release)
-        own = OwnPage(path=PATH, files=page_files(PATH), talk=self._visitors.talk)
-        self._server = open_server(cfg, title, own)
+        self._server = open_server(cfg, title, self._visitors.talk)
         self.address = self._server.address  #: Address of the page.
-        self._server.viser.gui.main_panel.minimize()
-        self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: The scene.
         self._status = console.status
         self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
         self._refusal, self._image = "", b""
@@ -99,8 +83,8 @@ class OperatorPage:
         """Whether a browser holds the switch of the page."""
         return self._button is not None and self._button.holder is not None
 
-    def update(self, truth: dict[str, Any] | None = None, twin: dict[str, Any] | None = None) -> None:
-        """Send the newest state to all browsers; of a twin also its true state and its texts."""
+    def update(self, twin: dict[str, Any] | None = None) -> None:
+        """Send the newest state to all browsers; of a twin also its texts."""
         now = self._clock.now()
         if self._console.status is not self._status:
             self._read_status(self._console.status, now)
@@ -109,7 +93,6 @@ class OperatorPage:
         if now - self._shown_time >= PICTURE_TIME:
             self._shown_time = now
             self._read_image()
-            self.scene.update(truth or {})
         self.state = self._page_state(now) | {"twin": twin}
         self._visitors.send(self.state, self._image)
 
@@ -233,51 +216,6 @@ def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
             f"the box is {xmax - xmin:.0f} x {ymax - ymin:.0f} px: drag one round the object"
         )
     return [xmin, ymin, xmax, ymax]
-
-
-@final
-class WireScene:
-    """Shows the robot by its joint states, and object and thrower of a twin; `update` refreshes it."""
-
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        scene: SceneCfg,
-        profile: Profile,
-        transport: Transport,
-        clock: Clock,
-    ) -> None:
-        """Add the scene to viser's page."""
-        self._server, self._clock = server, clock
-        joints = find_workcell(scene.workcell).joints
-        self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in joints])
-        topics = dict.fromkeys(part.state_topic for part in profile.robots)
-        self._joints = [transport.subscription(topic, depth=20) for topic in topics]
-        self._held_pos, self._held_until = np.array(OBJECT_START), clock.now()
-        self.view = SceneView(server, scene)  #: The scene.
-
-    def update(self, state: dict[str, Any]) -> None:
-        """Move everything by new messages, and by the newest state of the twin, if any."""
-        for subscription in self._joints:
-            for message in subscription.take():
-                with suppress(DeploymentError):  # unreadable messages are skipped
-                    reading = messages.read_joint_state(message.data)
-                    for part in self._parts:
-                        part.merge(reading, self._joint_pos)
-        with self._server.atomic():
-            self._move(state)
-
-    def _move(self, state: dict[str, Any]) -> None:
-        self.view.show_bystanders(bool(state))  # their pose in a real laboratory is unknown
-        now, phase = self._clock.now(), state.get("phase")
-        pose = np.array(state.get("object_pose") or (*self._held_pos, 1.0, 0.0, 0.0, 0.0))
-        if phase == Phase.HELD or phase == Phase.EMPTY:
-            self._held_pos, self._held_until = pose[:3], now
-        qpos = np.concatenate((self._joint_pos, pose))
-        moment = Moment(qpos=qpos, qvel=np.zeros(len(qpos) - 1), time=now - self._held_until)
-        thrower = Bystanders(release_pos=self._held_pos, phase=0.0)
-        shown = Exposure(moment=moment, object_name=state.get("object"), thrower=thrower.joint_pos)
-        self.view.show(shown)
 
 
 def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:

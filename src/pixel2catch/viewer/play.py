@@ -2,32 +2,29 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
-from typing import Any, final
+from typing import final
 
-import numpy as np
 import torch
 import viser
 
 from pixel2catch.checks import Seed
 from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.stress.suite import select_settings
 from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
-from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.server import open_server
 from pixel2catch.viewer.stage import Playback, Stage
-from pixel2catch.viewer.throws import DISTURBANCES, HINTS, PlayedThrow, Setting, ThrowOrder, ThrowPlayer
+from pixel2catch.viewer.throws import PlayedThrow, ThrowOrder, ThrowPlayer
 
 NUM_KEPT = 50  #: Number of throws that can be shown again.
 BETWEEN_THROWS = 0.7  #: Time between two repeated throws [s].
-RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Limits of the release point [m].
 GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of catches and misses.
 
 
@@ -55,31 +52,24 @@ class PlayPage:
         """
         self._cfg, self._thrower = cfg, ThrowPlayer(cfg.dynamics, cfg.camera)
         select_objects(cfg.objects)  # an error before the page is served
-        self._policy = str(cfg.policy or DEFAULT_POLICY)
-        self._task = self._thrower.task(self._policy)
+        first = ThrowOrder(policy=str(cfg.policy or DEFAULT_POLICY), objects=", ".join(cfg.objects))
+        scene = self._thrower.task(first).scene
         self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be shown again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
-        self._num_renewed = 0
         self._again: PlayedThrow | None = None  #: Throw to show again.
         self.playback = Playback()  #: Pace of time.
         self._closed, self._wanted = Event(), Event()
         self.server = open_server(cfg.page, "Pixel2Catch")
         site = self.server.viser
         site.on_client_connect(lambda _: self._welcome())
-        self.stage = Stage(site, self._task.scene, self.playback)  #: The throw on the page.
-        with self.stage.controls:
-            self._add_controls(site.gui)
-        self._add_release_point(site)
+        self.stage = Stage(site, scene, self.playback)  #: The throw on the page.
+        self._add_controls(site.gui, first)
 
     @property
     def order(self) -> ThrowOrder:
         """Settings of the next throw, from the page."""
-        x, y, z = (float(value) for value in self.release.position)
         return ThrowOrder(
-            policy=self.policy.value,
-            objects=self.objects.value,
-            settings=tuple(_setting(slider.value) for slider in self.sliders),
-            release_pos=(x, y, z) if self.is_release_set.value else None,
+            policy=self.policy.value, objects=self.objects.value, disturbance=self.disturbance.value
         )
 
     def run(self) -> None:
@@ -139,18 +129,13 @@ class PlayPage:
             self._wanted.set()
 
     def _throw(self) -> None:
-        order = self.order
-        task = self._thrower.task(order.policy)
-        if self._thrower.num_renewed != self._num_renewed:
-            self._num_renewed = self._thrower.num_renewed
-            self._counts.clear()
-        self.stage.set_scene(task.scene)
-        played: PlayedThrow | None = None
+        order, played = self.order, None
+        self.stage.set_scene(self._thrower.task(order).scene)
         for played in self._thrower.run(order, self._cfg.seed + self._thrower.num_throws):
-            if not self.stage.show(played, len(played.frames) - 1):
+            if not self.stage.show(played, len(played.steps) - 1):
                 return
         if played is not None:
-            self.stage.end(played)
+            self.stage.show_text(played)
             self._keep(played)
 
     def _keep(self, played: PlayedThrow) -> None:
@@ -158,13 +143,12 @@ class PlayPage:
         self._counts[played.order, played.is_success] += 1
         self._show_rates()
         self.throws[played.number] = played
-        label = f"{played.number}  {played.object_name}: {played.outcome}"
         with self.list:
             button = self.server.viser.gui.add_button(
-                label,
+                f"{played.number}  {played.object_name}: {played.outcome}",
                 color=GREEN if played.is_success else RED,
                 order=-played.number,
-                hint=f"policy {played.order.policy}: show it again",
+                hint=f"{played.order.policy}, {played.order.disturbance}: show it again",
             )
         button.on_click(lambda _: self.show_again(played.number))
         self._buttons.append(button)
@@ -177,66 +161,24 @@ class PlayPage:
         caught, missed = (self._counts[self.order, is_success] for is_success in (True, False))
         self.rates.content = rates_text(caught, caught + missed)
 
-    def _add_controls(self, gui: viser.GuiApi) -> None:
+    def _add_controls(self, gui: viser.GuiApi, first: ThrowOrder) -> None:
         self.rates = gui.add_markdown(rates_text(0, 0))
         gui.add_button("throw", color="green").on_click(lambda _: self.throw())
         self.is_repeated = gui.add_checkbox("one throw after the other", True)
         self.is_repeated.on_update(lambda _: self._wanted.set() if self.is_repeated.value else None)
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("What is thrown"):
-            policies = list(dict.fromkeys((self._policy, *shipped_policies())))
-            self.policy = gui.add_dropdown("policy", policies, initial_value=self._policy)
-            objects = ", ".join(self._cfg.objects)
-            choices = list(dict.fromkeys((objects, *OBJECT_GROUPS, *OBJECTS)))
-            self.objects = gui.add_dropdown("object", choices, initial_value=objects)
-            self.is_release_set = gui.add_checkbox(
-                "release at the handle",
-                False,
-                hint="Otherwise the release point is drawn; drag the handle to set it.",
+        disturbances = [each.title for each in select_settings(())]
+        self.policy, self.objects, self.disturbance = (
+            gui.add_dropdown(label, list(dict.fromkeys((chosen, *others))), initial_value=chosen, hint=hint)
+            for label, chosen, others, hint in (
+                ("policy", first.policy, shipped_policies(), None),
+                ("object", first.objects, (*OBJECT_GROUPS, *OBJECTS), None),
+                ("made harder", first.disturbance, disturbances, "as by pixel2catch stress"),
             )
-        with tabs.add_tab("Made harder"):
-            self.sliders = [self._add_slider(gui, i) for i in range(len(DISTURBANCES))]
-            gui.add_button("as in training").on_click(lambda _: self._reset_sliders())
-        self.list = tabs.add_tab("Throws")
-        self._buttons: list[viser.GuiButtonHandle] = []
-        for handle in (self.policy, self.objects, self.is_release_set, *self.sliders):
+        )
+        for handle in (self.policy, self.objects, self.disturbance):
             handle.on_update(lambda _: self._show_rates())
-
-    def _add_slider(self, gui: viser.GuiApi, number: int) -> Any:
-        """Add a slider with one handle for a number, or two for a range."""
-        disturbance = DISTURBANCES[number]
-        setting = disturbance.of(self._task)
-        add: Callable[..., Any] = gui.add_multi_slider if isinstance(setting, tuple) else gui.add_slider
-        return add(
-            disturbance.label,
-            min=0.0,
-            max=disturbance.largest,
-            step=disturbance.step,
-            initial_value=setting,
-            hint=HINTS[disturbance.label],
-        )
-
-    def _reset_sliders(self) -> None:
-        for slider, disturbance in zip(self.sliders, DISTURBANCES, strict=True):
-            slider.value = disturbance.of(self._task)
-        self._show_rates()
-
-    def _add_release_point(self, site: viser.ViserServer) -> None:
-        """Add a handle whose position sets the release point."""
-        self.release = site.scene.add_transform_controls(
-            "/release",
-            scale=0.35,
-            disable_rotations=True,
-            translation_limits=RELEASE_LIMITS,
-            position=np.array(OBJECT_START),
-            depth_test=False,
-        )
-
-        def dragged(_: object) -> None:
-            self.is_release_set.value = True
-            self._show_rates()
-
-        self.release.on_update(dragged)
+        self.list = gui.add_folder("Throws")
+        self._buttons: list[viser.GuiButtonHandle] = []
 
 
 def serve_until_interrupted(cfg: PlayCfg) -> None:
@@ -260,8 +202,3 @@ def rates_text(caught: int, throws: int) -> str:
     low, high = wilson_interval(caught, throws)
     rate, interval = f"{100 * caught / throws:.0f} %", f"{100 * low:.0f} to {100 * high:.0f} %"
     return f"**S.R. {rate}** ({interval}): {caught} of {throws}"
-
-
-def _setting(value: Any) -> Setting:
-    """Return a slider's value; the handles of a range may be swapped."""
-    return (float(min(value)), float(max(value))) if isinstance(value, tuple) else float(value)

@@ -26,8 +26,8 @@ MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
 
 ROOM_SEED = 0  #: Seed of the looks of the room on pages.
 PLANE_SIZE = 5.0  #: Half a side of an infinite plane [m].
+PLANE_THICKNESS = 1e-3  #: [m]
 PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes by material.
-BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that no laboratory has.
 LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent to the browser.
 SKY_LEVEL = (226, 232, 238)  #: Colour of the background.
 SUN = (1.6, -2.2, 3.4)  #: Position of the light that casts shadows [m]; it shines towards the origin.
@@ -58,7 +58,7 @@ class SceneView:
             name: self._nodes.add_frame(f"{ROOT}/object/{name}", show_axes=False) for name in OBJECTS
         }
         for name, spec in OBJECTS.items():
-            for i, part in enumerate(spec.parts):
+            for i, part in enumerate(spec.scaled(scene.object_scale).parts):
                 self._add_part(
                     f"{ROOT}/object/{name}/{i}", part, OBJECT_RGBA[:3], is_smooth=name.startswith("ball")
                 )
@@ -92,11 +92,6 @@ class SceneView:
             for name, look in self._looks.items():
                 if look.visible != (name == exposure.object_name):
                     look.visible = name == exposure.object_name
-
-    def show_bystanders(self, are_there: bool) -> None:
-        """Show or hide thrower and hanging ball."""
-        for name in BYSTANDERS:
-            self.bodies[name].visible = are_there
 
     def remove(self) -> None:
         """Remove the scene from the page."""
@@ -136,8 +131,9 @@ class SceneView:
         name, kind, size = f"{ROOT}/{body}/{geom}", int(model.geom_type[geom]), model.geom_size[geom]
         pose = {"position": model.geom_pos[geom], "wxyz": model.geom_quat[geom]}
         if kind == mjtGeom.mjGEOM_PLANE:
-            material = model.mat(int(model.geom_matid[geom])).name
-            self._add_plane(name, size, np.array(PLANE_LEVELS[material]) / 255.0, pose)
+            color = np.array(PLANE_LEVELS[model.mat(int(model.geom_matid[geom])).name], np.uint8)
+            x, y = (2.0 * (half or PLANE_SIZE) for half in size[:2])
+            self._nodes.add_box(name, color, (x, y, PLANE_THICKNESS), cast_shadow=False, **pose)
         elif kind in MAKERS:
             is_smooth = kind == mjtGeom.mjGEOM_CAPSULE
             self._add_part(name, MAKERS[kind](*size), model.geom_rgba[geom][:3], is_smooth=is_smooth, **pose)
@@ -155,14 +151,6 @@ class SceneView:
         faces = faces.reshape(-1, 3)
         self._nodes.add_mesh_simple(
             name, corners, faces, color=_levels(rgb), flat_shading=not is_smooth, **pose
-        )
-
-    def _add_plane(self, name: str, size: np.ndarray, rgb: np.ndarray, pose: dict[str, Any]) -> None:
-        x, y = (half or PLANE_SIZE for half in size[:2])
-        corners = np.array(((-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)), dtype=float)
-        faces = np.array(((0, 1, 2), (0, 2, 3)))
-        self._nodes.add_mesh_simple(
-            name, corners, faces, color=_levels(rgb), side="double", cast_shadow=False, **pose
         )
 
 

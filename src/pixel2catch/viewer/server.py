@@ -12,7 +12,6 @@ import secrets
 import socket
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from http.cookies import CookieError, SimpleCookie
 from importlib.resources import files
 from ipaddress import ip_address
@@ -29,19 +28,19 @@ from websockets.http11 import Request, Response
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer import PageCfg
 
-KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of a page's files.
+KINDS = {
+    suffix: f"text/{kind}; charset=utf-8"
+    for suffix, kind in ((".html", "html"), (".js", "javascript"), (".css", "css"))
+}
+"""Types of the files of the operator's page."""
 
-FRAMED = "hideViserLogo"  #: Part of the query with which an own page frames viser's page.
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: Names of this machine in its own browser.
 
 UNFRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
 """Headers of every answer: no other page may frame this one."""
 
-FRAMED_BY_OWN = {"X-Frame-Options": "SAMEORIGIN", "Content-Security-Policy": "frame-ancestors 'self'"}
-"""Headers of viser's page beside an `OwnPage`, which shows it in a frame."""
-
 OWN_POLICY = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"
-"""What an `OwnPage` may load: only files of this server, and no inline scripts."""
+"""What the operator's page may load: only files of this server, and no inline scripts."""
 
 Answer = Callable[[Any, Request], Response | None]
 """Hook of `websockets` before a handshake: an HTTP answer, or none to continue."""
@@ -49,34 +48,18 @@ Answer = Callable[[Any, Request], Response | None]
 Talk = Callable[[ServerConnection], Awaitable[None]]  #: Handler of a connection of `websockets`.
 
 
-@dataclass(frozen=True, kw_only=True)
-class OwnPage:
-    """An HTML page of this package, beside viser's and on the same server."""
+def own_files() -> dict[str, tuple[str, bytes]]:
+    """Return types and contents of the files of the operator's page, by path."""
+    found = {
+        f"/{file.name}": file.read_bytes() for file in (files("pixel2catch.viewer") / "operate").iterdir()
+    }
+    found["/"] = found["/index.html"]
+    return {path: (KINDS[PurePath(path).suffix or ".html"], body) for path, body in found.items()}
 
-    path: str  #: Its path, such as "/operate".
-    files: Mapping[str, tuple[str, bytes]]  #: Types and contents of its files, by path.
-    talk: Talk  #: Handler of the connection of an open page.
 
-    def answer(self, request: Request) -> Response | None:
-        """Return the requested file, or a redirect from "/" to this page; none for files of viser."""
-        path, _, query = request.path.partition("?")
-        if "Upgrade" in request.headers:
-            return None
-        if path == "/" and FRAMED not in query:
-            place = f"{self.path}?{query}" if query else self.path
-            headers = {"Location": place, "Content-Length": "0"} | UNFRAMED
-            return Response(http.HTTPStatus.TEMPORARY_REDIRECT.value, "Temporary Redirect", Headers(headers))
-        if path not in self.files:
-            return None
-        kind, body = self.files[path]
-        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-cache"}
-        framing = UNFRAMED | {"Content-Security-Policy": OWN_POLICY}
-        return Response(http.HTTPStatus.OK.value, "OK", Headers(headers | framing), body)
-
-    async def handle(self, other: Talk, connection: ServerConnection) -> None:
-        """Handle the connection of this page; leave others to the other handler."""
-        is_ours = connection.request is not None and connection.request.path.startswith(self.path)
-        await (self.talk if is_ours else other)(connection)
+def _response(status: http.HTTPStatus, kind: str, body: bytes, **headers: str) -> Response:
+    headers |= {"Content-Type": kind, "Content-Length": str(len(body))}
+    return Response(status.value, status.phrase, Headers(headers), body)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,20 +103,18 @@ class RequestCheck:
         given = jar[self.cookie].value if self.cookie in jar else ""
         return secrets.compare_digest(given.encode(), self.token.encode())
 
-    def before(self, answer: Answer, own: OwnPage | None = None) -> Answer:
-        """Return the hook that refuses a request, or lets the own page or the server answer it."""
+    def before(self, answer: Answer, own: Mapping[str, tuple[str, bytes]]) -> Answer:
+        """Return the hook that refuses a request, answers it with an own file, or lets the server answer."""
 
         def checked(connection: Any, request: Request) -> Response | None:
-            reason = self.refusal(request)
-            if reason:
-                body = reason.encode()
-                headers = Headers(
-                    {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
-                )
-                return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", headers, body)
-            response = own.answer(request) if own else None
-            if response is None and (response := answer(connection, request)) is not None:
-                response.headers.update(FRAMED_BY_OWN if own else UNFRAMED)
+            if reason := self.refusal(request):
+                return _response(http.HTTPStatus.FORBIDDEN, "text/plain; charset=utf-8", reason.encode())
+            path = request.path.partition("?")[0]
+            if path in own and "Upgrade" not in request.headers:
+                response = _response(http.HTTPStatus.OK, *own[path])
+                response.headers.update(UNFRAMED | {"Content-Security-Policy": OWN_POLICY})
+            elif (response := answer(connection, request)) is not None:
+                response.headers.update(UNFRAMED)
             if response is not None and self.is_in_address(request):
                 kept = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 response.headers["Set-Cookie"] = kept
@@ -155,33 +136,21 @@ class PageServer:
             self.viser.stop()
 
 
-def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageServer:
-    """Serve an empty page of viser, and an own page, if one is given, whose address is then returned.
+def open_server(cfg: PageCfg, title: str, talk: Talk | None = None) -> PageServer:
+    """Serve an empty page of viser, or, if a handler of its connections is given, the operator's page.
 
     Raises:
         InvalidValueError: This machine cannot listen on that address.
     """
     require_address(cfg)
     check = RequestCheck.of(cfg.host)
-    with contextlib.redirect_stdout(io.StringIO()), _checked(check, own):
+    with contextlib.redirect_stdout(io.StringIO()), _checked(check, talk):
         server = viser.ViserServer(cfg.host, cfg.port, label=title, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     name = "localhost" if ip_address_of(cfg.host).is_unspecified else cfg.host
     place = f"[{name}]" if ":" in name else name
-    path = own.path if own else "/" if check.token else ""
-    token = f"?token={check.token}" if check.token else ""
-    return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{path}{token}")
-
-
-def page_files(path: str) -> dict[str, tuple[str, bytes]]:
-    """Return types and contents of the files of an own page by path: its folder, and `link.js`."""
-    name, viewer = path.removeprefix("/"), files("pixel2catch.viewer")
-    found = {file.name: file.read_bytes() for file in (viewer / "link.js", *(viewer / name).iterdir())}
-    contents = {
-        f"{path}/{each}": (f"{KINDS[PurePath(each).suffix]}; charset=utf-8", data)
-        for each, data in found.items()
-    }
-    return contents | {path: contents[f"{path}/{name}.html"]}
+    token = f"/?token={check.token}" if check.token else ""
+    return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{token}")
 
 
 def ip_address_of(host: str) -> Any:
@@ -218,20 +187,15 @@ def require_address(cfg: PageCfg) -> None:
 
 
 @contextlib.contextmanager
-def _checked(check: RequestCheck, own: OwnPage | None) -> Iterator[None]:
+def _checked(check: RequestCheck, talk: Talk | None) -> Iterator[None]:
     """Wrap the server that is made in this context, because viser has no hook for requests."""
     module: Any = websockets.asyncio.server
-    serve, times = module.serve, 0
+    serve, times, own = module.serve, 0, own_files() if talk else {}
 
     def checked_serve(handle: Any, *args: Any, process_request: Answer, **options: Any) -> Any:
         nonlocal times
         times += 1
-        return serve(
-            handle if own is None else partial(own.handle, handle),
-            *args,
-            process_request=check.before(process_request, own),
-            **options,
-        )
+        return serve(talk or handle, *args, process_request=check.before(process_request, own), **options)
 
     module.serve = checked_serve
     try:

@@ -19,7 +19,6 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
-from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer import PageCfg
@@ -45,13 +44,12 @@ class TwinPage:
     def __init__(
         self,
         cfg: PageCfg,
-        scene: SceneCfg,
         profile: Profile,
         transport: Transport,
         clock: Clock,
         button: HeldButton | None = None,
     ) -> None:
-        """Serve the page of a scene, with the clock of twin and deployment."""
+        """Serve the page, with the clock of twin and deployment."""
         self._operator = RehearsalOperator(transport, profile.operator, clock)
         self.trial: Thread | None = None  #: Thread of the newest automatic throw.
         self.seed = 0  #: Seed of the next throw.
@@ -61,7 +59,6 @@ class TwinPage:
         self.page = OperatorPage(
             cfg,
             title,
-            scene,
             profile,
             transport,
             clock,
@@ -83,7 +80,7 @@ class TwinPage:
         truth = self._operator.truth
         if truth.get("phase") == Phase.OVER:
             self.outcomes[str(truth.get("throw"))] = str(truth.get("outcome"))
-        self.page.update(truth, self._words(truth))
+        self.page.update(self._words(truth))
 
     def request(self, name: str) -> None:
         """Send one of `REQUESTS` to the twin."""
@@ -150,14 +147,14 @@ class TwinPage:
 
 
 @contextmanager
-def twin_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> Iterator[None]:
+def twin_page(cfg: PageCfg, profile: Profile, rate: float) -> Iterator[None]:
     """Serve the page in a process that ends with the context.
 
     Raises:
         InvalidValueError: This machine cannot listen on the page's address.
     """
     require_address(cfg)
-    process = get_context("spawn").Process(target=_serve, args=(cfg, scene, profile, rate), daemon=True)
+    process = get_context("spawn").Process(target=_serve, args=(cfg, profile, rate), daemon=True)
     process.start()
     try:
         yield
@@ -166,13 +163,13 @@ def twin_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> I
         process.join()
 
 
-def _serve(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> None:
+def _serve(cfg: PageCfg, profile: Profile, rate: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     end_with_parent()
     torch.set_num_threads(1)
     clock = RealClock(rate)
     with make_transport("pixel2catch_page", LOOPBACK, clock) as node:
-        page = TwinPage(cfg, scene, profile, node, clock)
+        page = TwinPage(cfg, profile, node, clock)
         print(f"the twin's page: {page.page.address}", file=sys.stderr, flush=True)
         while True:
             page.update()

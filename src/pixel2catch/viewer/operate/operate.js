@@ -7,7 +7,6 @@ const BEAT_MS = 50; // time between two messages while the switch is held
 const HEARD_MS = 500; // time after which a stop should be confirmed
 const ERROR_MS = 6000, PROMPT_MS = 3000; // for how long an error and a box that was sent are shown
 const LEAST_SIDE = 3; // of a box [px]
-const WIDE = 900; // width of a page from which on the twin's scene is shown at once [px]
 const LONGEST_MS = 100; // what a bar of full length is: images must not be older
 
 const canvas = part("image"), context = canvas.getContext("2d");
@@ -212,9 +211,8 @@ part("stop").addEventListener("pointerdown", stop);
 part("stop").addEventListener("click", (event) => event.detail === 0 && stop()); // by a screen reader
 part("arm").addEventListener("click", () => request({ do: "arm" }));
 
-// the twin, the scene, what is folded away
+// the twin, what is folded away
 
-let hasShownScene = false;
 function showTwin(twin) {
   part("twin").hidden = !twin;
   if (!twin) return;
@@ -223,8 +221,6 @@ function showTwin(twin) {
   setText("twin-trouble", twin.trouble);
   part("catch").disabled = twin.is_busy;
   if (document.activeElement !== part("seed")) part("seed").value = twin.seed;
-  if (!hasShownScene) part("scene").open = innerWidth >= WIDE;
-  hasShownScene = true;
 }
 
 part("catch").addEventListener("click", () => request({ do: "catch" }));
@@ -232,16 +228,6 @@ part("seed").addEventListener("change", () => request({ do: "seed", seed: part("
 for (const button of document.querySelectorAll("[data-do]")) {
   button.addEventListener("click", () => request({ do: button.dataset.do }));
 }
-
-part("scene").addEventListener("toggle", () => {
-  part("scene").querySelector("iframe")?.remove();
-  if (!part("scene").open) return;
-  const frame = document.createElement("iframe");
-  frame.title = "the scene";
-  frame.src = "/?hideViserLogo";
-  frame.addEventListener("load", () => frame.contentWindow.addEventListener("keydown", stopByKey, true));
-  part("scene").append(frame);
-});
 
 function showLatency(latency) {
   const entries = Object.entries(latency);
@@ -270,4 +256,4 @@ function showDetails(rows) {
   );
 }
 
-connect("/operate", show, receive, lose);
+connect(show, receive, lose);

@@ -9,12 +9,12 @@ export function send(request) {
 }
 
 // Images go to `show`, states to `receive`; `lose` is called when the connection ends, before the next try.
-export function connect(path, show, receive, lose) {
-  link = new WebSocket(`${location.origin.replace(/^http/, "ws")}${path}/link`);
+export function connect(show, receive, lose) {
+  link = new WebSocket(`${location.origin.replace(/^http/, "ws")}/link`);
   link.binaryType = "blob";
   link.onmessage = ({ data }) => (data instanceof Blob ? show(data) : receive(JSON.parse(data)));
   link.onclose = () => {
     lose();
-    setTimeout(() => connect(path, show, receive, lose), 500);
+    setTimeout(() => connect(show, receive, lose), 500);
   };
 }
