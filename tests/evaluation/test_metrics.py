@@ -63,6 +63,18 @@ def test_intervals_and_p_values_are_those_of_scipy():
             assert found["p_value"] == pytest.approx(test.pvalue)
 
 
+def test_a_paired_difference_by_hand():
+    """Of ten throws one is won and three are lost: -20 points; McNemar's p is 2 (4 + 1) / 16."""
+    found = paired_difference("1111110000", "0001110010")
+    assert (found["lost"], found["won"], found["difference"]) == (3, 1, -0.2)
+    assert found["p_value"] == pytest.approx(0.625)
+    half = 1.959964 * (5 - 4 / 12) ** 0.5 / 12
+    assert found["difference_interval"] == pytest.approx([-2 / 12 - half, -2 / 12 + half])
+    equal = paired_difference("1101", "1101")
+    assert (equal["difference"], equal["p_value"]) == (0.0, 1.0)
+    assert equal["difference_interval"][0] < 0.0 < equal["difference_interval"][1]
+
+
 def test_metrics_by_hand():
     result = metrics(five_trials(), NAMES)
     assert result["trials"] == 5

@@ -15,17 +15,11 @@ from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.policy_cells import PolicyEntry, find_policies, plan_results, throw_rounds
+from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, find_policies, plan_results, throw_rounds
+from pixel2catch.evaluation.policy_report import REAL_ROBOT, compare_order, result_rows, stress_sections
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row, read_rows
 from pixel2catch.evaluation.stress.suite import AXES, select_settings
-from pixel2catch.evaluation.stress_report import (
-    REAL_ROBOT,
-    SHOWN,
-    compare_order,
-    stress_rows,
-    stress_sections,
-)
 from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.reports import as_markdown
@@ -184,8 +178,8 @@ def test_policies_have_names_of_their_own(policies: list[str]):
 
 def rates(successes: int, trials: int = 200) -> dict[str, Any]:
     interval = list(wilson_interval(successes, trials))
-    shown = {name: successes / trials for name in SHOWN}
-    return {"trials": trials, **shown, **{f"{name}_interval": interval for name in SHOWN}}
+    shown = {name: successes / trials for name in EVENTS}
+    return {"trials": trials, **shown, **{f"{name}_interval": interval for name in EVENTS}}
 
 
 def rows_of(folder: Path, successes: dict[str, list[int]], *axes: str, task: str = "nominal") -> list[Row]:
@@ -196,7 +190,7 @@ def rows_of(folder: Path, successes: dict[str, list[int]], *axes: str, task: str
     for result, number in zip(results, numbers, strict=True):
         result.file.parent.mkdir(parents=True, exist_ok=True)
         result.file.write_text(json.dumps({"metrics": rates(number)}))
-    return stress_rows(results)
+    return result_rows(results, lambda _: "nominal")
 
 
 def test_a_table_by_hand(tmp_path: Path):

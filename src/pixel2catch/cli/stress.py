@@ -35,12 +35,10 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.studies import cpu_slots, finish, run_grid
-        from pixel2catch.evaluation.grid import StudyGrid
-        from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
+        from pixel2catch.cli.studies import cpu_slots, evaluate_policies
+        from pixel2catch.evaluation.policy_report import stress_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.stress.suite import select_settings
-        from pixel2catch.evaluation.stress_report import stress_rows, stress_sections
         from pixel2catch.scene.objects import select_objects
 
         if self.jobs > 1 and self.device != "cpu":
@@ -55,8 +53,13 @@ class Stress:
             seed=self.seed,
             device=device,
         )
-        results = plan_results(find_policies(self.policies), settings, self.out)
-        grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
-        run_grid(grid, slots, "stress")
-        rows = stress_rows(results)
-        finish(grid, self.out, "Stress suite", stress_sections(rows) if rows else [], results=rows)
+        evaluate_policies(
+            "Stress suite",
+            self.policies,
+            settings,
+            cfg,
+            slots,
+            self.out,
+            lambda _: "nominal",
+            stress_sections,
+        )

@@ -6,8 +6,12 @@ from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.evaluation.grid import Status, StudyGrid
+from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
+from pixel2catch.evaluation.policy_report import result_rows
+from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row, write_report
 from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
+from pixel2catch.evaluation.stress.suite import Setting
 from pixel2catch.reports import Section, as_markdown, circumstances
 
 JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a cluster at once. Source: ours.
@@ -64,16 +68,37 @@ def cpu_slots(jobs: int, device: str, slurm: tuple[str, ...], out: Path) -> Sequ
     return [Worker("", device, ONE_THREAD) for _ in range(jobs)]
 
 
-def finish(
-    grid: StudyGrid, out: Path, title: str, sections: Sequence[Section], **rows: Sequence[Row]
+def evaluate_policies(
+    title: str,
+    folders: Sequence[Path],
+    settings: Sequence[Setting],
+    cfg: EvaluationCfg,
+    slots: Sequence[Slot],
+    out: Path,
+    home_of: Callable[[Setting], str],
+    sections_of: Callable[[Sequence[Row]], list[Section]],
 ) -> None:
-    """Print and write the report of a study; `rows` are those behind it, by kind.
+    """Evaluate policies under settings, the same throws for all; print and write the report.
+
+    Args:
+        title: Title of the study.
+        folders: Folders of the policies; all shipped ones if there are none.
+        settings: The settings.
+        cfg: The throws.
+        slots: Where cells are computed.
+        out: Folder of the results.
+        home_of: Returns the name of the setting that another one is compared with.
+        sections_of: Returns what people read.
 
     Raises:
         StudyError: If a cell failed; the report has all others.
     """
-    if sections:
-        data = {**rows, "circumstances": circumstances()}
+    results = plan_results(find_policies(folders), settings, out)
+    grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
+    run_grid(grid, slots, title)
+    if rows := result_rows(results, home_of):
+        sections = sections_of(rows)
         print(as_markdown(title, sections), end="", flush=True)
+        data = {"results": rows, "circumstances": circumstances()}
         say(f"wrote {out}: {write_report(out, title, sections, data)}")
     grid.require_whole()

@@ -13,6 +13,7 @@ from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.protocol import EvaluationCfg
+    from pixel2catch.evaluation.stress.suite import Setting
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours; other engines step them one after the other, so more gain nothing."""
@@ -35,40 +36,28 @@ class Transfer:
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     seed: Seed = 0  #: Seed of everything that is drawn.
-    jobs: Count = 1  #: Rounds of 20 throws that are computed at once, each in a process with one thread.
+    jobs: Count = 1  #: Cells that are computed at once, each in a process with one thread.
     task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task.
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.studies import cpu_slots, finish, run_grid
-        from pixel2catch.evaluation.grid import StudyGrid
-        from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
-        from pixel2catch.evaluation.transfer import (
-            order_rows,
-            rounds_of,
-            throw_metrics,
-            transfer_rows,
-            transfer_sections,
-            transfer_settings,
-        )
+        from pixel2catch.cli.studies import cpu_slots, evaluate_policies
+        from pixel2catch.evaluation.policy_cells import transfer_settings
+        from pixel2catch.evaluation.policy_report import transfer_sections
         from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
             require_engine(engine)
-        whole = self._evaluation()
+        cfg = self._evaluation()
         settings = transfer_settings(self.engines, self.restitution)
         settings = tuple(self.task.beneath(each, "transfer") for each in settings)
-        policies = find_policies(self.policies or (policy_folder(None),))
-        results = plan_results(policies, settings, self.out)
-        rounds = rounds_of(results, whole.trials)
-        cells = policy_cells(rounds, replace(whole, trials=1), throw_metrics, is_alone=self.jobs == 1)
-        grid = StudyGrid(cells)
-        run_grid(grid, cpu_slots(self.jobs, "cpu", (), self.out), "transfer")
-        rows = transfer_rows(results, whole.trials)
-        orders = list(order_rows(rows))
-        sections = transfer_sections(rows, orders) if rows else []
-        finish(grid, self.out, "Transfer", sections, results=rows, orders=orders)
+        policies, slots = self.policies or (policy_folder(None),), cpu_slots(self.jobs, "cpu", (), self.out)
+
+        def home_of(setting: "Setting") -> str:
+            return replace(setting, axis=settings[0].axis).name
+
+        evaluate_policies("Transfer", policies, settings, cfg, slots, self.out, home_of, transfer_sections)
 
     def _evaluation(self) -> "EvaluationCfg":
         """Return the evaluation, in rounds.

@@ -5,7 +5,7 @@ result that was obtained otherwise is refused before anything is computed, and n
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -17,14 +17,23 @@ from pixel2catch.envs.cfg import current_fields
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, StudyCell, differences, read_row
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
-from pixel2catch.evaluation.metrics import Metrics, metrics
+from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.evaluation.report import write_files
-from pixel2catch.evaluation.stress.suite import Setting
+from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
 from pixel2catch.files import as_json, json_text
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 from pixel2catch.shipped import shipped_policies
+from pixel2catch.sim.factory import INELASTIC
+
+AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
+EVENTS = {
+    "tracking_rate": "is_tracked",
+    "success_rate": "is_success",
+    "verified_hold_rate": "is_verified",
+}
+"""Rates that are compared throw by throw, with the name of the event of each throw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +53,11 @@ class PolicyResult:
     policy: PolicyEntry
     setting: Setting
     file: Path
-    first_round: int = 0  #: Rounds before the first one, which are in other files.
 
     @property
     def name(self) -> str:
         """Name of the cell."""
-        number = f"-round-{self.first_round}" if self.file.stem.startswith("round-") else ""
-        return f"{self.policy.name}-{self.setting.name}{number}"
+        return f"{self.policy.name}-{self.setting.name}"
 
     def read(self) -> Json | None:
         """Return the content of the file, if it is there."""
@@ -83,6 +90,33 @@ def _entry(folder: Path) -> PolicyEntry:
     return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
 
 
+def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
+    """Return engines by restitutions; without restitutions, they are drawn as in the task.
+
+    Engines in which nothing bounces get the restitution 0 alone.
+
+    Raises:
+        InvalidValueError: If such an engine has no setting left, or home lacks one of the others'.
+    """
+    for engine in (each for each in engines if each in INELASTIC):
+        if any(restitutions) and (0.0 not in restitutions or engine == engines[0]):
+            raise InvalidValueError(
+                f"nothing bounces in engine '{engine}': give --restitution 0 too, and another engine first"
+            )
+    drawn = {f"{value:g}": part("randomization", restitution=(value, value)) for value in restitutions}
+    return tuple(
+        Setting(
+            axis=Axis(name=engine, unit="", levels=()),
+            level=Level(
+                label=label, change=together(part("scene", engine=engine), change), source="the caller's"
+            ),
+        )
+        for label, change in (drawn or {AS_TRAINED: together()}).items()
+        for engine in engines
+        if label in ("0", AS_TRAINED) or engine not in INELASTIC
+    )
+
+
 def plan_results(
     policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path
 ) -> tuple[PolicyResult, ...]:
@@ -97,48 +131,39 @@ def plan_results(
 
 
 def policy_cells(
-    results: Sequence[PolicyResult],
-    cfg: EvaluationCfg,
-    summarize: Callable[[Trials], Metrics] = metrics,
-    *,
-    is_alone: bool = True,
+    results: Sequence[PolicyResult], cfg: EvaluationCfg, *, is_alone: bool = True
 ) -> list[StudyCell]:
     """Return the cells of results.
 
     Args:
         results: The results.
         cfg: The evaluation; its task is replaced by that of each policy.
-        summarize: A module's function that makes the metrics of the throws.
         is_alone: Whether one cell at a time is computed and may use all processors.
 
     Raises:
         StudyError: If a result was obtained otherwise or is damaged.
     """
-    origins = [_origin(each, cfg) for each in results]
-    for each, origin in zip(results, origins, strict=True):
+    cells = []
+    for each in results:
+        origin = _origin(each, cfg)
         _require_same(each, origin)
-    return [
-        StudyCell(
-            name=each.name,
-            work=partial(measure, each, cfg, origin, summarize, is_alone),
-            is_done=each.file.exists,
-        )
-        for each, origin in zip(results, origins, strict=True)
-    ]
+        work = partial(measure, each, cfg, origin, is_alone)
+        cells.append(StudyCell(name=each.name, work=work, is_done=each.file.exists))
+    return cells
 
 
-def measure(
-    result: PolicyResult,
-    cfg: EvaluationCfg,
-    origin: Json,
-    summarize: Callable[[Trials], Metrics],
-    is_alone: bool,
-    device: str,
-) -> None:
+def measure(result: PolicyResult, cfg: EvaluationCfg, origin: Json, is_alone: bool, device: str) -> None:
     """Compute a result on a device, and write it."""
     torch.set_num_threads(1)
     trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone)
-    write_files(result.file.parent, {result.file.name: json_text(origin | {"metrics": summarize(trials)})})
+    content = origin | {"metrics": metrics(trials) | {"throws": throw_texts(trials)}}
+    write_files(result.file.parent, {result.file.name: json_text(content)})
+
+
+def throw_texts(trials: Trials) -> dict[str, str]:
+    """Return the events of each throw as texts of 0 and 1."""
+    happened = vars(trials.record) | vars(trials)
+    return {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
 
 
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
@@ -158,7 +183,7 @@ def evaluation_of(
     """Return the policy of a result on a device, its method, and its evaluation."""
     policy, method = load_policy(result.policy.folder, device)
     task = result.setting.level.change(task_of(policy))
-    return policy, method, replace(cfg, device=device, task=task, seed=cfg.seed + result.first_round)
+    return policy, method, replace(cfg, device=device, task=task)
 
 
 @contextmanager
