@@ -10,14 +10,13 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from torch import Tensor
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.policy.onnx_policy import OnnxPolicy, largest_difference, load, to_onnx
+from pixel2catch.policy.onnx_policy import largest_difference, load, to_onnx
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 
 CONTRACT = contract_of(METHODS["proposed"])
@@ -32,11 +31,6 @@ def random_policy(recurrent: int) -> Policy:
     return policy
 
 
-def observations(policy: Policy, num_envs: int) -> dict[str, Tensor]:
-    agents = policy.contract.agents.items()
-    return {name: 3.0 * torch.randn(num_envs, agent.num_inputs) for name, agent in agents}
-
-
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The default policy, by the command."""
@@ -45,26 +39,19 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_the_default_policy_acts_alike_on_ten_thousand_inputs(file: Path) -> None:
-    assert largest_difference(Policy.load(shipped_policies()[DEFAULT_POLICY]), load(file)) < 1e-5
+def test_onnx_runtime_computes_the_actions_of_the_default_policy(file: Path) -> None:
+    assert largest_difference(Policy.load(shipped_policies()[DEFAULT_POLICY]), file.read_bytes()) < 1e-5
 
 
-def test_a_recurrent_policy_acts_alike_through_episodes_that_end(file: Path) -> None:
-    policy = random_policy(recurrent=24)
-    exported = OnnxPolicy(to_onnx(policy))
-    first = observations(policy, 100)
-    afresh = exported.act(first)["arm"]
-    assert (exported.act(first)["arm"] - afresh).abs().max() > 1e-3
-    exported.reset()
-    for _ in range(20):
-        inputs = observations(policy, 100)
-        actions, others = policy.act(inputs), exported.act(inputs)
-        assert all((actions[name] - others[name]).abs().max() < 1e-5 for name in actions)
-        is_ended = torch.rand(100) < 0.1
-        policy.reset(is_ended)
-        exported.reset(is_ended)
-    exported.reset()
-    assert torch.equal(exported.act(first)["arm"], afresh)
+@pytest.mark.parametrize("recurrent", [0, 24])
+def test_a_file_has_the_weights_of_its_policy(recurrent: int, tmp_path: Path) -> None:
+    """Of a recurrent one, too, whose exported hidden states go on: `to_onnx` compares ten steps."""
+    policy = random_policy(recurrent)
+    (tmp_path / "mine.onnx").write_bytes(to_onnx(policy))
+    loaded = load(tmp_path / "mine.onnx")
+    assert (loaded.contract, loaded.hidden, loaded.recurrent) == (CONTRACT, (32, 16), recurrent)
+    for name, value in policy.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], value), name
 
 
 RUN = """
@@ -92,18 +79,8 @@ def test_the_file_is_taken_in_place_of_a_folder(file: Path, capsys: pytest.Captu
     policy, method = load_policy(file)
     assert (policy.contract, method.name) == (load_policy(None)[0].contract, policy.contract.method)
     assert fingerprint(file) == sha256(file)
-    args = [
-        "evaluate",
-        str(file),
-        "--num-envs",
-        "1",
-        "--trials",
-        "1",
-        "--env.scene.physics-hz",
-        "120",
-        "--json",
-    ]
-    assert main(args) == 0
+    rounds = ("--num-envs", "1", "--trials", "1", "--env.scene.physics-hz", "120")
+    assert main(["evaluate", str(file), *rounds, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["policy_sha256"] == sha256(file)
 
 
@@ -129,8 +106,8 @@ def test_another_contract_is_refused_by_its_field(file: Path, tmp_path: Path) ->
     for change, message in (
         ({"format_version": 99}, "'format_version' is 99"),
         ({"colour": "red"}, "colour"),
-        ({"recurrent": 7}, "hidden_state"),
-        ({"agents": agents}, "observation"),
+        ({"recurrent": 7}, "gru"),
+        ({"agents": agents}, "agents.robot"),
     ):
         with pytest.raises(PolicyMismatchError, match=message):
             load(altered(file, tmp_path / "altered.onnx", **change))
@@ -149,10 +126,6 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
     onnx.save(model, bad)
     with pytest.raises(PolicyMismatchError, match="no policy"):
         load(bad)
-    model.graph.node[0].op_type = "Loop"
-    onnx.save(model, bad)
-    with pytest.raises(PolicyMismatchError, match="Loop"):
-        load(bad)
     with pytest.raises(UnknownNameError, match=r"missing\.onnx"):
         load_policy(tmp_path / "missing.onnx")
 
@@ -160,7 +133,7 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
 def test_a_policy_with_weights_that_are_not_finite_is_not_exported() -> None:
     policy = random_policy(recurrent=0)
     torch.nn.init.constant_(next(policy.network("hand").parameters()), torch.nan)
-    with pytest.raises((PolicyMismatchError, NonFiniteError), match="not finite"):
+    with pytest.raises(NonFiniteError, match="not finite"):
         to_onnx(policy)
 
 
@@ -168,7 +141,6 @@ def test_a_policy_with_weights_that_are_not_finite_is_not_exported() -> None:
     ("args", "named"),
     [
         (["--out", "policy.bin"], "policy.bin"),
-        (["{file}", "--out", "again.onnx"], "{file}"),
         (["--out", "{file}"], "{file}"),
     ],
 )

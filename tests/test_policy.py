@@ -161,7 +161,7 @@ def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, 
         ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
         ({"hidden": None}, "field 'hidden' is missing"),
-        ({"hidden": [8, 9]}, r"tensor 'agents.arm.network.2.weight' should have shape \(9, 8\)"),
+        ({"hidden": [8, 9]}, r"agents.arm.network.2.weight: .* torch.Size\(\[9, 8\]\)"),
     ],
 )
 def test_a_bad_file_names_the_field(
@@ -223,11 +223,11 @@ def test_a_policy_on_another_device_is_a_copy(policy: Policy) -> None:
         assert torch.equal(value, before[name]), name
 
 
-@pytest.mark.parametrize("term", ["observe", "privileged_state", "ObservationInputs"])
+@pytest.mark.parametrize("term", ["observe", "ObservationInputs"])
 def test_an_unknown_method_whose_term_is_another_function_does_not_fit(term: str) -> None:
     contract = contract_of(dataclasses.replace(find_method("proposed"), name="mine"))
     arm = contract.agents["arm"]
     terms = tuple((name.replace("palm_pose", term), size) for name, size in arm.observation)
     agents = contract.agents | {"arm": dataclasses.replace(arm, observation=terms)}
-    with pytest.raises(PolicyMismatchError, match=f"observes '{term}'"):
+    with pytest.raises(PolicyMismatchError, match="observes or remembers"):
         method_of(dataclasses.replace(contract, agents=agents))

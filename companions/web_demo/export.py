@@ -45,8 +45,6 @@ def write_web_demo(policy_name: str | None, out: Path) -> tuple[str, ...]:
         ValueError: If the page cannot run the policy, or the folder holds other files.
     """
     policy = p2c.load_policy(policy_name)
-    if not isinstance(policy, p2c.Policy):
-        raise ValueError(f"'{policy_name}' is an ONNX file, which the page cannot read; name a folder.")
     workcell = p2c.find_workcell(policy.contract.workcell)
     _require_runnable(policy, workcell)
     page = [file for file in sorted(PAGE.iterdir()) if file.is_file()]

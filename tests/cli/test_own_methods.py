@@ -120,7 +120,7 @@ def test_own_methods_are_trained_and_evaluated(
     assert results[0] == results[1]
     assert run("evaluate", "with_height", *THROWS) == 2
     error = capsys.readouterr().err
-    assert "observes 'palm_height'" in error
+    assert "unknown method 'with_height'" in error
     assert "--import FILE.py" in error
     assert run("--import", "absent.py", "evaluate", "with_height") == 2
     assert "cannot import" in capsys.readouterr().err

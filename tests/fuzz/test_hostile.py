@@ -183,17 +183,6 @@ def test_networks_of_a_billion_neurons_take_no_memory(tmp_path: Path):
             KINDS["policy"].read(file)
 
 
-def test_an_unknown_onnx_operation_is_refused(tmp_path: Path):
-    import onnx
-
-    file = KINDS["onnx"].write(tmp_path)
-    model = onnx.load(file)
-    model.graph.node.append(onnx.helper.make_node("Loop", ["", ""], ["x"]))
-    onnx.save(model, file)
-    with pytest.raises(Pixel2CatchError):
-        load_policy(file)
-
-
 def test_a_mesh_of_many_points_takes_little_memory(tmp_path: Path):
     """All points against all would be 3 GB."""
     from pixel2catch.scene import meshes

@@ -20,7 +20,7 @@ from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.methods import Method, find_method
 from pixel2catch.own_files import add, import_files, named
-from pixel2catch.policy import LoadedPolicy, Policy, method_of
+from pixel2catch.policy import Policy, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, select_objects
 from pixel2catch.workcells import find_workcell
@@ -64,7 +64,7 @@ def make(
     return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
 
 
-def load_policy(name: str | Path | None = None, device: str = "cpu") -> LoadedPolicy:
+def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
     """Read a policy: a shipped one by its name (default: catch_alone+fit), or from its folder or its run's.
 
     Raises:
@@ -74,7 +74,7 @@ def load_policy(name: str | Path | None = None, device: str = "cpu") -> LoadedPo
 
 
 def evaluate(
-    policy: LoadedPolicy | str | Path | None = None,
+    policy: Policy | str | Path | None = None,
     method: Method | None = None,
     *,
     objects: Objects = "seen",
@@ -102,9 +102,8 @@ def evaluate(
         PolicyMismatchError: There is no policy, or it does not fit this code.
     """
     if policy is None or isinstance(policy, str | Path):
-        policy = load_policy(policy, device)
-    elif isinstance(policy, Policy):
-        policy = policy.to(device)
+        policy = load_policy(policy)
+    policy = policy.to(device)
     let_torch_sleep()
     cfg = EvaluationCfg(
         objects=_selected(objects),

@@ -52,19 +52,16 @@ class Export:
 
     def _write_policy(self, out: Path) -> None:
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.policy import Policy
-        from pixel2catch.policy.onnx_policy import SUFFIX, OnnxPolicy, largest_difference, to_onnx
+        from pixel2catch.policy.onnx_policy import SUFFIX, largest_difference, to_onnx
 
         if out.suffix != SUFFIX:
             raise InvalidValueError(f"out is '{out}'; end the name in {SUFFIX}.")
         prepare("cpu")
         policy, _ = load_policy(self.source)
-        if not isinstance(policy, Policy):
-            raise InvalidValueError(f"'{self.source}' is an ONNX file; copy it.")
         require_free_file(out)
         data = to_onnx(policy)
         write_atomically({out: data})
-        difference = largest_difference(policy, OnnxPolicy(data))
+        difference = largest_difference(policy, data)
         print(
             f"wrote {out}: {policy.contract.method}, {len(data) / 1e6:.1f} MB; actions differ from the "
             f"original's by {difference:.1e} at most, on 10,000 random inputs"

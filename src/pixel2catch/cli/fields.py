@@ -16,7 +16,7 @@ from pixel2catch.errors import InvalidValueError
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
     from pixel2catch.evaluation.stress.suite import Change, Setting
-    from pixel2catch.policy import LoadedPolicy
+    from pixel2catch.policy import Policy
     from pixel2catch.viewer import PageCfg
 
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
@@ -186,7 +186,7 @@ class SimulatedTask(TaskOptions):
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
 
-    def make(self, policy: "LoadedPolicy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
+    def make(self, policy: "Policy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
         """Return the task in which a policy acts; print what its camera means."""
         from pixel2catch.evaluation.loading import camera_remark, task_of
 

@@ -19,7 +19,7 @@ from pixel2catch.methods import Method
 from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
-from pixel2catch.policy import LoadedPolicy, contract_of, method_of
+from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
@@ -32,7 +32,7 @@ _UNKNOWN = torch.full((1, 3), torch.nan)
 class PolicyController:
     """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
-    def __init__(self, policy: LoadedPolicy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
+    def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
         """Take a policy for the robots and the camera of the laboratory.
 
         Raises:

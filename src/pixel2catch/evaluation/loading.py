@@ -9,7 +9,7 @@ from typing import Any, cast
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.methods import Method
-from pixel2catch.policy import LoadedPolicy, contract_of, method_of
+from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.policy.onnx_policy import load
 from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -24,7 +24,7 @@ An object of 4.5 m/s moves 38 mm in a physics step at 120 Hz, and 8 mm at 600 Hz
 """
 
 
-def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy, Method]:
+def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
     """Read a policy and its method, and check that it fits this code.
 
     Args:
@@ -58,7 +58,7 @@ def sha256(file: Path) -> str:
 
 
 def task_of(
-    policy: LoadedPolicy,
+    policy: Policy,
     physics_hz: float = PHYSICS_HZ,
     dynamics: Path | None = None,
     camera: Path | None = None,
@@ -80,7 +80,7 @@ def task_of(
     return task.with_camera(CameraFile(camera=_camera_of(policy))).with_files(dynamics, camera)
 
 
-def camera_remark(policy: LoadedPolicy, task: CatchEnvCfg) -> Iterator[str]:
+def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
     """Yield a remark on the camera if it is not the release's."""
     trained = _camera_of(policy)
     if task.sensing.camera.camera != trained:
@@ -89,5 +89,5 @@ def camera_remark(policy: LoadedPolicy, task: CatchEnvCfg) -> Iterator[str]:
         yield "the policy was trained for a camera of its own, and sees by that"
 
 
-def _camera_of(policy: LoadedPolicy) -> CameraSpec:
+def _camera_of(policy: Policy) -> CameraSpec:
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))

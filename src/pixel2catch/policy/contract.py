@@ -19,7 +19,7 @@ from pixel2catch.mdp import observations, rewards
 from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.observations import ObservationInputs, ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm
-from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
+from pixel2catch.methods import METHODS, Method, find_method, remembering
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, CameraSpec
@@ -29,7 +29,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 FORMAT_VERSION = 2
 """Version of the files of `Policy.save`; higher where older files cannot be read."""
 
-MOST_NAMED = 100  #: Largest number of differing fields in a message.
+LONGEST_MESSAGE = 20_000  #: Characters of a message with the fields that differ.
 MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; policies have 4 and 200.
 
 
@@ -105,9 +105,8 @@ class PolicyContract:
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
-            pairs = ((name, repr(ours.get(name)), repr(theirs.get(name))) for name in fields[:MOST_NAMED])
-            lines = (f"  {name[:200]}: policy {own[:500]}, here {other[:500]}" for name, own, other in pairs)
-            raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines))
+            lines = (f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields)
+            raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines)[:LONGEST_MESSAGE])
 
 
 def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -125,10 +124,6 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
             yield from leaves(entry, f"{name}.{key}" if name else str(key))
     else:
         yield name, value
-
-
-NO_REWARD = RewardTerm(function=rewards.elapsed_time, weight=0.0)
-"""Reward of agents that are made from a contract, which has no rewards."""
 
 
 def contract_of(
@@ -179,56 +174,43 @@ def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
 
 
 def method_of(contract: PolicyContract) -> Method:
-    """Return the method of a policy by its name, or else made from its contract.
+    """Return the method of a policy by its name, or else made from its contract, without rewards.
 
     Raises:
         PolicyMismatchError: The name is unknown, and the contract has terms that are not of this package.
         InvalidValueError: A file of the user cannot be imported.
     """
     import_files()
-    base, _, suffix = contract.method.partition("+")
     workcell = known_workcell(contract.workcell)
+    base, _, memory = contract.method.partition("+")
     if base in METHODS:
         return find_method(contract.method, workcell)
-    memory: Memory | None = None
-    with contextlib.suppress(UnknownNameError):
-        memory = find_memory(suffix if contract.pixel_features else suffix and "age")
-    agents = tuple(_agent(name, agent, contract.method, workcell) for name, agent in contract.agents.items())
-    if any(agent.memory != (memory.terms if memory else ()) for agent in agents):
-        raise _undefined(contract.method, "remembers images in a way of its own")
-    return Method(
-        name=contract.method,
-        agents=agents,
-        pixel_features=contract.pixel_features,
-        num_boxes=memory.num_boxes if memory else 1,
+    with contextlib.suppress(LookupError, RuntimeError, UnknownNameError):
+        agents = tuple(_agent(name, each, workcell) for name, each in contract.agents.items())
+        method = Method(name=base, agents=agents, pixel_features=contract.pixel_features)
+        method = remembering(method, memory) if memory else method
+        if contract_of(method, workcell).agents == contract.agents:
+            return method
+    raise PolicyMismatchError(
+        f"unknown method {shown(contract.method)}, and its policy observes or remembers what is not of this "
+        f"package; name the Python file that registers it: pixel2catch {OPTION} FILE.py COMMAND ... Methods of "
+        f"this package: {', '.join(METHODS)}."
     )
 
 
-def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSpec) -> AgentSpec:
-    """Make an agent from its contract: two frames of the same terms, oldest first, then its memory."""
-    names = [name.partition("[")[0] for name, _ in contract.observation]
-    num_frame_terms = sum(term.endswith("[t-1]") for term, _ in contract.observation)
-    terms = tuple(_term(each, method) for each in names[num_frame_terms:])
+def _agent(name: str, contract: AgentContract, workcell: WorkcellSpec) -> AgentSpec:
+    """Make an agent from its contract, without memory."""
+    terms = {
+        term_name: cast(ObservationTerm, term)
+        for term_name, term in vars(observations).items()
+        if getattr(term, "__annotations__", {}).get("frame") is ObservationInputs
+    }
+    no_reward = RewardTerm(function=rewards.elapsed_time, weight=0.0)
     parts = tuple(
-        dataclasses.replace(part, reward=(NO_REWARD,))
+        dataclasses.replace(part, reward=(no_reward,))
         for agent in agents_of(workcell)
         for part in agent.parts
         if workcell.joints[part.joints][0].name in contract.joints
     )
-    return AgentSpec(
-        name=name, parts=parts, observation=terms[:num_frame_terms], memory=terms[num_frame_terms:]
-    )
-
-
-def _term(name: str, method: str) -> ObservationTerm:
-    term = vars(observations).get(name)
-    if getattr(term, "__annotations__", {}).get("frame") is not ObservationInputs:  # another function
-        raise _undefined(method, f"observes {shown(name)}")
-    return cast(ObservationTerm, term)
-
-
-def _undefined(method: str, what: str) -> PolicyMismatchError:
-    return PolicyMismatchError(
-        f"unknown method {shown(method)}, and its policy {what}; name the Python file that registers it: "
-        f"pixel2catch {OPTION} FILE.py COMMAND ... Methods of this package: {', '.join(METHODS)}."
-    )
+    frame = (term.removesuffix("[t-1]") for term, _ in contract.observation if term.endswith("[t-1]"))
+    return AgentSpec(name=name, parts=parts, observation=tuple(terms[each] for each in frame))

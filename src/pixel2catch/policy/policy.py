@@ -167,58 +167,47 @@ class Policy(nn.Module):
         """
         fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
         with files.reading("policy", folder, fix, PolicyMismatchError):
-            description, tensors = _read(folder)
-            contract, hidden, recurrent = described(description)
-            with torch.device("meta"):  # sizes are checked before memory is allocated
-                policy = cls(contract, hidden, recurrent)
-            _require_tensors(tensors, {name: tuple(each.shape) for name, each in policy.state_dict().items()})
-            policy.load_state_dict(tensors, assign=True)
-        return policy.to(device).eval()
+            return cls.of(*_read(folder)).to(device).eval()
 
+    @classmethod
+    def of(cls, description: dict[str, Any], tensors: dict[str, Tensor]) -> "Policy":
+        """Make a policy of its description and its weights.
 
-def described(content: dict[str, Any]) -> tuple[PolicyContract, tuple[int, ...], int]:
-    """Return contract, sizes of the hidden layers and of the GRU from a policy's description.
-
-    Raises:
-        InvalidValueError: A size is missing or out of range.
-        PolicyMismatchError: Another field does not fit this code.
-    """
-    if "hidden" not in content:
-        raise InvalidValueError("field 'hidden' is missing")
-    contract = {name: value for name, value in content.items() if name not in ("hidden", "recurrent")}
-    hidden = files.decoded(tuple[int, ...], content["hidden"], "hidden")
-    recurrent = files.decoded(int, content.get("recurrent", 0), "recurrent")
-    if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in (*hidden, recurrent or 1)):
-        raise InvalidValueError(
-            f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be from 1 "
-            f"to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
-        )
-    return PolicyContract.from_dict(contract), hidden, recurrent
-
-
-def _require_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
-    for name in shapes | tensors:
-        found = tuple(tensors[name].shape) if name in tensors else "nothing"
-        if found != shapes.get(name, "nothing"):
+        Raises:
+            InvalidValueError: A size is missing or out of range, or a tensor does not fit.
+            PolicyMismatchError: Another field does not fit this code.
+        """
+        if "hidden" not in description:
+            raise InvalidValueError("field 'hidden' is missing")
+        contract = {key: value for key, value in description.items() if key not in ("hidden", "recurrent")}
+        hidden = files.decoded(tuple[int, ...], description["hidden"], "hidden")
+        recurrent = files.decoded(int, description.get("recurrent", 0), "recurrent")
+        sizes = (*hidden, recurrent or 1)
+        if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in sizes):
             raise InvalidValueError(
-                f"tensor '{name}' should have shape {shapes.get(name, 'nothing')} by {CONTRACT_FILE}, but "
-                f"{WEIGHTS_FILE} has {found}"
+                f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be from "
+                f"1 to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
             )
-        if tensors[name].dtype != torch.float32 or not tensors[name].isfinite().all():
-            raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
+        with torch.device("meta"):  # sizes are checked before memory is allocated
+            policy = cls(PolicyContract.from_dict(contract), hidden, recurrent)
+        try:
+            policy.load_state_dict(tensors, assign=True)
+        except RuntimeError as error:
+            raise InvalidValueError(f"weights do not fit the description: {error}") from error
+        for name, tensor in tensors.items():
+            if tensor.dtype != torch.float32 or not tensor.isfinite().all():
+                raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
+        return policy
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     text = files.read_text(folder / CONTRACT_FILE)
     description, data = files.json_object(text), files.read_bytes(folder / WEIGHTS_FILE, files.MOST_WEIGHTS)
-    size = int.from_bytes(data[:8], "little")
-    if size > files.MOST_JSON:
-        raise InvalidValueError(f"{WEIGHTS_FILE} is none, or damaged")
-    header = files.json_object(data[8 : 8 + size].decode())
     try:
         tensors = safetensors.torch.load(data)
     except SafetensorError as error:
         raise InvalidValueError(f"{WEIGHTS_FILE} is damaged: {error}") from error
-    if files.decoded(dict[str, str], header.get("__metadata__", {}), "__metadata__").get("policy") != text:
+    header = files.json_object(data[8 : 8 + int.from_bytes(data[:8], "little")].decode())
+    if header.get("__metadata__", {}).get("policy") != text:
         raise InvalidValueError(f"{CONTRACT_FILE} and {WEIGHTS_FILE} are not of the same save")
     return description, tensors

@@ -12,7 +12,7 @@ from pixel2catch.checks import AtMostFull, Count, DynamicsPath, NewFolder, NotNe
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.policy import LoadedPolicy
+    from pixel2catch.policy import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class TaskArgs:
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
 
-    def make(self, policy: "LoadedPolicy") -> "CatchEnvCfg":
+    def make(self, policy: "Policy") -> "CatchEnvCfg":
         """Return the task of a policy with this robot and these objects."""
         from pixel2catch.evaluation.loading import task_of
         from pixel2catch.scene.objects import select_objects

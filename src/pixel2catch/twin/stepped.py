@@ -25,7 +25,7 @@ from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.regions import RobotMask
 from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
 from pixel2catch.perception.tracker import Prompter
-from pixel2catch.policy import LoadedPolicy
+from pixel2catch.policy import Policy
 from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.memory import Broker
@@ -139,7 +139,7 @@ class SteppedRehearsal:
 def rehearse_stepped(
     cfg: RehearsalCfg,
     task: CatchEnvCfg,
-    policy: LoadedPolicy,
+    policy: Policy,
     on_throw: OnThrow,
     limits: ServoLimits | None = None,
 ) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def rehearse_stepped(
 
 @contextmanager
 def in_step(
-    cfg: RehearsalCfg, task: CatchEnvCfg, policy: LoadedPolicy, limits: ServoLimits | None = None
+    cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy, limits: ServoLimits | None = None
 ) -> Iterator[SteppedRehearsal]:
     """Yield a rehearsal before its first throw.
 

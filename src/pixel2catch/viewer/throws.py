@@ -16,7 +16,7 @@ from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_ste
 from pixel2catch.evaluation.stress.suite import select_settings
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
-from pixel2catch.policy import LoadedPolicy
+from pixel2catch.policy import Policy
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.scene.constants import CONTROL_DT
@@ -60,7 +60,7 @@ class ThrowPlayer:
     def __init__(self, dynamics: Path | None = None, camera: Path | None = None) -> None:
         """Load nothing yet; dynamics and camera files are those of `task_of`."""
         self._dynamics, self._camera = dynamics, camera
-        self._policies: dict[str, tuple[LoadedPolicy, Method]] = {}
+        self._policies: dict[str, tuple[Policy, Method]] = {}
         self._running: tuple[CatchEnv, ThrowOrder] | None = None
         self.num_throws = 0  #: Throws so far.
 
@@ -115,7 +115,7 @@ class ThrowPlayer:
             self._running = cfg.make_env(method), order
         return self._running[0]
 
-    def _loaded(self, policy: str) -> tuple[LoadedPolicy, Method]:
+    def _loaded(self, policy: str) -> tuple[Policy, Method]:
         if policy not in self._policies:
             self._policies[policy] = load_policy(Path(policy))
         return self._policies[policy]
