@@ -20,7 +20,6 @@ from valid import ARM, KINDS, PIXELS
 from pixel2catch.arrays import read_arrays
 from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
-from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.perception.calibration.target import read_image

@@ -193,8 +193,8 @@ def method_of(contract: PolicyContract) -> Method:
             return method
     raise PolicyMismatchError(
         f"unknown method {shown(contract.method)}, and its policy observes or remembers what is not of this "
-        f"package; name the Python file that registers it: pixel2catch {OPTION} FILE.py COMMAND ... Methods of "
-        f"this package: {', '.join(METHODS)}."
+        f"package; name the Python file that registers it: pixel2catch {OPTION} FILE.py COMMAND ... "
+        f"Methods of this package: {', '.join(METHODS)}."
     )
 
 

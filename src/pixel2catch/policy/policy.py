@@ -185,8 +185,8 @@ class Policy(nn.Module):
         sizes = (*hidden, recurrent or 1)
         if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in sizes):
             raise InvalidValueError(
-                f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be from "
-                f"1 to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
+                f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be "
+                f"from 1 to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
             )
         with torch.device("meta"):  # sizes are checked before memory is allocated
             policy = cls(PolicyContract.from_dict(contract), hidden, recurrent)
