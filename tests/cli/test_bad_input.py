@@ -40,7 +40,7 @@ BAD = [
     ("evaluate {list_policy}", "it must be a JSON object"),
     # numbers
     ("bench --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
-    ("bench --num-envs 9999999", "num_envs is 9,999,999; at most"),
+    ("evaluate --num-envs 9999999", "num_envs is 9,999,999; at most"),
     ("play --throws 0", "throws is 0"),
     ("excite --recordings 100000", "recordings is 100,000; it must be from 1 to 1000"),
     ("evaluate --seed -1", "seed is -1; it must be from 0 to 4,294,967,295"),
@@ -78,7 +78,8 @@ BAD = [
     ("stress --env.throws.peak-z 1.9 1.5 --out {new}", "env.throws.peak_z is 1.9 1.5"),
     ("train --device cpu --env.throws.peak-z nan 1", "env.throws.peak_z is nan"),
     # options that contradict each other, or would be ignored
-    ("play --web --out film.mp4", "leave out --out or --web"),
+    ("play --web --out film.mp4", "leave out --out, or --web"),
+    ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
     ("export --objects cube_s", "need --format lerobot"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
     ("track {text} --topic /images --out {new}", "--topic needs a rosbag"),
@@ -230,7 +231,8 @@ def _small_files() -> None:
 
 def test_a_full_disk_gives_no_false_comfort(tmp_path: Path):
     line = f"{TRAIN} --transitions 32 --checkpoint-seconds 0 --out run"
-    with started(line, tmp_path, preexec_fn=_small_files) as process:
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # it would be cut, too
+    with started(line, tmp_path, preexec_fn=_small_files, env=environment) as process:
         said = process.communicate()[0]
     assert process.returncode == 2, said
     assert "could not be written" in said

@@ -3,20 +3,17 @@
 import importlib
 import importlib.metadata
 import importlib.util
-import platform
 import sys
 import warnings
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from packaging.specifiers import SpecifierSet
 from rich.table import Table
 from rich.text import Text
 
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
-from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.files import json_text
 from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.installation import PACKAGE, install_command, needs_extra, requirements
@@ -31,44 +28,25 @@ NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Version of the loaded dr
 CUDA_BUILD = "'uv pip install --torch-backend=auto --reinstall-package torch torch'"
 """Command that installs a build of PyTorch for this machine. Source: documentation of uv."""
 
+OURS = ("dev", "docs")  #: Extras for work on this package.
 DDS_SECONDS = 5.0  #: Time in which two nodes must find each other [s]. Source: ours.
 
 
-def optional(module: str, distribution: str, extra: str) -> str:
-    """Check that an optional package can be imported and has a version in range."""
-    if importlib.util.find_spec(module) is None:
-        raise Absent(f"not installed: {install_command(extra)}")
-    imported = importlib.import_module(module)
-    version = getattr(imported, "__version__", None) or importlib.metadata.version(distribution)
-    wanted = requirements(extra).get(distribution, SpecifierSet())
-    if not wanted.contains(version, prereleases=True):
-        raise Broken(f"{version} is not in {wanted}: {install_command(extra)} --upgrade")
-    return version
-
-
-def python() -> str:
-    """Check the version of Python."""
-    version, wanted = platform.python_version(), importlib.metadata.metadata(PACKAGE)["Requires-Python"]
-    if not SpecifierSet(wanted).contains(version, prereleases=True):
-        raise Broken(f"Python {version} is not in {wanted}: make setup PYTHON=python3.12")
-    return version
-
-
-def packages() -> str:
-    """Check the packages that every command needs."""
-    wanted = requirements()
-    wrong = []
-    for name, versions in wanted.items():
+def packages(extra: str = "") -> str:
+    """Check that the packages of an extra, or those that every command needs, have versions in range."""
+    missing, wrong = list[str](), list[str]()
+    for name, versions in requirements(extra).items():
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            wrong.append(f"{name} is missing")
+            missing.append(f"{name} is missing")
             continue
         if not versions.contains(version, prereleases=True):
             wrong.append(f"{name} {version} is not in {versions}")
-    if wrong:
-        raise Broken(f"{', '.join(wrong)}: {install_command()} --upgrade")
-    return f"{len(wanted)} in the ranges of {PACKAGE} {importlib.metadata.version(PACKAGE)}"
+    if missing or wrong:
+        kind = Absent if extra and missing else Broken
+        raise kind(f"{', '.join(wrong + missing)}: {install_command(extra)} --upgrade")
+    return ", ".join(requirements(extra))
 
 
 def policy_and_physics() -> str:
@@ -87,77 +65,31 @@ def policy_and_physics() -> str:
     return f"{method.name} loads and acts"
 
 
-def rendering() -> str:
-    """Check OpenGL without a display."""
-    from pixel2catch.rendering.renderer import find_gl_backend
-
-    try:
-        return find_gl_backend()
-    except DeviceUnavailableError as error:
-        raise Absent(f"no videos of throws: {error}") from error
-
-
-def cuda() -> str:
-    """Check that PyTorch computes on a GPU."""
+def gpu() -> str:
+    """Check that PyTorch and Warp compute on a GPU."""
     import torch
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        is_there = torch.cuda.is_available()
-    if is_there:
-        torch.ones(8, device="cuda").sum().item()
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count:
+        warp = importlib.import_module("warp")
+        warp.full(8, 3.0, device="cuda:0").numpy()
         memory = torch.cuda.get_device_properties(0).total_memory / 2**30
-        name, count = torch.cuda.get_device_name(0), torch.cuda.device_count()
-        return f"{count} x {name}, {memory:.0f} GiB, {_driver()}, CUDA {torch.version.cuda}"
+        name, versions = torch.cuda.get_device_name(0), f"CUDA {torch.version.cuda}, Warp {warp.__version__}"
+        return f"{count} x {name}, {memory:.0f} GiB, {versions}"
     if not NVIDIA_DRIVER.exists():
         raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
     reason = "; ".join(str(warning.message) for warning in caught) or "PyTorch gives no reason"
     build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
     raise Broken(
-        f"{_driver()}, but PyTorch {torch.__version__}, {build}, finds no GPU ({reason}): install a build "
-        f"for this driver, {CUDA_BUILD}, or a newer driver"
+        f"{NVIDIA_DRIVER.read_text().splitlines()[0]}, but PyTorch {torch.__version__}, {build}, finds no GPU "
+        f"({reason}): install a build for this driver, {CUDA_BUILD}, or a newer driver"
     )
-
-
-def _driver() -> str:
-    words = NVIDIA_DRIVER.read_text().split("\n")[0].split() if NVIDIA_DRIVER.exists() else []
-    return "driver " + next((word for word in words if word[0].isdigit() and "." in word), "unknown")
-
-
-def warp() -> str:
-    """Check that Warp computes on the GPU."""
-    import torch
-
-    if not torch.cuda.is_available():
-        raise Absent("needs a CUDA device")
-    warp = importlib.import_module("warp")
-    try:
-        device = warp.get_device("cuda:0")
-        warp.full(8, 3.0, device=device).numpy()
-    except Exception as error:  # of any layer of the driver
-        raise Broken(f"{error}: {install_command()} --upgrade, and a driver for this Warp") from error
-    return f"Warp {warp.__version__} computes on {device.name}"
-
-
-def torchvision() -> str:
-    """Check that torchvision matches PyTorch, if it is installed; else SAM 2 cannot be imported."""
-    import torch
-
-    if importlib.util.find_spec("torchvision") is None:
-        return "not installed, not needed"
-    try:
-        return importlib.import_module("torchvision").__version__
-    except Exception as error:  # of its compiled operators
-        raise Broken(
-            f"{error}: it does not match PyTorch {torch.__version__} and breaks SAM 2: pip uninstall "
-            "torchvision"
-        ) from error
 
 
 def dds() -> str:
     """Check that two nodes on this machine receive each other's messages."""
-    if importlib.util.find_spec("cyclonedds") is None:
-        raise Absent(f"not checked without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
     from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
@@ -180,7 +112,7 @@ def dds() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Check this machine: versions, policy, physics, rendering, GPU, perception, network; and a laboratory.
+    """Check this machine: packages, policy, physics, OpenGL, GPU, network; and a laboratory.
 
     The exit status is 0 if `catch` and `evaluate` work, and with --robot the laboratory is ready.
     """
@@ -227,23 +159,16 @@ class Doctor:
         return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)
 
     def _checks(self) -> list[Check]:
+        from pixel2catch.rendering.renderer import find_gl_backend
+
+        extras = importlib.metadata.metadata(PACKAGE).get_all("Provides-Extra") or []
         return [
-            check("Python", python, is_needed=True),
             check("packages", packages, is_needed=True),
             check("policy, physics", policy_and_physics, is_needed=True),
-            check("rendering", rendering),
-            check("GPU", cuda),
-            check("Warp on the GPU", warp),
-            check("OpenCV", partial(optional, "cv2", "opencv-python-headless", "perception")),
-            check("rosbags", partial(optional, "rosbags", "rosbags", "identification")),
-            check("cyclonedds", partial(optional, "cyclonedds", "cyclonedds", "deployment")),
-            check("numba", partial(optional, "numba", "numba", "deployment")),
-            check("DDS", dds),
-            check("viser", partial(optional, "viser", "viser", "viewer")),
-            check("ONNX Runtime", partial(optional, "onnxruntime", "onnxruntime", "onnx")),
-            check("pyarrow", partial(optional, "pyarrow", "pyarrow", "lerobot")),
-            check("transformers", partial(optional, "transformers", "transformers", "sam2")),
-            check("torchvision", torchvision),
+            check("OpenGL, for films", find_gl_backend),
+            check("GPU", gpu),
+            *(check(f"extra {name}", partial(packages, name)) for name in extras if name not in OURS),
+            *([check("DDS", dds)] if importlib.util.find_spec("cyclonedds") else []),
         ]
 
     def _print(self, checks: list[Check]) -> None:

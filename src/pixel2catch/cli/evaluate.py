@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional
 
@@ -31,12 +31,22 @@ class Evaluate:
     out: Annotated[Path, OutputFile()] | None = None
 
     def run(self) -> None:
-        """Evaluate and print."""
+        """Evaluate, print and write."""
+        from pixel2catch.evaluation.report import write_files
+
+        result = self.result()
+        if self.json:
+            print(json_text(result), end="", flush=True)
+        else:
+            print_tables({" ".join(self.objects): result}, result["method"])
+        if self.out:
+            write_files(self.out.parent, {self.out.name: json_text(result)})
+
+    def result(self) -> dict[str, Any]:
+        """Evaluate; return the metrics and the files that decide them."""
         from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.report import write_files
-        from pixel2catch.evaluation.result_tables import result_tables
         from pixel2catch.scene.objects import select_objects
 
         device = prepare(self.device)
@@ -57,11 +67,12 @@ class Evaluate:
             "robot_model_sha256": [sha256(file) for file in self.task.robot_model],
         }
         with evaluating(" ".join(self.objects)) as watch:
-            result = source | assess(policy, method, cfg, *watch)
-        if self.json:
-            print(json_text(result), end="", flush=True)
-        else:
-            for table in result_tables({" ".join(self.objects): result}, method.name):
-                results_console().print(table)
-        if self.out:
-            write_files(self.out.parent, {self.out.name: json_text(result)})
+            return source | assess(policy, method, cfg, *watch)
+
+
+def print_tables(results: dict[str, dict[str, Any]], method: str) -> None:
+    """Print the metrics of sets of objects, by name."""
+    from pixel2catch.evaluation.result_tables import result_tables
+
+    for table in result_tables(results, method):
+        results_console().print(table)

@@ -30,27 +30,30 @@ class Play:
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
-        """Throw, draw and write; or serve the page."""
-        if self.web and self.out:
-            raise InvalidValueError("--web writes no film; leave out --out or --web.")
+        """Throw, draw and write; or serve the page until Ctrl-C."""
+        given = {"--out": self.out, "--robot-model": self.task.robot_model, "--env": self.task.given}
+        if self.web and any(given.values()):
+            names = " ".join(name for name, value in given.items() if value)
+            raise InvalidValueError(f"--web serves a page of the paper's task: leave out {names}, or --web.")
+        prepare("cpu")
         if self.web:
-            self._serve()
+            with needs_extra("viewer"):
+                from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
+            files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
+            page, first = self.page.cfg, {"policy": self.policy, "objects": self.objects, "seed": self.seed}
+            serve_until_interrupted(PlayCfg(page=page, **first, **files))
             return
-        out = self.out or Path("play.mp4")
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.scene.objects import select_objects
 
-        prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
-        task = self.task.make(policy, "play")
-        cfg = EvaluationCfg(
-            objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
-        )
-        throws = recorded_throws(cfg, policy, method)
+        task, objects = self.task.make(policy, "play"), select_objects(self.objects)
+        cfg = EvaluationCfg(objects=objects, num_envs=self.throws, seed=self.seed, task=task)
+        out, throws = self.out or Path("play.mp4"), recorded_throws(cfg, policy, method)
         out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_throws(
             out,
@@ -59,15 +62,3 @@ class Play:
             on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
         )
         print(f"wrote {out}: {num_pictures} pictures")
-
-    def _serve(self) -> None:
-        """Serve the page until Ctrl-C; it takes no robot model."""
-        if self.task.robot_model:
-            raise InvalidValueError(
-                "--web simulates the robots of this package only; leave out --robot-model."
-            )
-        prepare("cpu")
-        with needs_extra("viewer"):
-            from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
-        args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page.cfg}
-        serve_until_interrupted(PlayCfg(**args, dynamics=self.task.dynamics, camera=self.task.camera))
