@@ -82,8 +82,9 @@ def gpu() -> str:
         raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
     reason = "; ".join(str(warning.message) for warning in caught) or "PyTorch gives no reason"
     build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
+    driver = NVIDIA_DRIVER.read_text().splitlines()[0]
     raise Broken(
-        f"{NVIDIA_DRIVER.read_text().splitlines()[0]}, but PyTorch {torch.__version__}, {build}, finds no GPU "
+        f"{driver}, but PyTorch {torch.__version__}, {build}, finds no GPU "
         f"({reason}): install a build for this driver, {CUDA_BUILD}, or a newer driver"
     )
 
