@@ -56,10 +56,10 @@ def played(path: Path, dt: float) -> Played:
         t_cmd, q_cmd, t_meas, q = recording.t_cmd, recording.q_cmd, recording.t_meas, recording.q
     else:
         table = read_table(path)
-        if "q_des" in table.names:
-            t_cmd = t_meas = table.column("time")
+        if "q_des" in table.cells:
+            t_cmd = t_meas = table.columns(["time"])[:, 0]
             q_cmd, q = (np.zeros((len(t_cmd), NUM_JOINTS)) for _ in range(2))
-            q_cmd[:, 0], q[:, 0] = table.column("q_des"), table.column("q_act")
+            q_cmd[:, 0], q[:, 0] = table.columns(["q_des", "q_act"]).T
         else:
             q_cmd, q = (table.columns([f"{name}_{i}" for i in range(NUM_JOINTS)]) for name in ("tq", "q"))
             t_cmd = t_meas = 0.008 * np.arange(len(q))

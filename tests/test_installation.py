@@ -17,7 +17,7 @@ REPOSITORY = {"url": "https://example.org/p.git", "vcs_info": {"vcs": "git", "co
         (INDEX, "", "pixel2catch"),
         (INDEX, "twin", "'pixel2catch[twin]'"),
         (CHECKOUT, "twin", "-e '/home/me/pixel catch[twin]'"),
-        (FOLDER, "", "/src/pixel2catch"),
+        (FOLDER, "", "'pixel2catch @ file:///src/pixel2catch'"),
         (WHEEL, "sam2", "'pixel2catch[sam2] @ file:///tmp/pixel2catch-1-py3-none-any.whl'"),
         (REPOSITORY, "twin", "'pixel2catch[twin] @ git+https://example.org/p.git'"),
     ],

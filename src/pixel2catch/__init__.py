@@ -11,129 +11,96 @@ Everything is imported where it is first used: `import pixel2catch` alone loads 
 
 import importlib
 import os
-import sys
 from typing import TYPE_CHECKING, Any
 
-#: Whether idle threads of PyTorch, which was imported before, wait in a loop; see `api.calls`.
-WAITS_IN_A_LOOP = "torch" in sys.modules and "OMP_WAIT_POLICY" not in os.environ
-
-# PyTorch's idle threads sleep: in a loop they would take the cores from physics.
+# Idle threads of PyTorch, which reads this when imported, sleep: in a loop they take the cores from physics.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
-    from pixel2catch.agents import AgentSpec, agents_of, sharing, together
-    from pixel2catch.api.calls import evaluate, load_policy, make, train
-    from pixel2catch.api.parallel import CatchParallelEnv
-    from pixel2catch.api.vector import CatchSingleEnv, CatchVectorEnv
-    from pixel2catch.camera.pinhole import nominal_projection
-    from pixel2catch.envs import actuators, world
-    from pixel2catch.envs.catch_env import CatchEnv
-    from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.envs.tasks import find_task
-    from pixel2catch.errors import Pixel2CatchError
-    from pixel2catch.evaluation.loading import task_of
-    from pixel2catch.evaluation.stress.suite import Axis, Level
-    from pixel2catch.learning.experiment import Experiment, preset
-    from pixel2catch.mdp import observations, terminations
-    from pixel2catch.mdp.rewards import RewardTerm
-    from pixel2catch.methods import Method, find_method
-    from pixel2catch.policy.policy import INPUT_CLIP, Policy
-    from pixel2catch.robots.geometry import chain_of
-    from pixel2catch.robots.workcell import WorkcellSpec
-    from pixel2catch.scene import constants
-    from pixel2catch.scene.cfg import PUSH_OUT
-    from pixel2catch.scene.meshes import mesh_object
-    from pixel2catch.scene.objects import OBJECTS, SEEN, UNSEEN, make_object, surface_points
-    from pixel2catch.scene.scene import build_spec
-    from pixel2catch.workcells import find_workcell
+    from pixel2catch.agents import (
+        AgentSpec as AgentSpec,
+        agents_of as agents_of,
+        sharing as sharing,
+        together as together,
+    )
+    from pixel2catch.api.calls import (
+        evaluate as evaluate,
+        load_policy as load_policy,
+        make as make,
+        train as train,
+    )
+    from pixel2catch.api.parallel import CatchParallelEnv as CatchParallelEnv
+    from pixel2catch.api.vector import CatchSingleEnv as CatchSingleEnv, CatchVectorEnv as CatchVectorEnv
+    from pixel2catch.camera.pinhole import nominal_projection as nominal_projection
+    from pixel2catch.envs import actuators as actuators, world as world
+    from pixel2catch.envs.catch_env import CatchEnv as CatchEnv
+    from pixel2catch.envs.cfg import CatchEnvCfg as CatchEnvCfg
+    from pixel2catch.envs.tasks import find_task as find_task
+    from pixel2catch.errors import Pixel2CatchError as Pixel2CatchError
+    from pixel2catch.evaluation.loading import task_of as task_of
+    from pixel2catch.evaluation.stress.suite import Axis as Axis, Level as Level
+    from pixel2catch.learning.experiment import Experiment as Experiment, preset as preset
+    from pixel2catch.mdp import observations as observations, terminations as terminations
+    from pixel2catch.mdp.rewards import RewardTerm as RewardTerm
+    from pixel2catch.methods import Method as Method, find_method as find_method
+    from pixel2catch.policy.policy import INPUT_CLIP as INPUT_CLIP, Policy as Policy
+    from pixel2catch.robots.geometry import chain_of as chain_of
+    from pixel2catch.robots.workcell import WorkcellSpec as WorkcellSpec
+    from pixel2catch.scene import constants as constants
+    from pixel2catch.scene.cfg import PUSH_OUT as PUSH_OUT
+    from pixel2catch.scene.meshes import mesh_object as mesh_object
+    from pixel2catch.scene.objects import (
+        OBJECTS as OBJECTS,
+        SEEN as SEEN,
+        UNSEEN as UNSEEN,
+        make_object as make_object,
+        surface_points as surface_points,
+    )
+    from pixel2catch.scene.scene import build_spec as build_spec
+    from pixel2catch.workcells import find_workcell as find_workcell
 
-_WHERE = {
-    "agents": ("AgentSpec", "agents_of", "sharing", "together"),
-    "api.calls": ("evaluate", "load_policy", "make", "train"),
-    "api.parallel": ("CatchParallelEnv",),
-    "api.vector": ("CatchSingleEnv", "CatchVectorEnv"),
-    "camera.pinhole": ("nominal_projection",),
-    "envs.catch_env": ("CatchEnv",),
-    "envs.cfg": ("CatchEnvCfg",),
-    "envs.tasks": ("find_task",),
-    "errors": ("Pixel2CatchError",),
-    "evaluation.loading": ("task_of",),
-    "evaluation.stress.suite": ("Axis", "Level"),
-    "learning.experiment": ("Experiment", "preset"),
-    "mdp.rewards": ("RewardTerm",),
-    "methods": ("Method", "find_method"),
-    "policy.policy": ("INPUT_CLIP", "Policy"),
-    "robots.geometry": ("chain_of",),
-    "robots.workcell": ("WorkcellSpec",),
-    "scene.cfg": ("PUSH_OUT",),
-    "scene.meshes": ("mesh_object",),
-    "scene.objects": ("OBJECTS", "SEEN", "UNSEEN", "make_object", "surface_points"),
-    "scene.scene": ("build_spec",),
-    "workcells": ("find_workcell",),
+_NAMES = {
+    "agents": "AgentSpec agents_of sharing together",
+    "api.calls": "evaluate load_policy make train",
+    "api.parallel": "CatchParallelEnv",
+    "api.vector": "CatchSingleEnv CatchVectorEnv",
+    "camera.pinhole": "nominal_projection",
+    "envs.actuators": "actuators",
+    "envs.catch_env": "CatchEnv",
+    "envs.cfg": "CatchEnvCfg",
+    "envs.tasks": "find_task",
+    "envs.world": "world",
+    "errors": "Pixel2CatchError",
+    "evaluation.loading": "task_of",
+    "evaluation.stress.suite": "Axis Level",
+    "learning.experiment": "Experiment preset",
+    "mdp.observations": "observations",
+    "mdp.rewards": "RewardTerm",
+    "mdp.terminations": "terminations",
+    "methods": "Method find_method",
+    "policy.policy": "INPUT_CLIP Policy",
+    "robots.geometry": "chain_of",
+    "robots.workcell": "WorkcellSpec",
+    "scene.cfg": "PUSH_OUT",
+    "scene.constants": "constants",
+    "scene.meshes": "mesh_object",
+    "scene.objects": "OBJECTS SEEN UNSEEN make_object surface_points",
+    "scene.scene": "build_spec",
+    "workcells": "find_workcell",
 }
-_MODULES = {
-    "actuators": "envs.actuators",
-    "constants": "scene.constants",
-    "observations": "mdp.observations",
-    "terminations": "mdp.terminations",
-    "world": "envs.world",
-}
-"""Modules with the constants that another implementation of the environment needs."""
+"""Names by module; modules themselves hold constants that another implementation of the environment needs."""
 
-__all__ = [
-    "INPUT_CLIP",
-    "OBJECTS",
-    "PUSH_OUT",
-    "SEEN",
-    "UNSEEN",
-    "AgentSpec",
-    "Axis",
-    "CatchEnv",
-    "CatchEnvCfg",
-    "CatchParallelEnv",
-    "CatchSingleEnv",
-    "CatchVectorEnv",
-    "Experiment",
-    "Level",
-    "Method",
-    "Pixel2CatchError",
-    "Policy",
-    "RewardTerm",
-    "WorkcellSpec",
-    "actuators",
-    "agents_of",
-    "build_spec",
-    "chain_of",
-    "constants",
-    "evaluate",
-    "find_method",
-    "find_task",
-    "find_workcell",
-    "load_policy",
-    "make",
-    "make_object",
-    "mesh_object",
-    "nominal_projection",
-    "observations",
-    "preset",
-    "sharing",
-    "surface_points",
-    "task_of",
-    "terminations",
-    "together",
-    "train",
-    "world",
-]
+_WHERE = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = [*_WHERE]  # pyright: ignore[reportUnsupportedDunderAll] (it reads the imports above)
 
 
 def __getattr__(name: str) -> Any:
     """Import the module that defines a name."""
-    if name in _MODULES:
-        return importlib.import_module(f"{__name__}.{_MODULES[name]}")
-    for module, names in _WHERE.items():
-        if name in names:
-            return getattr(importlib.import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    if name not in _WHERE:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module = importlib.import_module(f"{__name__}.{_WHERE[name]}")
+    return module if _WHERE[name].endswith(f".{name}") else getattr(module, name)
 
 
 def __dir__() -> list[str]:

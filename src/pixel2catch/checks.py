@@ -5,7 +5,7 @@ import os
 import re
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
@@ -14,7 +14,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, final, get_args, get_origin
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import require_free_file, require_free_folder
+from pixel2catch.files import require_free_file, require_free_folder, require_place
 
 LARGEST = 1e12  #: Largest number where a field states no other bound.
 
@@ -34,90 +34,50 @@ class Requirement(ABC):
 @final
 @dataclass(frozen=True)
 class Within(Requirement):
-    """A number, or each number of a tuple, between two bounds, both included."""
+    """A number, or each number of a tuple, between two bounds."""
 
     low: float
     high: float = LARGEST
+    is_open: bool = False  #: Whether the lower bound itself is excluded; the upper one is included.
 
     def require(self, name: str, value: Any) -> None:  # noqa: D102 (documented in the interface)
         for number in _numbers(value):
-            if not self.low <= number <= self.high:
-                bounds = f"from {_shown(self.low)} to {_shown(self.high)}"
-                raise InvalidValueError(f"{name} is {_shown(number)}; it must be {bounds}.")
+            if not self.low <= number <= self.high or (self.is_open and number == self.low):
+                words = "greater than {}, and at most {}" if self.is_open else "from {} to {}"
+                valid = words.format(_shown(self.low), _shown(self.high))
+                raise InvalidValueError(f"{name} is {_shown(number)}; it must be {valid}.")
 
 
 @final
 @dataclass(frozen=True)
-class Above(Requirement):
-    """A number, or each number of a tuple, greater than a bound, and at most another."""
+class Meets(Requirement):
+    """A value for which a test holds."""
 
-    low: float
-    high: float = LARGEST
+    test: Callable[[Any], Any]
+    fix: str  #: What the message says to do.
 
     def require(self, name: str, value: Any) -> None:  # noqa: D102
-        for number in _numbers(value):
-            if not self.low < number <= self.high:
-                bounds = f"greater than {_shown(self.low)}, and at most {_shown(self.high)}"
-                raise InvalidValueError(f"{name} is {_shown(number)}; it must be {bounds}.")
+        if not self.test(value):
+            raise InvalidValueError(f"{name} is {_shown(value)}; {self.fix}.")
+
+
+IN_ORDER = Meets(lambda pair: pair[0] <= pair[1], "give the smaller number first")
+"""A tuple whose first two numbers do not fall."""
+NOT_EMPTY = Meets(bool, "give at least one value")
+UNIT_LENGTH = Meets(lambda numbers: abs(math.hypot(*numbers) - 1.0) <= 1e-3, "it must have length 1")
 
 
 @final
 @dataclass(frozen=True)
-class MultipleOf(Requirement):
-    """A whole multiple of a number."""
+class InputFile(Requirement):
+    """A file that is there."""
 
-    unit: float
-
-    def require(self, name: str, value: float) -> None:  # noqa: D102
-        if abs(value / self.unit - round(value / self.unit)) > 1e-6:
+    def require(self, name: str, value: Path) -> None:  # noqa: D102
+        if not value.is_file():
+            found = "a folder; name a file in it" if value.is_dir() else "a pipe or a device; name a file"
             raise InvalidValueError(
-                f"{name} is {_shown(value)}; it must be a multiple of {_shown(self.unit)}."
+                f"{name} is '{value}', {found if value.exists() else 'which is not there'}."
             )
-
-
-@final
-@dataclass(frozen=True)
-class InOrder(Requirement):
-    """A tuple whose first two numbers do not fall."""
-
-    def require(self, name: str, value: tuple[float, ...]) -> None:  # noqa: D102
-        if value[0] > value[1]:
-            given = " ".join(map(_shown, value[:2]))
-            raise InvalidValueError(f"{name} is {given}; give the smaller number first.")
-
-
-@final
-@dataclass(frozen=True)
-class NotEmpty(Requirement):
-    """A tuple with at least one entry."""
-
-    def require(self, name: str, value: tuple[Any, ...]) -> None:  # noqa: D102
-        if not value:
-            raise InvalidValueError(f"{name} is empty; give at least one value.")
-
-
-@final
-@dataclass(frozen=True)
-class UnitLength(Requirement):
-    """Numbers whose squares add up to 1, such as a quaternion."""
-
-    def require(self, name: str, value: tuple[float, ...]) -> None:  # noqa: D102
-        length = math.sqrt(sum(number * number for number in value))
-        if not abs(length - 1.0) <= 1e-3:
-            raise InvalidValueError(f"{name} has length {_shown(length)}; it must have length 1.")
-
-
-@final
-@dataclass(frozen=True)
-class Matching(Requirement):
-    """A text of a form."""
-
-    pattern: str  #: Regular expression of all of it.
-    valid: str  #: What is valid, for the message.
-
-    def require(self, name: str, value: str) -> None:  # noqa: D102
-        if not re.fullmatch(self.pattern, value):
-            raise InvalidValueError(f"{name} is '{value}'; it must be {self.valid}.")
 
 
 @final
@@ -132,13 +92,11 @@ class OutputFile(Requirement):
         if self.endings and value.suffix.lower() not in self.endings:
             valid = " or ".join(self.endings)
             raise InvalidValueError(f"{name} is '{value}'; end the file's name in {valid}.")
-        if value.is_dir():
-            raise InvalidValueError(f"{name} is '{value}', a folder; name a file in it.")
-        if value.exists() and not value.is_file():
-            raise InvalidValueError(f"{name} is '{value}', a pipe or a device; name a file.")
+        if value.exists():
+            InputFile().require(name, value)
         if self.is_new:
             require_free_file(value)
-        _require_place(name, value.parent)
+        require_place(name, value.parent)
         if value.exists() and not os.access(value, os.W_OK):
             raise InvalidValueError(f"{name} is '{value}', which cannot be written; name another file.")
 
@@ -153,21 +111,9 @@ class OutputFolder(Requirement):
     def require(self, name: str, value: Path) -> None:  # noqa: D102
         if self.is_empty:
             require_free_folder(value, f"--{name}")
-        if value.exists() and not value.is_dir():
+        if value.is_file():
             raise InvalidValueError(f"{name} is '{value}', a file; name a folder.")
-        _require_place(name, value)
-
-
-@final
-@dataclass(frozen=True)
-class InputFile(Requirement):
-    """A file that is there."""
-
-    def require(self, name: str, value: Path) -> None:  # noqa: D102
-        if not value.is_file():
-            found = "a folder; name a file in it" if value.is_dir() else "which is not there"
-            found = "a pipe or a device; name a file" if value.exists() and not value.is_dir() else found
-            raise InvalidValueError(f"{name} is '{value}', {found}.")
+        require_place(name, value)
 
 
 Count = Annotated[int, Within(1, 10_000_000)]
@@ -178,19 +124,25 @@ Port = Annotated[int, Within(1, 65_535)]
 """Number of a TCP port."""
 Share = Annotated[float, Within(0.0, 1.0)]
 """A part of something."""
-Positive = Annotated[float, Above(0.0)]
+Positive = Annotated[float, Within(0.0, is_open=True)]
 """A number greater than 0."""
-AtMostFull = Annotated[float, Above(0.0, 1.0)]
+AtMostFull = Annotated[float, Within(0.0, 1.0, is_open=True)]
 """A factor on a speed that may be lowered."""
 NotNegative = Annotated[float, Within(0.0)]
 """A number that is 0 or more."""
-PhysicsRate = Annotated[float, Within(30.0, 30_000.0), MultipleOf(30.0)]
+PhysicsRate = Annotated[
+    float,
+    Within(30.0, 30_000.0),
+    Meets(lambda rate: abs(rate / 30.0 - round(rate / 30.0)) < 1e-6, "it must be a multiple of 30"),
+]
 """Physics steps in a second, a multiple of the control rate."""
-Range = Annotated[tuple[float, float], InOrder()]
+Range = Annotated[tuple[float, float], IN_ORDER]
 """Smallest and largest number of a uniform draw."""
 Amount = float | Range
 """A number, or the range from which every episode draws its own, uniformly."""
-Device = Annotated[str, Matching(r"cpu|cuda(:\d{1,3})?", "cpu, cuda, or cuda:1 and so on")]
+Device = Annotated[
+    str, Meets(re.compile(r"cpu|cuda(:\d{1,3})?").fullmatch, "it must be cpu, cuda, or cuda:1 and so on")
+]
 """Where something is computed."""
 NewFolder = Annotated[Path, OutputFolder(is_empty=True)]
 """A folder for results, which is made or empty."""
@@ -198,10 +150,8 @@ ResultsFolder = Annotated[Path, OutputFolder()]
 """A folder for results, in which there may be some."""
 FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]
 """A film to write, or stills of it."""
-DynamicsPath = CameraPath = Annotated[Path, InputFile()]
-"""Files that `identify` and `calibrate` write."""
-RobotModelPath = Annotated[Path, InputFile()]
-"""A maker's model of a part of the robot, URDF or MJCF."""
+DynamicsPath = CameraPath = RobotModelPath = Annotated[Path, InputFile()]
+"""Files that `identify` and `calibrate` write, and a maker's model of a part of the robot, URDF or MJCF."""
 
 
 def require_valid(values: Any, path: str = "") -> None:
@@ -216,46 +166,42 @@ def require_valid(values: Any, path: str = "") -> None:
     Raises:
         InvalidValueError: A value is of another type, outside its range, or in the wrong order.
     """
-    for name, kind in _kinds(type(values)).items():
-        require(kind, f"{path}.{name}" if path else name, getattr(values, name))
+    for each in _fields(values, path):
+        require(*each)
 
 
 def require(kind: Any, name: str, value: Any) -> None:
-    """Check a value against a declared type.
-
-    Raises:
-        InvalidValueError: The value is of another type, outside its range, or in the wrong order.
-    """
+    """Check a value against a declared type; raise as `require_valid` does."""
     kind, requirements = _parts(kind)
     if not _fits(kind, value):
         raise InvalidValueError(f"{name} is {value!r:.200}; it must be {_in_words(kind)}.")
-    if get_origin(kind) in (Union, UnionType):
-        require(next(each for each in get_args(kind) if _fits(each, value)), name, value)
-    elif is_dataclass(value):
-        require_valid(value, name)
-    elif isinstance(value, tuple | Mapping):
-        _require_entries(kind, name, value)
-    else:
-        _require_representable(name, value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InvalidValueError(f"{name} is {value}; it must be a finite number.")
+    if isinstance(value, int) and abs(value) >= 2**63:  # readers use 64 bits
+        raise InvalidValueError(f"{name} is {_shown(value)}; it must be smaller.")
+    for each in _contents(kind, name, value):
+        require(*each)
     for requirement in requirements if value is not None else ():
         requirement.require(name, value)
 
 
-def _require_entries(kind: Any, name: str, values: tuple[Any, ...] | Mapping[Any, Any]) -> None:
-    if isinstance(values, Mapping):
-        for key, value in values.items():
-            require(get_args(kind)[1] if get_args(kind) else Any, f"{name}.{key}", value)
-        return
-    for index, (entry, value) in enumerate(zip(_entries(kind, len(values)), values, strict=True)):
-        require(entry, f"{name}[{index}]" if is_dataclass(value) else name, value)
+def _contents(kind: Any, name: str, value: Any) -> Iterator[tuple[Any, str, Any]]:
+    """Yield what a value consists of: declared types, names and values."""
+    if get_origin(kind) in (Union, UnionType):
+        yield next(each for each in get_args(kind) if _fits(each, value)), name, value
+    elif is_dataclass(value):
+        yield from _fields(value, name)
+    elif isinstance(value, Mapping):
+        inner = get_args(kind)[1] if get_args(kind) else Any
+        yield from ((inner, f"{name}.{key}", entry) for key, entry in value.items())
+    elif isinstance(value, tuple):
+        for index, (each, entry) in enumerate(zip(_entries(kind, len(value)), value, strict=True)):
+            yield each, f"{name}[{index}]" if is_dataclass(entry) else name, entry
 
 
-def _require_representable(name: str, value: Any) -> None:
-    """Refuse a float that is not finite, and an integer of more than 64 bits."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InvalidValueError(f"{name} is {value}; it must be a finite number.")
-    if isinstance(value, int) and abs(value) >= 2**63:
-        raise InvalidValueError(f"{name} is {_shown(value)}; it must be smaller.")
+def _fields(values: Any, path: str) -> Iterator[tuple[Any, str, Any]]:
+    for name, kind in _kinds(type(values)).items():
+        yield kind, f"{path}.{name}" if path else name, getattr(values, name)
 
 
 @cache
@@ -287,7 +233,8 @@ PLAIN = {
 
 def _fits(kind: Any, value: Any) -> bool:
     """Return whether a value is of a declared type; unknown types hold anything."""
-    kind, origin = _parts(kind)[0], get_origin(_parts(kind)[0])
+    kind = _parts(kind)[0]
+    origin = get_origin(kind)
     if kind in PLAIN:
         return isinstance(value, PLAIN[kind][0]) and isinstance(value, bool) is (kind is bool)
     if origin in (Union, UnionType):
@@ -302,7 +249,8 @@ def _fits(kind: Any, value: Any) -> bool:
 
 
 def _in_words(kind: Any) -> str:
-    kind, origin, inner = _parts(kind)[0], get_origin(_parts(kind)[0]), get_args(_parts(kind)[0])
+    kind = _parts(kind)[0]
+    origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(map(_in_words, inner))
     if origin is Literal:
@@ -316,14 +264,11 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(n for each in value for n in _numbers(each)) if isinstance(value, tuple) else (value,)
 
 
-def _shown(number: float) -> str:
-    if isinstance(number, int):
-        return str(number) if abs(number) < 10**5 else f"{number:,}" if abs(number) < 10**15 else "huge"
-    return f"{number:g}"
-
-
-def _require_place(name: str, folder: Path) -> None:
-    """Refuse a folder that is not there and cannot be made, or in which nothing can be written."""
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InvalidValueError(f"{name}: nothing can be written in '{there}'; choose another place.")
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " ".join(map(_shown, value)) or "empty"
+    if isinstance(value, str | Path):
+        return f"'{value}'"
+    if isinstance(value, int):
+        return str(value) if abs(value) < 10**5 else f"{value:,}" if abs(value) < 10**15 else "huge"
+    return f"{value:g}"

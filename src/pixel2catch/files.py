@@ -131,9 +131,7 @@ def parse_json(text: str) -> Any:
     """
     try:
         content = _bounded(json.loads(text, object_pairs_hook=_unique))
-        json.dumps(
-            content, ensure_ascii=False
-        ).encode()  # JSON can escape half a character, text cannot hold it
+        json.dumps(content, ensure_ascii=False).encode()  # refuses half of a surrogate pair
         return content
     except InvalidValueError:
         raise
@@ -159,19 +157,15 @@ def parse_yaml(text: str) -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.AliasEvent):
-                alias = self.peek_event().anchor
-                raise InvalidValueError(f"it has the alias '*{alias}'; write out what it stands for")
-            return super().compose_node(parent, index)
-
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            pairs = node.value
             return _unique(
-                (self.construct_object(key, True), self.construct_object(value, deep)) for key, value in pairs
+                (self.construct_object(key, True), self.construct_object(value, deep))
+                for key, value in node.value
             )
 
     try:
+        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
+            raise InvalidValueError("it has an alias, such as '*name'; write out what it stands for")
         return _bounded(yaml.load(text, Loader))
     except InvalidValueError:
         raise
@@ -247,29 +241,33 @@ def _other_type(kind: Any, value: Any) -> Any:
 
 def _require_known(found: Any, value: Any, name: str) -> None:
     """Raise if a value has a field that its dataclass does not have, at any depth."""
+    entries: Any = ()
     if is_dataclass(found):
-        where = f"{name}." if name else ""
-        names = [where + field.name for field in fields(found)]
-        for key, entry in value.items():
-            if where + key not in names:
-                unknown = UnknownNameError("field", where + key, names)
-                raise InvalidValueError(str(unknown).rstrip("."))
-            _require_known(getattr(found, key), entry, where + key)
+        names = [f"{name}.{field.name}".lstrip(".") for field in fields(found)]
+        for key in value:
+            if (place := f"{name}.{key}".lstrip(".")) not in names:
+                raise InvalidValueError(str(UnknownNameError("field", place, names)).rstrip("."))
+        entries = ((f".{key}", getattr(found, key), entry) for key, entry in value.items())
     elif isinstance(found, dict):
-        for key, each in found.items():
-            _require_known(each, value.get(key), f"{name}.{key}")
+        entries = ((f".{key}", each, value.get(key)) for key, each in found.items())
     elif isinstance(found, tuple):
-        for i, (each, entry) in enumerate(zip(found, value, strict=True)):
-            _require_known(each, entry, f"{name}[{i}]")
+        entries = ((f"[{i}]", each, value[i]) for i, each in enumerate(found))
+    for place, each, entry in entries:
+        _require_known(each, entry, (name + place).lstrip("."))
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:
     """Raise InvalidValueError if the folder that an option names is not empty, or cannot be made."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidValueError(f"'{folder}' is not an empty folder; choose another {option}, or empty it.")
+    require_place(f"'{folder}'", folder)
+
+
+def require_place(name: str, folder: Path) -> None:
+    """Raise InvalidValueError if nothing can be written in a folder, which may have to be made."""
     there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InvalidValueError(f"'{folder}' cannot be made in '{there}'; choose another {option}.")
+        raise InvalidValueError(f"{name}: nothing can be written in '{there}'; choose another place.")
 
 
 def require_free_file(path: Path) -> None:

@@ -1,11 +1,12 @@
-"""Install commands for missing packages, by the way in which this package was installed."""
+"""Checks of an installation or a laboratory, and install commands by the way this package was installed."""
 
 import importlib.metadata
 import importlib.util
 import json
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlparse
@@ -24,7 +25,21 @@ def install_command(extra: str = "") -> str:
     The origin is a folder, a wheel, a repository or the package index.
     """
     program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
-    return f"{program} {requirement(_origin(), extra)}"
+    try:
+        text = importlib.metadata.distribution(PACKAGE).read_text("direct_url.json")
+    except importlib.metadata.PackageNotFoundError:  # this source on the path
+        text = json.dumps({"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}})
+    return f"{program} {requirement(json.loads(text or '{}'), extra)}"
+
+
+def requirement(origin: dict, extra: str) -> str:
+    """Return the requirement for an origin in PEP 610 form (empty: the index), quoted for a shell."""
+    extras, url = f"[{extra}]" if extra else "", origin.get("url", "")
+    if origin.get("dir_info", {}).get("editable"):
+        return f"-e {shlex.quote(unquote(urlparse(url).path) + extras)}"
+    if "vcs_info" in origin:
+        url = f"{origin['vcs_info']['vcs']}+{url}"
+    return shlex.quote(f"{PACKAGE}{extras}{f' @ {url}' if url else ''}")
 
 
 @contextmanager
@@ -33,11 +48,7 @@ def needs_extra(
     what: str = "a package that this needs cannot be imported",
     error: type[Pixel2CatchError] = PerceptionError,
 ) -> Iterator[None]:
-    """Turn a failed import in this context into an error with the install command.
-
-    Raises:
-        error: An import failed.
-    """
+    """Turn a failed import in this context into an error with the install command."""
     try:
         yield
     except ImportError as failed:
@@ -46,15 +57,11 @@ def needs_extra(
 
 @cache
 def requirements(extra: str = "") -> dict[str, SpecifierSet]:
-    """Return the version ranges of required packages, or of an extra, by name.
-
-    The result is empty if the package is not installed.
-    """
+    """Return the version ranges of required packages, or of an extra, by name; empty if not installed."""
     try:
-        lines = importlib.metadata.requires(PACKAGE) or []
+        parsed = map(Requirement, importlib.metadata.requires(PACKAGE) or [])
     except importlib.metadata.PackageNotFoundError:
-        lines = []
-    parsed = [Requirement(line) for line in lines]
+        return {}
     return {
         each.name: each.specifier
         for each in parsed
@@ -63,25 +70,32 @@ def requirements(extra: str = "") -> dict[str, SpecifierSet]:
     }
 
 
-def requirement(origin: dict, extra: str) -> str:
-    """Return the requirement for an origin in PEP 610 form (empty: the index), quoted for a shell."""
-    extras = f"[{extra}]" if extra else ""
-    url = origin.get("url", "")
-    if "dir_info" in origin:
-        option = "-e " if origin["dir_info"].get("editable") else ""
-        return f"{option}{shlex.quote(unquote(urlparse(url).path) + extras)}"
-    if "vcs_info" in origin:
-        url = f"{origin['vcs_info']['vcs']}+{url}"
-    return shlex.quote(f"{PACKAGE}{extras}{f' @ {url}' if url else ''}")
+class Absent(Exception):  # noqa: N818
+    """Something optional is missing; the message states its purpose and how to get it."""
 
 
-def _origin() -> dict:
-    """Return the origin recorded by the installer; without a record, the folder of this source."""
+class Broken(Exception):  # noqa: N818
+    """Something does not work; the message states the fix."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Result of a probe."""
+
+    name: str  #: What was checked.
+    state: str  #: good, BAD, or absent: optional and missing.
+    found: str  #: What was found, or the problem and the fix.
+    is_needed: bool  #: Whether `catch`, `evaluate` or a given option needs it.
+
+
+def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Check:
+    """Run a probe, which returns what it found or raises an error with problem and fix; return the result."""
     try:
-        installed = importlib.metadata.distribution(PACKAGE)
-        text, installer = (installed.read_text(name) for name in ("direct_url.json", "INSTALLER"))
-    except importlib.metadata.PackageNotFoundError:
-        text = installer = None
-    if text is None and installer is None:
-        return {"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}}
-    return json.loads(text) if text else {}
+        state, found = "good", probe()
+    except Absent as error:
+        state, found = "absent", str(error)
+    except (Broken, Pixel2CatchError) as error:
+        state, found = "BAD", str(error)
+    except Exception as error:  # a broken installation can raise anything
+        state, found = "BAD", f"{type(error).__name__}: {error}: install anew, {install_command()} --upgrade"
+    return Check(name=name, state=state, found=found, is_needed=is_needed)

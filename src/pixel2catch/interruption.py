@@ -3,11 +3,13 @@
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from types import FrameType
 from typing import Any
+
+Handlers = dict[signal.Signals, Any]
 
 
 class Terminated(KeyboardInterrupt):
@@ -17,15 +19,15 @@ class Terminated(KeyboardInterrupt):
 @contextmanager
 def raise_on_termination() -> Iterator[None]:
     """Raise `Terminated` in this context, in the main thread, when a termination signal arrives."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = {number: signal.signal(number, _terminate) for number in _terminations()}
+    previous = _installed(_terminations(), _terminate)
     try:
         yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        _restore(previous)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
 
 
 def _terminations() -> list[signal.Signals]:
@@ -34,8 +36,16 @@ def _terminations() -> list[signal.Signals]:
     return [signal.SIGTERM] if is_ignored else [signal.SIGTERM, signal.SIGHUP]
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
+def _installed(numbers: list[signal.Signals], handler: Callable[[int, FrameType | None], None]) -> Handlers:
+    """Set a handler in the main thread, the only one that receives signals; return the previous handlers."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {number: signal.signal(number, handler) for number in numbers}
+
+
+def _restore(handlers: Handlers) -> None:
+    while handlers:
+        signal.signal(*handlers.popitem())
 
 
 class StopRequest:
@@ -45,33 +55,28 @@ class StopRequest:
         """Start without a request."""
         self.is_set = False
         self.by = ""  #: Name of the signal, such as SIGTERM.
-        self._previous: dict[signal.Signals, Any] = {}
+        self._previous: Handlers = {}
 
     def __enter__(self) -> "StopRequest":
-        """Install the handlers, if this is the main thread, the only one that receives signals."""
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, *_terminations()):
-                self._previous[number] = signal.signal(number, self._request)
+        """Install the handlers."""
+        self._previous = _installed([signal.SIGINT, *_terminations()], self._request)
         return self
 
     def __exit__(self, *_: object) -> None:
         """Restore the previous handlers."""
-        while self._previous:
-            number, handler = self._previous.popitem()
-            signal.signal(number, handler)
+        _restore(self._previous)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.is_set, self.by = True, signal.Signals(number).name
-        self.__exit__()
+        _restore(self._previous)
 
 
 def end_with_parent() -> None:
     """End this child process when its parent process ends for any reason."""
-    threading.Thread(target=_wait_for_end_of_parent, daemon=True).start()
 
+    def wait() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(1)
 
-def _wait_for_end_of_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=wait, daemon=True).start()

@@ -59,18 +59,11 @@ def named(argument: str) -> str:
 
 def announce(file: str) -> None:
     """Add a file to those that `import_files` imports, in this process and in child processes."""
-    files = _announced()
-    path = str(Path(file).absolute())
-    if path not in files:
-        os.environ[VARIABLE] = os.pathsep.join([*files, path])
+    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*_announced(), str(Path(file).absolute())]))
 
 
 def import_files() -> None:
-    """Import all announced files, each once.
-
-    Raises:
-        InvalidValueError: A file cannot be imported, or the package uses a name in it.
-    """
+    """Import all announced files, each once; raise as `import_file` does."""
     for name in _announced():
         import_file(name)
 
@@ -102,17 +95,18 @@ def import_file(name: str) -> ModuleType:
             f"'{name}' cannot be imported: {type(error).__name__}{where}: {error}; correct it."
         ) from error
     for each in _CATALOGUES:
-        each.join(module)
+        for value in defined(module, each.kind):
+            add(value)
     _MODULES[str(path)] = module
     return module
 
 
 def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
     """Return the package's values of a type, by name; values of user files are added to them."""
-    found = _Catalogue(kind=kind, values=values, of_package=frozenset(values))
-    _CATALOGUES.append(found)
+    _CATALOGUES.append(_Catalogue(kind=kind, values=values, of_package=frozenset(values)))
     for module in _MODULES.values():
-        found.join(module)
+        for value in defined(module, kind):
+            add(value)
     return values
 
 
@@ -124,7 +118,12 @@ def add(value: Any) -> str:
     """
     for each in _CATALOGUES:
         if isinstance(value, each.kind):
-            each.add(value)
+            if value.name in each.of_package and each.values[value.name] != value:
+                kind = each.kind.__name__
+                raise InvalidValueError(
+                    f"the package has another {kind} called '{value.name}'; rename yours."
+                )
+            each.values[value.name] = value
     return value.name
 
 
@@ -140,17 +139,6 @@ class _Catalogue:
     kind: type  #: Type of its values.
     values: dict[str, Any]  #: Values by name.
     of_package: frozenset[str]  #: Names of the package's values.
-
-    def join(self, module: ModuleType) -> None:
-        for value in defined(module, self.kind):
-            self.add(value)
-
-    def add(self, value: Any) -> None:
-        if value.name in self.of_package and self.values[value.name] != value:
-            raise InvalidValueError(
-                f"the package has another {self.kind.__name__} called '{value.name}'; rename yours."
-            )
-        self.values[value.name] = value
 
 
 def _announced() -> list[str]:

@@ -1,11 +1,10 @@
 """Shipped policies, and the resolution of policy names and folders; loads no network."""
 
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import Annotated
 
-from pixel2catch.checks import Requirement
+from pixel2catch.checks import Meets
 from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 
 DEFAULT_POLICY = "catch_alone+fit"  #: Default policy of all commands.
@@ -55,14 +54,5 @@ def policy_folder(folder: Path | None) -> Path:
     return found
 
 
-@final
-@dataclass(frozen=True)
-class ExistingPolicy(Requirement):
-    """An existing policy."""
-
-    def require(self, name: str, value: Any) -> None:  # noqa: D102 (documented in the interface)
-        policy_folder(Path(value))
-
-
-PolicyPath = Annotated[Path, ExistingPolicy()]
+PolicyPath = Annotated[Path, Meets(policy_folder, "name a policy")]
 """Folder of a policy or of its training run, its ONNX file, or the name of a shipped one."""

@@ -5,7 +5,7 @@ import torch
 
 from pixel2catch.camera.boxes import box_of_points, perturb_box, pixel_features
 from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project, ray_directions
-from pixel2catch.device_constants import keeping
+from pixel2catch.devices import keeping
 from pixel2catch.scene.constants import RGB_CAMERA
 
 

@@ -8,7 +8,7 @@ from packaging.specifiers import SpecifierSet
 
 from pixel2catch.cli import doctor as probes
 from pixel2catch.cli.main import main
-from pixel2catch.findings import check
+from pixel2catch.installation import check
 
 NEEDED = {"packages", "policy, physics"}
 

@@ -7,7 +7,7 @@ import sys
 
 import torch
 
-from pixel2catch.device_constants import keeping
+from pixel2catch.devices import keeping
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.sim.fusion import fused

@@ -15,7 +15,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory, receive_buffers
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.findings import Absent, Broken, Check
+from pixel2catch.installation import Absent, Broken, Check
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import DriverJoint, Profile

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.api.threads import let_torch_sleep
 from pixel2catch.api.training import run
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -55,7 +54,6 @@ def make(
     """
     _require_named("method", method, Method)
     _require_named("task", task, CatchEnvCfg)
-    let_torch_sleep()
     cfg = find_task(task) if isinstance(task, str) else task
     if workcell is not None:
         cfg = cfg.with_workcell(find_workcell(_known(workcell)))
@@ -104,7 +102,6 @@ def evaluate(
     if policy is None or isinstance(policy, str | Path):
         policy = load_policy(policy)
     policy = policy.to(device)
-    let_torch_sleep()
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,
@@ -148,7 +145,6 @@ def train(
         Pixel2CatchError: As `learning.train.train`.
     """
     require_known(options)
-    let_torch_sleep()
     given = {"dynamics": dynamics, "camera": camera}
     inputs = {key: None if file is None else Path(file) for key, file in given.items()}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None

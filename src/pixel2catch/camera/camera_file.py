@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.checks import Share, Within, require_valid
-from pixel2catch.device_constants import constant
+from pixel2catch.devices import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3

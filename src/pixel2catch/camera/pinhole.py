@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.device_constants import constant
+from pixel2catch.devices import constant
 from pixel2catch.scene.constants import CameraSpec
 
 Matrix = tuple[tuple[float, ...], ...]

@@ -113,7 +113,7 @@ def measure(policy: "Policy", experiment: "Experiment", updates: int) -> Row:
     """
     import torch
 
-    from pixel2catch.device_time import DeviceTime
+    from pixel2catch.devices import DeviceTime
     from pixel2catch.envs.catch_env import CatchEnv
     from pixel2catch.learning.log import METRICS_FILE, read_rows
     from pixel2catch.learning.train import train

@@ -15,8 +15,16 @@ from rich.text import Text
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
 from pixel2catch.files import json_text
-from pixel2catch.findings import Absent, Broken, Check, check
-from pixel2catch.installation import PACKAGE, install_command, needs_extra, requirements
+from pixel2catch.installation import (
+    PACKAGE,
+    Absent,
+    Broken,
+    Check,
+    check,
+    install_command,
+    needs_extra,
+    requirements,
+)
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}

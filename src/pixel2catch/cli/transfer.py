@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, NotEmpty, ResultsFolder, Seed, Within
+from pixel2catch.checks import NOT_EMPTY, Count, ResultsFolder, Seed, Within
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath, policy_folder
@@ -28,7 +28,7 @@ class Transfer:
     #: catch_alone+fit.
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Engines: mujoco, physx, drake; the others are compared with the first, the home.
-    engines: Annotated[tuple[str, ...], NotEmpty()] = ("mujoco", "physx")
+    engines: Annotated[tuple[str, ...], NOT_EMPTY] = ("mujoco", "physx")
     #: Restitutions of the objects; drake has 0 alone. Default: drawn for every throw, from 0 to 0.5, as in
     #: training.
     restitution: tuple[Share, ...] = ()

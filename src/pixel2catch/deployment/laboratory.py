@@ -16,7 +16,7 @@ import numpy as np
 
 from pixel2catch.deployment.perception import EARLIEST, lens_difference
 from pixel2catch.errors import DeploymentError
-from pixel2catch.findings import Absent, Broken, Check, check
+from pixel2catch.installation import Absent, Broken, Check, check
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile, RobotPart
 from pixel2catch.ros2.transport import Clock, Endpoint, Topic, Transport

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.checks import NotEmpty, Share
+from pixel2catch.checks import NOT_EMPTY, Share
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -49,7 +49,7 @@ class CatchEnvCfg:
     scene: SceneCfg = field(default_factory=SceneCfg)  #: Robots, physics and camera of the model.
     #: Identified dynamics of joints; other joints have nominal dynamics.
     dynamics: JointDynamics | None = None
-    objects: Annotated[tuple[str, ...], NotEmpty()] = SEEN  #: Names of the objects that are thrown.
+    objects: Annotated[tuple[str, ...], NOT_EMPTY] = SEEN  #: Names of the objects that are thrown.
     throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Ranges from which throws are drawn.
     #: What is drawn for each episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)

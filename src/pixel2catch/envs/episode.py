@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.device_constants import constant
+from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.control_step import Columns, Transition, take

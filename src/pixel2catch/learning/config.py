@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pixel2catch.checks import (
-    Above,
     Count,
     Device,
     PhysicsRate,
@@ -74,19 +73,19 @@ class TrainCfg:
     #: How the learning rate changes: linear over the transitions, or adapted to the KL divergence.
     schedule: Literal["linear", "kl"] = "linear"
     #: Learning rate at the start.
-    learning_rate: Annotated[float, Above(0.0, 1.0)] = 1e-3
+    learning_rate: Annotated[float, Within(0.0, 1.0, is_open=True)] = 1e-3
     #: Learning rate at the end (linear), or its lower bound (kl).
     final_learning_rate: Share = 3e-5
     #: Target of the KL divergence with the kl schedule. Source: paper, Sec. IV-E.
-    kl_target: Annotated[float, Above(0.0, 10.0)] = 0.016
+    kl_target: Annotated[float, Within(0.0, 10.0, is_open=True)] = 0.016
     #: Discount factor (gamma) of a control step. Source: paper, Sec. IV-E.
     discount: Share = 0.99
     #: Lambda of the generalised advantage estimate. Source: release.
     gae_lambda: Share = 0.95
     #: Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E.
-    ratio_clip: Annotated[float, Above(0.0, 10.0)] = 0.2
+    ratio_clip: Annotated[float, Within(0.0, 10.0, is_open=True)] = 0.2
     #: Clip of the change of a (standardised) value in an update. Source: release.
-    value_clip: Annotated[float, Above(0.0, 1000.0)] = 0.2
+    value_clip: Annotated[float, Within(0.0, 1000.0, is_open=True)] = 0.2
     #: Error of a value: clipped, after the clip (release), or maximum, the larger of that and the error
     #: without the clip, whose gradient does not vanish beyond the clip.
     value_loss: Literal["clipped", "maximum"] = "clipped"
@@ -95,7 +94,7 @@ class TrainCfg:
     #: Weight of the entropy bonus. Source: release.
     entropy_scale: Annotated[float, Within(0.0, 100.0)] = 0.0
     #: Largest norm of an agent's gradient. Source: release.
-    gradient_clip: Annotated[float, Above(0.0, 1e6)] = 1.0
+    gradient_clip: Annotated[float, Within(0.0, 1e6, is_open=True)] = 1.0
     #: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E (cpu: ours). With --start: those
     #: of that policy.
     hidden: tuple[Width, ...] = (512, 256, 128)

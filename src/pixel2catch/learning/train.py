@@ -11,7 +11,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pixel2catch.device_time import DeviceTime
+from pixel2catch.devices import DeviceTime
 from pixel2catch.envs.catch_env import CatchEnv, Observation
 from pixel2catch.errors import CheckpointError, NonFiniteError, PolicyMismatchError
 from pixel2catch.interruption import StopRequest

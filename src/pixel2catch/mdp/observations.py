@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import nominal_projection
-from pixel2catch.device_constants import constant
+from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 

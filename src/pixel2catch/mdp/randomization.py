@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.checks import Amount, Range, Within
-from pixel2catch.device_constants import constant
+from pixel2catch.devices import constant
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import drawn, uniform

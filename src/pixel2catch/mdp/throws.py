@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pixel2catch.checks import Amount, InOrder, Range, Within
-from pixel2catch.device_constants import constant
+from pixel2catch.checks import IN_ORDER, Amount, Range, Within
+from pixel2catch.devices import constant
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 
 Depth = Annotated[Range, Within(0.05, 10.0)]  #: Along x [m].
@@ -33,7 +33,7 @@ class ThrowCfg:
     peak_z: Height = (1.6, 1.9)  #: Highest point of the path.
     clearance: Annotated[float, Within(0.01, 3.0)] = 0.2  #: Least height of the peak over release and aim.
     #: Control steps that the object hovers before it flies, first and last.
-    hover_steps: Annotated[tuple[int, int], InOrder(), Within(1, 900)] = (5, 19)
+    hover_steps: Annotated[tuple[int, int], IN_ORDER, Within(1, 900)] = (5, 19)
     #: Standard deviation of the relative error of the speed at release (ours; paper: no errors, no spin).
     speed_deviation: Annotated[Amount, Within(0.0, 0.5)] = 0.0
     #: Standard deviation of the errors of its elevation and azimuth [rad].

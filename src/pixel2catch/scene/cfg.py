@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeVar
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.checks import InOrder, PhysicsRate, Share, Within
+from pixel2catch.checks import IN_ORDER, PhysicsRate, Share, Within
 from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -35,7 +35,7 @@ Impedance = Annotated[
         Annotated[float, Within(0.01, 0.99)],
         Annotated[float, Within(1.0, 10.0)],
     ],
-    InOrder(),
+    IN_ORDER,
 ]
 """MuJoCo's `solimp`: least and largest impedance, width [m], midpoint and power."""
 

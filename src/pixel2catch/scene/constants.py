@@ -7,7 +7,7 @@ the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configu
 from dataclasses import dataclass
 from typing import Annotated
 
-from pixel2catch.checks import UnitLength, Within
+from pixel2catch.checks import UNIT_LENGTH, Within
 from pixel2catch.robots.spec import Quat, Vec3
 
 GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
@@ -41,7 +41,7 @@ class CameraSpec:
     cy: Annotated[float, Within(-1e5, 1e5)]  #: Row of the optical axis [px].
     pos: Annotated[Vec3, Within(-100.0, 100.0)]  #: Position of the optical centre, world frame [m].
     #: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
-    quat: Annotated[Quat, Within(-1.01, 1.01), UnitLength()]
+    quat: Annotated[Quat, Within(-1.01, 1.01), UNIT_LENGTH]
 
     @property
     def matrix(self) -> tuple[Vec3, Vec3, Vec3]:

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
-from pixel2catch.device_constants import Constants, keeping
+from pixel2catch.devices import Constants, keeping
 
 Result = TypeVar("Result")
 
