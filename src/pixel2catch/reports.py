@@ -88,10 +88,7 @@ def circumstances() -> dict[str, Any]:
 
 def _cpu_name() -> str | None:
     """Return the kernel's name of the first processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return None
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), None)
 
 
