@@ -134,7 +134,7 @@ def methods(hue: tuple[float, float] | None) -> dict[str, Callable[[], Method]]:
         "MIL": Mil,
     }
     if hue is not None:
-        colors = ColorRange(hue=hue, saturation=(0.4, 1.0), value=(0.2, 1.0))
+        colors = ColorRange(hue=hue)
         made["color"] = lambda: Ours(ColorThreshold(colors))
     return made
 

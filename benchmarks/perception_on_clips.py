@@ -17,7 +17,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.labels import Labels, Truth
-from pixel2catch.perception.sources import ImageFit, SourceCfg, ticks_of
+from pixel2catch.perception.sources import ImageFit, on_control_clock, video_images
 
 HUES = {"red": (340.0, 20.0), "orange": (8.0, 45.0), "yellow": (42.0, 75.0), "blue": (195.0, 235.0)}
 """Hues that one would give `--color` for an object of which a label file says such a word [degrees]."""
@@ -58,7 +58,7 @@ def shown(video: Path, labels: Labels) -> tuple[list[Pixels], list[Truth | None]
     fit = ImageFit(own=(labels.width, labels.height))
     notes: list[str] = []
     images, truths, last = [], [], -1.0
-    for tick in ticks_of(SourceCfg(name=str(video)), notes, fit):
+    for tick in on_control_clock(video_images(video, notes), notes, fit):
         if tick.image.stamp <= last:
             continue
         last, label = tick.image.stamp, labels.at(tick.image.stamp)

@@ -39,7 +39,7 @@ from pixel2catch.rendering.camera import CameraCfg, Moment
 from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.objects import select_objects
 
-RED = ColorRange(hue=(350.0, 16.0), saturation=(0.55, 1.0))
+RED = ColorRange(hue=(350.0, 16.0))
 """What a person finds who looks at the object's pixels."""
 
 GAP_START, GAP_IMAGES = 8, 4

@@ -22,7 +22,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
-from pixel2catch.perception.calibration.target import read_image
+from pixel2catch.perception.calibration.lens import read_image
 from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import bags, messages
 from pixel2catch.ros2.messages import STORE

@@ -26,10 +26,9 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import read_run
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import find_method
-from pixel2catch.perception.calibration.intrinsics import read_intrinsics
-from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+from pixel2catch.perception.calibration.lens import CharucoBoard, read_image, read_lens
 from pixel2catch.perception.labels import Label, Labels
-from pixel2catch.perception.sources import SourceCfg, ticks_of
+from pixel2catch.perception.sources import images_of
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.robots.ur5e import UR5E
@@ -156,8 +155,8 @@ def _read_bag(file: Path) -> None:
     path, errors = file if file.suffix != ".yaml" else file.parent, []
     for read in (
         lambda: read_rosbag(path, ARM),
-        lambda: [*ticks_of(SourceCfg(name=str(path), joints=ARM), [])],
-        lambda: read_intrinsics(path, CharucoBoard()),
+        lambda: [*images_of(str(path), [], joints=ARM)],
+        lambda: read_lens(path, CharucoBoard()),
     ):
         try:
             read()
@@ -236,7 +235,7 @@ KINDS = {
     "mcap": Kind(write=_bag, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
     "png": Kind(write=_png, read=read_image),
-    "mp4": Kind(write=_mp4, read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]),
+    "mp4": Kind(write=_mp4, read=lambda f: [*images_of(str(f), [])]),
     "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
     "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),

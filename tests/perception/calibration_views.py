@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.perception.calibration.extrinsics import HandView
-from pixel2catch.perception.calibration.intrinsics import Intrinsics
-from pixel2catch.perception.calibration.target import SQUARE, SQUARES, BoardView, CharucoBoard
+from pixel2catch.perception.calibration.lens import SQUARE, SQUARES, BoardView, CharucoBoard
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.ur5e import ARM
@@ -39,8 +39,8 @@ def camera_pose(camera: CameraSpec) -> np.ndarray:
     return pose_matrix(camera.pos, camera.quat)
 
 
-def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
-    return Intrinsics(size=(camera.width, camera.height), matrix=np.array(camera.matrix))
+def lens(distortion: tuple[float, ...] = ()) -> CameraFile:
+    return CameraFile(camera=RGB_CAMERA, distortion=distortion)
 
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:
@@ -52,10 +52,10 @@ def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> n
     return np.linalg.inv(camera_pose(camera)) @ palm(joint_pos) @ BOARD
 
 
-def pixels_of(pose: np.ndarray, points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+def pixels_of(pose: np.ndarray, points: np.ndarray, lens: CameraFile) -> np.ndarray:
     seen = points @ pose[:3, :3].T + pose[:3, 3]
-    distortion = np.array(intrinsics.distortion or np.zeros(4))
-    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), intrinsics.matrix, distortion)
+    matrix, distortion = np.array(lens.camera.matrix), np.array(lens.distortion or np.zeros(4))
+    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)
     return pixels[:, 0]
 
 
@@ -82,10 +82,9 @@ def hand_views(
     """
     offsets = np.zeros((num, len(HOME))) if offsets is None else offsets
     rng = np.random.default_rng(seed + 1)
-    intrinsics = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=distortion)
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
-        pixels = pixels_of(board_in_camera(joint_pos), CORNERS, intrinsics)
+        pixels = pixels_of(board_in_camera(joint_pos), CORNERS, lens(distortion))
         view = BoardView(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
         views.append(HandView(name=f"view{i}", view=view, palm=palm(joint_pos + offsets[i])))
     return views
@@ -110,7 +109,7 @@ def troubled_views(
     """
     rng = np.random.default_rng(1000 + seed)
     offsets, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)
-    corners, center = true_size * (1.0 + rng.normal(0, square)) * CORNERS, lens().matrix[:2, 2]
+    corners, center = true_size * (1.0 + rng.normal(0, square)) * CORNERS, np.array(RGB_CAMERA.matrix)[:2, 2]
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
         pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, lens()) - center)
@@ -137,7 +136,7 @@ def rendered(pose: np.ndarray, rng: np.random.Generator, magnification: int = 4)
     board, scale = texture()
     edge = round(MARGIN * scale) / scale
     to_board = np.array(((1 / scale, 0, -edge), (0, 1 / scale, -edge), (0, 0, 1.0)))
-    plane = lens().matrix @ pose[:3, [0, 1, 3]] @ to_board
+    plane = np.array(RGB_CAMERA.matrix) @ pose[:3, [0, 1, 3]] @ to_board
     finer = np.diag((magnification, magnification, 1.0))
     centers = np.array(((1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.0)))  # OpenCV's (0, 0) is a pixel's middle
     homography = np.linalg.inv(centers) @ finer @ plane @ centers

@@ -17,7 +17,7 @@ from pixel2catch.camera.image import Image
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.perception.calibration.capture import Capture, blur
-from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+from pixel2catch.perception.calibration.lens import CharucoBoard, read_image
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile

@@ -10,7 +10,7 @@ from calibration_views import board_in_camera, poses, rendered
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
-from pixel2catch.perception.calibration.target import SQUARE, CharucoBoard, read_image
+from pixel2catch.perception.calibration.lens import SQUARE, CharucoBoard, read_image
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.constants import RGB_CAMERA
 

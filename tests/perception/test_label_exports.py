@@ -79,7 +79,7 @@ def test_a_file_of_this_package_needs_no_video(tmp_path: Path):
         ("coco.json", "frame_000005.png", "last.png", "'last.png' has no number"),
         ("cvat_video.xml", "</annotations>", "", "no XML"),
         ("cvat_video.xml", "<annotations>", "<!DOCTYPE a><annotations>", "document type"),
-        ("cvat_video.xml", 'frame="5"', 'frame="99999999"', "more than 100000 images"),
+        ("cvat_video.xml", 'frame="5"', 'frame="99999999"', "image 99999999, the video has 8 images"),
         (
             "label_studio.json",
             '"was_cancelled": false',

@@ -51,7 +51,7 @@ def change_type(folder: Path) -> None:
     [
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
         (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
-        (replace_by_the_makers_file, "has no weights"),
+        (replace_by_the_makers_file, "cannot be read as SAM 2: .*model.safetensors"),
         (drop_weights, "lacks [0-9]+ weights of SAM 2, such as memory_encoder"),
     ],
 )

@@ -5,7 +5,6 @@ import painted
 import pytest
 from painted import Disc
 
-from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.regions import Blob, find_blobs
 from pixel2catch.perception.segmenter import (
     LARGEST_REACH,
@@ -117,18 +116,6 @@ def test_hues_are_degrees_of_the_colour_circle(color: tuple[int, int, int], hue:
 def test_grey_and_dark_have_no_colour():
     for color in ((128, 128, 128), (130, 120, 120), (30, 0, 0)):
         assert not REDS.mask(np.full((9, 9, 3), color, dtype=np.uint8)).any()
-
-
-@pytest.mark.parametrize(
-    ("bounds", "name"),
-    [
-        ({"hue": (0.0, 9.0), "saturation": (0.9, 0.4)}, "saturation"),
-        ({"hue": (0.0, 9.0), "value": (0.0, 255.0)}, "value"),
-    ],
-)
-def test_a_range_without_colours_is_refused(bounds: dict[str, tuple[float, float]], name: str):
-    with pytest.raises(PerceptionError, match=name):
-        ColorRange(**bounds)
 
 
 def test_a_red_ball_is_followed_past_another_that_lies_still():

@@ -16,23 +16,10 @@ from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.mdp.observations import ObservationInputs, pixels
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import find_method
+from pixel2catch.perception import sightings as looks
 from pixel2catch.perception.regions import PlausibilityCfg, find_blobs
 from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
-from pixel2catch.perception.sightings import (
-    COLUMNS,
-    HEADER,
-    OUTLINE,
-    SEEN,
-    STALE,
-    Annotator,
-    Color,
-    Sighting,
-    Tally,
-    follow,
-)
-from pixel2catch.perception.sightings import (
-    HELD as HELD_COLOR,
-)
+from pixel2catch.perception.sightings import COLUMNS, HEADER, Sighting, Tally, annotated, follow
 from pixel2catch.perception.sources import Tick, on_control_clock
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -149,7 +136,7 @@ def test_summary_by_hand():
     assert summary["stages_ms"]["total"]["count"] == 5
     assert summary["stages_ms"]["total"]["p99"] == pytest.approx(11.0)
     assert summary["is_fast_enough"]
-    assert not Tally().is_fast_enough
+    assert not Tally().summary()["is_fast_enough"]
     assert Tally().summary()["seen_since_first"] is None
 
 
@@ -159,17 +146,17 @@ def test_one_slow_image_in_a_hundred_is_allowed_and_repeated_ones_do_not_count(
 ):
     new = [sighting(2 * i, Verdict.SEEN, 0.010 if i % every else 0.050) for i in range(600)]
     repeats = [sighting(2 * i + 1, Verdict.REPEATED) for i in range(600)]
-    assert tally_of(*new, *repeats).is_fast_enough == is_fast_enough
+    assert tally_of(*new, *repeats).summary()["is_fast_enough"] == is_fast_enough
 
 
 def picture(verdict: Verdict = Verdict.SEEN, **changes) -> np.ndarray:
     """The part of the picture that shows the image."""
-    drawn = Annotator(CAMERA).picture(sighting(0, verdict, **{"pixels": IMAGE, "mask": MASK, **changes}))
+    drawn = annotated(sighting(0, verdict, **{"pixels": IMAGE, "mask": MASK, **changes}), CAMERA)
     assert drawn.shape == (HEADER + CAMERA.height, CAMERA.width, 3)
     return drawn[HEADER : HEADER + CAMERA.height]
 
 
-def places(image: np.ndarray, color: Color) -> np.ndarray:
+def places(image: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """Columns and rows of the pixels of a colour."""
     return np.argwhere((image == color).all(axis=-1))[:, ::-1]
 
@@ -177,7 +164,7 @@ def places(image: np.ndarray, color: Color) -> np.ndarray:
 def test_box_and_outline_are_drawn_around_the_object_on_a_copy():
     before = IMAGE.copy()
     drawn = picture()
-    edge, outline = places(drawn, SEEN), places(drawn, OUTLINE)
+    edge, outline = places(drawn, looks.SEEN), places(drawn, looks.OUTLINE)
     np.testing.assert_array_equal(edge.min(axis=0), np.array(EDGES[:2]) - 1)
     np.testing.assert_array_equal(edge.max(axis=0), EDGES[2:])
     assert not MASK[edge[:, 1], edge[:, 0]].any()
@@ -189,6 +176,6 @@ def test_box_and_outline_are_drawn_around_the_object_on_a_copy():
 def test_a_held_or_old_box_has_another_colour_and_no_box_is_not_drawn():
     held = picture(Verdict.NOT_FOUND, mask=None)
     stale = picture(Verdict.NOT_FOUND, mask=None, age=1.0)
-    assert len(places(held, HELD_COLOR)) == len(places(stale, STALE)) > 20
+    assert len(places(held, looks.HELD)) == len(places(stale, looks.STALE)) > 20
     np.testing.assert_array_equal(picture(Verdict.NO_PROMPT, mask=None), IMAGE)
     assert not picture(Verdict.BAD_IMAGE, mask=None, pixels=np.zeros((7, 9), dtype=np.uint16)).any()

@@ -1,29 +1,27 @@
-"""Videos, bags and cameras on the control clock, and sources that are none.
+"""Images of videos and bags in every encoding that is read, on the control clock; and what is no source."""
 
-A video file stands for a camera: OpenCV reads both alike, and at its end a file stalls.
-"""
-
-import time
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from filmed import HEIGHT, WIDTH, raw, save_bag, save_video, throw
+from filmed import EPOCH, compressed, joint_state, jpeg, raw, save_bag, save_video, stamp_of, throw
+from rosbags.rosbag2 import StoragePlugin
 
 from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.sources import (
     LONGEST_PAUSE,
-    CameraReader,
-    SourceCfg,
-    live_ticks,
+    camera_images,
+    images_of,
     on_control_clock,
-    ticks_of,
     video_images,
 )
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+PICTURE = next(throw())
 
 
 def test_video_keeps_pixels_and_stamps(tmp_path: Path):
@@ -34,31 +32,27 @@ def test_video_keeps_pixels_and_stamps(tmp_path: Path):
     assert np.abs(difference).mean() < 4.0
 
 
-def test_every_kind_of_source_comes_on_the_control_clock(tmp_path: Path):
-    pictures = list(islice(throw(), 4))
-    video = save_video(tmp_path / "v.mp4", pictures)
-    bag = save_bag(tmp_path / "bag", [raw(step, picture) for step, picture in enumerate(pictures)])
-    (file,) = bag.glob("*.mcap")
-    for source in (video, bag, file):
-        ticks = list(ticks_of(SourceCfg(name=str(source)), []))
-        assert len(ticks) == 4
-        assert all(tick.image.pixels.shape == (HEIGHT, WIDTH, 3) for tick in ticks)
-
-
-def error_of(source: Path | str) -> str:
-    with pytest.raises(PerceptionError) as caught:
-        next(ticks_of(SourceCfg(name=str(source)), []))
-    return str(caught.value)
-
-
 def test_what_is_no_source_is_refused(tmp_path: Path):
     (tmp_path / "notes.txt").write_text("no video")
     (tmp_path / "folder").mkdir()
-    assert "/dev/videoN" in error_of(tmp_path / "nothing.mp4")
-    assert "cannot be read as a video" in error_of(tmp_path / "notes.txt")
-    assert "not a readable rosbag2" in error_of(tmp_path / "folder")
-    assert "video devices here" in error_of("99")
-    assert "video devices here" in error_of("/dev/video99")
+    for name, words in (
+        ("nothing.mp4", "/dev/videoN"),
+        ("notes.txt", "cannot be read as a video"),
+        ("folder", "not a readable rosbag2"),
+        ("/dev/video99", "gives no image: plug it in"),
+    ):
+        with pytest.raises(PerceptionError, match=words):
+            next(images_of(str(tmp_path / name), []))
+
+
+def test_a_camera_gives_images_until_it_fails(tmp_path: Path):
+    """A video file stands for a camera: OpenCV reads both alike."""
+    pictures, notes = list(islice(throw(), 12)), list[str]()
+    frames = list(camera_images(str(save_video(tmp_path / "v.mp4", pictures)), notes))
+    difference = np.array([frame.pixels for frame in frames], dtype=float) - pictures
+    assert np.abs(difference).mean() < 4.0
+    assert (np.diff([frame.stamp for frame in frames]) > 0.0).all()
+    assert notes == ["the camera gives no more images. Is it unplugged?"]
 
 
 def test_a_damaged_video_ends_where_the_damage_begins(tmp_path: Path):
@@ -73,12 +67,9 @@ def test_a_damaged_video_ends_where_the_damage_begins(tmp_path: Path):
     assert notes[0].startswith(f"the video is damaged after {len(frames)} images: Invalid data")
 
 
-IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
-
-
 def images_got(stamps: list[float], notes: list[str] | None = None) -> list[int]:
     """Number of the image that each control step gets; ticks are whole control steps apart."""
-    frames = [Image(pixels=IMAGE, stamp=stamp) for stamp in stamps]
+    frames = [Image(pixels=PICTURE, stamp=stamp) for stamp in stamps]
     ticks = list(on_control_clock(frames, [] if notes is None else notes))
     assert all(tick.image.stamp < tick.now for tick in ticks)
     steps = np.array([(tick.now - stamps[0]) / CONTROL_DT for tick in ticks])
@@ -115,41 +106,93 @@ def test_stamps_that_go_back_are_passed_over_and_said():
     assert notes == ["images no newer than those before them, passed over: 2."]
 
 
-@pytest.fixture
-def capture(tmp_path: Path) -> cv2.VideoCapture:
-    return cv2.VideoCapture(str(save_video(tmp_path / "v.mp4", islice(throw(), 12))))
+NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
-def test_only_the_newest_image_waits(capture: cv2.VideoCapture):
-    """The file is read at once, so the newest image is its last; red, green and blue are in order."""
-    with CameraReader(capture) as reader:
-        frames = [reader.first()]
-        while time.monotonic() - frames[-1].stamp < 0.5:
-            frames.append(reader.newest())
-    last = list(islice(throw(), 12))[-1]
-    assert np.abs(frames[-1].pixels.astype(float) - last).mean() < 4.0
-    assert len({id(frame) for frame in frames}) <= 12
+def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
+    return list(images_of(str(path), [] if notes is None else notes, topic, NAMES))
 
 
-def test_a_camera_that_stalls_repeats_its_image_and_then_ends(capture: cv2.VideoCapture):
+@pytest.mark.parametrize(
+    ("storage", "encoding", "padding"),
+    [
+        (StoragePlugin.MCAP, "rgb8", 0),
+        (StoragePlugin.SQLITE3, "bgr8", 0),
+        (StoragePlugin.MCAP, "rgb8", 24),
+    ],
+)
+def test_raw_images_come_out_as_they_were(
+    storage: StoragePlugin, encoding: str, padding: int, tmp_path: Path
+):
+    pixels = PICTURE if encoding == "rgb8" else PICTURE[..., ::-1]
+    path = save_bag(tmp_path / "bag", [raw(step, pixels, encoding, padding) for step in range(3)], storage)
+    for source in (path, *path.glob("*.mcap")):
+        frames = read(source)
+        assert [frame.stamp for frame in frames] == pytest.approx([stamp_of(step) / 1e9 for step in range(3)])
+        for frame in frames:
+            np.testing.assert_array_equal(frame.pixels, PICTURE)
+            assert frame.joint_pos is None
+
+
+def test_the_time_of_reception_counts_where_a_stamp_is_missing(tmp_path: Path):
+    topic, received, message = raw(0, PICTURE)
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    (frame,) = read(save_bag(tmp_path / "bag", [(topic, received, message)]))
+    assert frame.stamp == pytest.approx(EPOCH + 0.02)
+
+
+def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Path):
+    good = jpeg(PICTURE)
+    messages = [compressed(0, good, "jpeg"), compressed(1, good), compressed(2, good[:9]), compressed(3, b"")]
     notes: list[str] = []
-    ticks = list(live_ticks(capture, notes, longest_stall=0.4))
-    assert 2 <= len(ticks) <= (ticks[-1].now - ticks[0].now) / CONTROL_DT + 2
-    assert ticks[-1].image is ticks[-2].image
-    assert notes == ["the camera gave no image for 0.4 s: ended. Is it unplugged?"]
+    frames = read(save_bag(tmp_path / "bag", messages), notes=notes)
+    assert len(frames) == 2
+    assert np.abs(frames[1].pixels.astype(float) - PICTURE).mean() < 6.0
+    assert len(notes) == 1
+    assert notes[0].startswith("damaged images, passed over: 2; the last of 0 bytes at")
 
 
-def test_steps_that_are_late_are_left_out(capture: cv2.VideoCapture):
-    """A consumer that takes 2.5 steps gets every third tick, on the same clock."""
-    times = []
-    for tick in live_ticks(capture, [], longest_stall=0.8):
-        times.append(tick.now)
-        time.sleep(2.5 * CONTROL_DT)
-    assert np.diff(times).min() > 2.4 * CONTROL_DT
+def test_one_of_several_topics_is_chosen_by_name(tmp_path: Path):
+    path = save_bag(tmp_path / "bag", [raw(0, PICTURE), compressed(0, jpeg(PICTURE))])
+    both = r"/camera/image_raw, /camera/image_raw/compressed"
+    with pytest.raises(
+        PerceptionError, match=rf"several topics have images; choose with --topic out of: {both}"
+    ):
+        read(path)
+    with pytest.raises(PerceptionError, match=rf"no images on a topic /wrist; .*: {both}"):
+        read(path, "/wrist")
+    assert len(read(path, "/camera/image_raw")) == 1
 
 
-def test_a_camera_without_any_image_is_refused(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("pixel2catch.perception.sources.FIRST_IMAGE_TIMEOUT", 0.05)
-    nothing = cv2.VideoCapture()
-    with pytest.raises(PerceptionError, match=r"open but gave no image in 0\.05 s: plug it in again"):
-        next(live_ticks(nothing, []))
+def test_encodings_without_colour_are_refused(tmp_path: Path):
+    grey = save_bag(tmp_path / "grey", [raw(0, PICTURE[..., :1], "mono8")])
+    with pytest.raises(PerceptionError, match=r"'mono8' is not read; record rgb8 or bgr8"):
+        read(grey)
+    depth = save_bag(tmp_path / "depth", [compressed(0, b"x", "16UC1; compressedDepth png")])
+    with pytest.raises(PerceptionError, match=r"compressedDepth.* is not read; record jpeg or png"):
+        read(depth)
+
+
+def test_a_bag_without_images_says_so(tmp_path: Path):
+    path = save_bag(tmp_path / "bag", [joint_state(stamp_of(0), NAMES, np.zeros(len(NAMES)))])
+    with pytest.raises(PerceptionError, match="no topic has images"):
+        read(path)
+
+
+def test_an_image_has_the_joint_positions_of_its_time(tmp_path: Path):
+    """Arm and hand are published one after the other; an image arrives later than the states of its time."""
+    arm, hand = NAMES[:6], NAMES[6:]
+
+    def state(time: int, value: float) -> list[Any]:
+        position = np.full(len(NAMES), value)
+        return [joint_state(time, arm, position[:6]), joint_state(time, hand, position[6:])]
+
+    messages = [
+        raw(0, PICTURE),
+        *state(stamp_of(1), 1.0),
+        *state(stamp_of(1) + 10_000_000, 2.0),
+        raw(1, PICTURE),
+    ]
+    first, second = read(save_bag(tmp_path / "bag", messages))
+    assert first.joint_pos is None
+    np.testing.assert_array_equal(second.joint_pos, np.ones(len(NAMES)))

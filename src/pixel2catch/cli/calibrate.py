@@ -23,10 +23,10 @@ from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
+    from pixel2catch.camera.camera_file import CameraFile
     from pixel2catch.camera.image import Image
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
-    from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
 STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
@@ -89,7 +89,7 @@ class Calibrate:
     def _take(self) -> Path:
         """Take images until there are enough, or Ctrl-C; return their table."""
         from pixel2catch.perception.calibration.capture import TABLE, Capture
-        from pixel2catch.perception.calibration.target import CharucoBoard
+        from pixel2catch.perception.calibration.lens import CharucoBoard
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -111,8 +111,8 @@ class Calibrate:
     @contextmanager
     def _images(self, joints: tuple[str, ...], notes: list[str]) -> "Iterator[Iterator[Image | None]]":
         """The images of the robot's camera or of the rosbag, with joint positions."""
-        from pixel2catch.perception.bag_images import bag_images
         from pixel2catch.perception.calibration.capture import topic_images
+        from pixel2catch.perception.sources import bag_images
 
         profile = self.link.robot.load()
         if self.source is None:
@@ -121,36 +121,36 @@ class Calibrate:
             return
         theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
         names = tuple(theirs.get(joint, joint) for joint in joints)
-        yield bag_images(self.source, self.topic, names, notes)
+        yield bag_images(self.source, notes, self.topic, names)
 
-    def _calibrate(self, table: Path, intrinsics: "Intrinsics") -> None:
+    def _calibrate(self, table: Path, lens: "CameraFile") -> None:
         from pixel2catch.mdp.throws import ThrowCfg, sample_paths
         from pixel2catch.perception.calibration.comparison import compare
         from pixel2catch.perception.calibration.extrinsics import calibrate
 
-        result = calibrate(self._hand_views(table, intrinsics), intrinsics)
+        result = calibrate(self._hand_views(table, lens), lens)
         paths = sample_paths(ThrowCfg(), NUM_THROWS).reshape(-1, 3).numpy()
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
-        _print_result(result, intrinsics, comparison)
+        _print_result(result, comparison)
         say(f"wrote {self.out}")
 
-    def _lens(self, path: Path) -> "Intrinsics":
+    def _lens(self, path: Path) -> "CameraFile":
         """The lens; InvalidValueError if its images have another size than the policies'."""
-        from pixel2catch.perception.calibration.intrinsics import read_intrinsics
-        from pixel2catch.perception.calibration.target import CharucoBoard
+        from pixel2catch.perception.calibration.lens import CharucoBoard, read_lens
 
         topic = None if self.source else self.topic
-        lens = read_intrinsics(path, CharucoBoard(self.square), topic, is_rectified=self.rectified)
+        lens = read_lens(path, CharucoBoard(self.square), topic, is_rectified=self.rectified)
+        size = (lens.camera.width, lens.camera.height)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
-        if lens.size != wanted:
+        if size != wanted:
             raise InvalidValueError(
-                f"{path} is of images of {lens.size} pixels, but policies look at {wanted}: set the camera "
+                f"{path} is of images of {size} pixels, but policies look at {wanted}: set the camera "
                 "to that resolution and record again."
             )
         return lens
 
-    def _hand_views(self, path: Path, intrinsics: "Intrinsics") -> "list[HandView]":
+    def _hand_views(self, path: Path, lens: "CameraFile") -> "list[HandView]":
         """The corners in every image of a table that shows the board.
 
         It is a RecordingError if the table lacks a column, or has positions that no arm can have.
@@ -160,7 +160,7 @@ class Calibrate:
         from pixel2catch.arrays import read_table
         from pixel2catch.identification.recording import require_motion
         from pixel2catch.perception.calibration.extrinsics import HandView
-        from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+        from pixel2catch.perception.calibration.lens import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
         from pixel2catch.robots.geometry import first_chain
         from pixel2catch.workcells import find_workcell
@@ -182,7 +182,7 @@ class Calibrate:
         poses = zip(names, palms(joint_pos), np.stack(rates, axis=1), strict=True)
         for name, palm, palm_rates in poses:
             image = read_image(path.parent / name)
-            check_image(image, *intrinsics.size)
+            check_image(image, lens.camera.width, lens.camera.height)
             if view := board.find(image):
                 views.append(HandView(name=name, view=view, palm=palm, palm_rates=palm_rates))
             else:
@@ -193,7 +193,7 @@ class Calibrate:
 
 
 def _print_board(path: Path) -> None:
-    from pixel2catch.perception.calibration.target import sheet
+    from pixel2catch.perception.calibration.lens import sheet
 
     page = io.BytesIO()
     sheet().savefig(page, format=path.suffix.lower().lstrip("."))
@@ -201,18 +201,18 @@ def _print_board(path: Path) -> None:
     say(f"wrote {path}: print it at 100 %, then measure a square for --square")
 
 
-def _print_result(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> None:
+def _print_result(result: "Calibration", comparison: "Comparison") -> None:
     """Print the errors of the images, the camera, and what to do."""
     table = Table("image", "RMS [px]", "used", title="seen and computed corners")
     for view in sorted(result.views, key=lambda view: -view.rms):
         table.add_row(Text(view.name), f"{view.rms:.2f}", "yes" if view.is_used else "left out")
     console = results_console()
     console.print(table)
-    for line in _sentences(result, intrinsics, comparison):
+    for line in _sentences(result, comparison):
         console.print(Text(line))
 
 
-def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> Iterator[str]:
+def _sentences(result: "Calibration", comparison: "Comparison") -> Iterator[str]:
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos
@@ -225,8 +225,6 @@ def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Com
     yield f"Reprojection error: {result.rms:.2f} px RMS, worst image {worst.name} with {worst.rms:.2f} px."
     ratio, std = result.square_ratio
     yield f"By the arm's motion the squares are {ratio:.3f} ± {std:.3f} times as large as --square says."
-    if intrinsics.rms is not None:
-        yield f"Reprojection error of the lens: {intrinsics.rms:.2f} px RMS."
     if result.rms > LARGEST_RMS:
         yield "That is a lot: check --square and the lens, the board's fixing, and that the arm stood still."
     yield (

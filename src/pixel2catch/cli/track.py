@@ -3,7 +3,6 @@
 import csv
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import chain, takewhile
 from math import inf
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting, Tally
-    from pixel2catch.perception.sources import ImageFit, SourceCfg
+    from pixel2catch.perception.sources import ImageFit
     from pixel2catch.perception.tracker import Prompter
     from pixel2catch.scene.constants import CameraSpec
 
@@ -63,9 +62,9 @@ class Track:
         """Follow the object, write what was found, and print how long it took."""
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
-            from pixel2catch.perception.bag_images import JOINT_STATES
             from pixel2catch.perception.labels import load_labels
             from pixel2catch.perception.sightings import Tally
+            from pixel2catch.perception.sources import JOINT_STATES
             from pixel2catch.ros2.bags import is_bag
 
         if self.topic and not is_bag(Path(self.source)):
@@ -85,7 +84,7 @@ class Track:
         summary = {**source, **tally.summary(), **truth, "notes": notes}
         text = json_text(summary | {"circumstances": circumstances()})
         write_atomically({self.out / SUMMARY: text.encode()})
-        _print_result(tally, summary)
+        _print_result(summary)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
     def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
@@ -93,14 +92,13 @@ class Track:
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
         from pixel2catch.perception.sightings import follow
-        from pixel2catch.perception.sources import SourceCfg, is_camera, ticks_of
+        from pixel2catch.perception.sources import images_of, is_camera, on_control_clock
         from pixel2catch.perception.tracker import ObjectTracker
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.mask_robot) if self.mask_robot else None
         joints = workcell.joint_names if workcell else ()
-        source = SourceCfg(name=self.source, topic=self.topic, joints=joints)
-        fit, camera = self._fit(source, notes)
+        fit, camera = self._fit(notes)
         if labels:
             labels.require_size(*fit.own)
         tracker = ObjectTracker(
@@ -112,31 +110,34 @@ class Track:
             waits=True,
         )
         scores: list[Score] = []
-        with closing(ticks_of(source, notes, fit)) as ticks:
-            sightings = follow(ticks, tracker, self.at, camera)
-            if labels:
-                sightings = scored(sightings, labels, fit, self.at, scores)
-            first = next(sightings, None)
-            if first is None:
-                raise PerceptionError(f"{self.source} has no images.")
-            with StopRequest() as stop:
-                rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
-                end = inf if self.seconds is None else self.seconds
-                self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
-            if stop.is_set:
-                notes.append("stopped by Ctrl-C.")
+        images = images_of(self.source, notes, self.topic, joints)
+        sightings = follow(on_control_clock(images, notes, fit), tracker, self.at, camera)
+        if labels:
+            sightings = scored(sightings, labels, fit, self.at, scores)
+        first = next(sightings, None)
+        if first is None:
+            raise PerceptionError(f"{self.source} has no images.")
+        with StopRequest() as stop:
+            rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
+            end = inf if self.seconds is None else self.seconds
+            self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
+        if stop.is_set:
+            notes.append("stopped by Ctrl-C.")
         if labels and not scores:
             notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
         return scores
 
-    def _fit(self, source: "SourceCfg", notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
+    def _fit(self, notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
         """How images without a camera file are scaled, and the camera of the scaled images."""
-        from pixel2catch.perception.sources import ImageFit, image_size
+        from pixel2catch.perception.sources import ImageFit, images_of
 
         camera = self.perception.camera_spec(notes)
-        size = (camera.width, camera.height)
-        own = None if self.perception.camera else image_size(source)
-        fit = ImageFit(own=own or size, size=size)
+        own = size = (camera.width, camera.height)
+        if not self.perception.camera:
+            for image in images_of(self.source, [], self.topic):
+                own = image.pixels.shape[1], image.pixels.shape[0]
+                break
+        fit = ImageFit(own=own, size=size)
         if fit.changes:
             (width, height), (wide, high) = fit.own, fit.size
             notes.append(
@@ -154,10 +155,9 @@ class Track:
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
-        from pixel2catch.perception.sightings import COLUMNS, Annotator
+        from pixel2catch.perception.sightings import COLUMNS, annotated
         from pixel2catch.rendering.video import VideoWriter
 
-        annotator = Annotator(camera)
         self.out.mkdir(parents=True, exist_ok=True)
         said = -inf
         with (
@@ -169,27 +169,24 @@ class Track:
             for sighting in sightings:
                 tally.add(sighting)
                 table.writerow(sighting.row())
-                video.write(annotator.picture(sighting))
+                video.write(annotated(sighting, camera))
                 if time.monotonic() - said > REPORT_SECONDS:
                     said = time.monotonic()
                     say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
 
 
-def _print_result(tally: "Tally", summary: dict[str, Any]) -> None:
+def _print_result(summary: dict[str, Any]) -> None:
     """Print the duration of the stages, what was found, and whether it is fast enough."""
     stages = [
-        {
-            "stage": stage,
-            **{name: f"{1e3 * getattr(took, name):.2f}" for name in ("p50", "p95", "p99")},
-            "images": str(took.count),
-        }
-        for stage, took in tally.percentiles().items()
+        {"stage": stage, **{name: f"{took[name]:.2f}" for name in ("p50", "p95", "p99")}}
+        | {"images": str(took["count"])}
+        for stage, took in summary["stages_ms"].items()
     ]
     console = results_console()
     console.print(terminal_table("time of each stage [ms]", stages))
     if "truth" in summary:
         console.print(terminal_table("boxes against the labels", list(_truth_rows(summary["truth"]))))
-    for line in _sentences(tally, summary):
+    for line in _sentences(summary):
         console.print(Text(line))
 
 
@@ -210,7 +207,7 @@ def _truth_rows(truth: dict[str, Any]) -> Iterator[Cells]:
             }
 
 
-def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
+def _sentences(summary: dict[str, Any]) -> "Iterator[str]":
     from pixel2catch.perception.foreground import Weakness
 
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
@@ -230,6 +227,6 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
     limit = f"{summary['limit_ms']:.1f} ms"
     yield (
         f"Fast enough: 99 % of the images took less than a control step, {limit}."
-        if tally.is_fast_enough
+        if summary["is_fast_enough"]
         else f"TOO SLOW: 99 % of the images must take less than a control step, {limit}."
     )

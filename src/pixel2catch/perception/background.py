@@ -1,6 +1,5 @@
 """The object by its motion and its colours: what differs from the background near its expected place."""
 
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from math import hypot, inf, pi
@@ -112,7 +111,7 @@ class BackgroundSubtraction(Segmenter):
         """Find the object in the next image, or at its prompt."""
         assert motion is not None
         if self._track is None:
-            return replace(NOT_FOUND, doubt=motion.doubt)
+            return NOT_FOUND
         maybe = None
         if prompt is not None:
             inside, maybe = prompted(prompt.box, motion.image)
@@ -129,7 +128,7 @@ class BackgroundSubtraction(Segmenter):
             if not is_box:
                 self._resize(blob, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
-        return replace(segmentation, doubt=motion.doubt)
+        return segmentation
 
     def _object(
         self, motion: ImageMotion, track: ImageTrack, within: Mask | None

@@ -4,10 +4,9 @@
 """
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, get_args
 from xml.etree import ElementTree
@@ -22,8 +21,6 @@ FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older
 
 SAME_TIME = 0.002
 """Stamps that differ by less are those of one image [s]. Source: ours, a third of a period at 150 Hz."""
-
-MOST_HIDDEN = 100_000  #: Images of a track between two boxes. Source: ours, half an hour.
 
 Phase = Literal["held", "flight", "near the hand"]
 """Part of a throw: in the thrower's hand, in the air, at or in the robot's hand."""
@@ -67,16 +64,12 @@ class Labels:
         if numbers != sorted(set(numbers)) or min(numbers, default=0) < 0:
             raise InvalidValueError("images must be in order, each once, numbered from 0")
         for label in self.images:
-            if label.box is not None and not self._holds(label.box):
+            xmin, ymin, xmax, ymax = label.box or (0, 0, 1, 1)
+            if not (0 <= xmin < xmax <= self.width and 0 <= ymin < ymax <= self.height):
                 raise InvalidValueError(
                     f"the box of image {label.image} is {label.box}; it must be xmin, ymin, xmax, ymax in an "
                     f"image of {self.width} by {self.height} px, null where nothing is visible"
                 )
-
-    def _holds(self, box: Edges) -> bool:
-        xmin, ymin, xmax, ymax = box
-        in_order = 0 <= xmin < xmax <= self.width and 0 <= ymin < ymax <= self.height
-        return in_order and all(map(isfinite, box))
 
     def at(self, time: float) -> Label | None:
         """Return the label of the image with this stamp [s], if it has one."""
@@ -131,11 +124,11 @@ def load_labels(path: Path, video: Path) -> Labels:
             size = (frame.pixels.shape[1], frame.pixels.shape[0])
         match content:
             case None:
-                size, marks = _cvat(text)
+                size, marks = _cvat(text, len(stamps))
             case {"images": list(images), "annotations": list()} if images:
                 size, marks = _coco(content)
             case [*tasks] if tasks:
-                marks = _label_studio(_task_of(tasks, video.name), size, len(stamps))
+                marks = _label_studio(tasks, video.name, size, len(stamps))
             case _:
                 raise InvalidValueError("it is neither CVAT's XML, nor COCO, nor JSON of Label Studio")
         seconds = stamps[-1] - stamps[0]
@@ -183,7 +176,28 @@ def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Lab
         yield Label(image=image, time=stamps[image], phase=named[0] if named else "flight", box=box)
 
 
-def _cvat(text: str) -> tuple[Size, list[_Mark]]:
+def _mark(image: int, name: str, phase: str, box: Iterable[Any], rotation: Any) -> _Mark:
+    """The mark of a box; InvalidValueError if it is rotated [degrees]."""
+    if float(rotation) % 360.0:
+        raise InvalidValueError(f"the box of image {image} is rotated by {rotation}°; draw it upright")
+    xmin, ymin, xmax, ymax = map(float, box)
+    return _Mark(image=image, name=name, phase=phase, box=(xmin, ymin, xmax, ymax))
+
+
+def _between(mark: _Mark, following: _Mark, num_images: int, *, is_visible: bool) -> Iterator[_Mark]:
+    """Yield the interpolated boxes between two of a track, or that nothing is visible between them."""
+    for image in range(mark.image + 1, min(following.image, num_images)):
+        box = None
+        if is_visible and mark.box and following.box:
+            share = (image - mark.image) / (following.image - mark.image)
+            xmin, ymin, xmax, ymax = (
+                a + share * (b - a) for a, b in zip(mark.box, following.box, strict=True)
+            )
+            box = xmin, ymin, xmax, ymax
+        yield replace(mark, image=image, box=box)
+
+
+def _cvat(text: str, num_images: int) -> tuple[Size, list[_Mark]]:
     """Read 'CVAT for video 1.1' or 'CVAT for images 1.1'.
 
     Source: docs.cvat.ai, XML annotation format. A box that is `outside` ends a track until its next box.
@@ -194,32 +208,28 @@ def _cvat(text: str) -> tuple[Size, list[_Mark]]:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InvalidValueError(f"it is no XML: {error}") from None
+
+    def mark_of(box: ElementTree.Element, name: str, image: int) -> _Mark:
+        phases = (each.text or "" for each in box.iter("attribute") if each.get("name") == "phase")
+        edges = (box.attrib[edge] for edge in ("xtl", "ytl", "xbr", "ybr"))
+        mark = _mark(image, name, next(phases, ""), edges, box.get("rotation", 0.0))
+        return replace(mark, box=None) if box.get("outside") == "1" else mark
+
     marks = []
     for image in root.iter("image"):
         number = _number(image.attrib["name"])
-        marks += [_cvat_mark(box, box.attrib["label"], number) for box in image.iter("box")]
+        marks += [mark_of(box, box.attrib["label"], number) for box in image.iter("box")]
     for track in root.iter("track"):
-        found = [
-            _cvat_mark(box, track.attrib["label"], int(box.attrib["frame"])) for box in track.iter("box")
-        ]
+        found = [mark_of(box, track.attrib["label"], int(box.attrib["frame"])) for box in track.iter("box")]
         found.sort(key=lambda mark: mark.image)
         marks += found
         for mark, following in pairwise(found):
-            if mark.box is None:
-                marks += _hidden(mark, following.image)
+            marks += _between(mark, following, num_images, is_visible=mark.box is not None)
     sized = root.find(".//original_size")
     if sized is not None:
         return (int(sized.findtext("width", "")), int(sized.findtext("height", ""))), marks
     first = next(root.iter("image")).attrib
     return (int(first["width"]), int(first["height"])), marks
-
-
-def _cvat_mark(box: ElementTree.Element, name: str, image: int) -> _Mark:
-    _require_upright(float(box.get("rotation", 0.0)), image)
-    phase = next((each.text or "" for each in box.iter("attribute") if each.get("name") == "phase"), "")
-    xmin, ymin, xmax, ymax = (float(box.attrib[edge]) for edge in ("xtl", "ytl", "xbr", "ybr"))
-    edges = None if box.get("outside") == "1" else (xmin, ymin, xmax, ymax)
-    return _Mark(image=image, name=name, phase=phase, box=edges)
 
 
 def _coco(content: dict[str, Any]) -> tuple[Size, list[_Mark]]:
@@ -229,74 +239,43 @@ def _coco(content: dict[str, Any]) -> tuple[Size, list[_Mark]]:
     marks = []
     for each in content["annotations"]:
         image, attributes = numbers[each["image_id"]], each.get("attributes", {})
-        _require_upright(attributes.get("rotation", 0.0), image)
         x, y, width, height = map(float, each["bbox"])
         name, phase = names.get(each["category_id"], ""), str(attributes.get("phase", ""))
-        marks.append(_Mark(image=image, name=name, phase=phase, box=(x, y, x + width, y + height)))
+        box = (x, y, x + width, y + height)
+        marks.append(_mark(image, name, phase, box, attributes.get("rotation", 0.0)))
     first = content["images"][0]
     return (int(first["width"]), int(first["height"])), marks
 
 
-def _label_studio(results: list[Any], size: Size, num_images: int) -> list[_Mark]:
+def _label_studio(tasks: list[Any], video: str, size: Size, num_images: int) -> list[_Mark]:
     """Read key frames of `VideoRectangle`, which counts frames from 1 and edges in percent.
 
     Source: labelstud.io, VideoRectangle. Boxes between key frames are interpolated; one that is not `enabled`
     is the last before a time in which nothing is visible; the last of all, if enabled, stays to the end.
     """
-    marks: list[_Mark] = []
-    for result in results:
-        if result["type"] != "videorectangle":
-            continue
-        name = next(iter(result["value"].get("labels", [])), "")
-        frames = sorted(result["value"]["sequence"], key=lambda frame: frame["frame"])
-        found = [_studio_mark(frame, name, size) for frame in frames]
-        marks += found
-        for number, (frame, mark) in enumerate(zip(frames, found, strict=True)):
-            following = found[number + 1] if number + 1 < len(found) else None
-            if frame["enabled"]:
-                marks += _between(mark, following, num_images)
-            elif following:
-                marks += _hidden(mark, following.image)
-    return marks
-
-
-def _task_of(tasks: list[Any], video: str) -> list[Any]:
-    """Return what was drawn in the task of this video."""
     own = [task for task in tasks if any(str(each).endswith(video) for each in task["data"].values())]
     chosen = tasks if len(tasks) == 1 else own
     kept = [each for task in chosen for each in task["annotations"] if not each.get("was_cancelled")]
     if len(chosen) != 1 or len(kept) != 1:
         raise InvalidValueError(f"it has {len(kept)} annotations of {video}; export exactly one")
-    return kept[0]["result"]
-
-
-def _studio_mark(frame: dict[str, Any], name: str, size: Size) -> _Mark:
-    image = int(frame["frame"]) - 1
-    _require_upright(frame.get("rotation", 0.0), image)
-    x, width = (0.01 * size[0] * float(frame[edge]) for edge in ("x", "width"))
-    y, height = (0.01 * size[1] * float(frame[edge]) for edge in ("y", "height"))
-    return _Mark(image=image, name=name, phase="", box=(x, y, x + width, y + height))
-
-
-def _between(mark: _Mark, following: _Mark | None, num_images: int) -> Iterator[_Mark]:
-    """Yield the boxes between two key frames, or that of the last key frame to the end of the video."""
-    end = min(following.image if following else num_images, num_images)
-    start, goal = mark.box, following.box if following else mark.box
-    assert start is not None
-    assert goal is not None
-    for image in range(mark.image + 1, end):
-        share = (image - mark.image) / (end - mark.image)
-        xmin, ymin, xmax, ymax = (a + share * (b - a) for a, b in zip(start, goal, strict=True))
-        yield _Mark(image=image, name=mark.name, phase="", box=(xmin, ymin, xmax, ymax))
-
-
-def _hidden(mark: _Mark, end: int) -> list[_Mark]:
-    """Return marks that nothing is visible after a mark and before an image."""
-    if end - mark.image > MOST_HIDDEN:
-        raise InvalidValueError(f"nothing is visible for more than {MOST_HIDDEN} images from {mark.image} on")
-    return [
-        _Mark(image=image, name=mark.name, phase=mark.phase, box=None) for image in range(mark.image + 1, end)
-    ]
+    marks: list[_Mark] = []
+    for result in kept[0]["result"]:
+        if result["type"] != "videorectangle":
+            continue
+        name = next(iter(result["value"].get("labels", [])), "")
+        frames = sorted(result["value"]["sequence"], key=lambda frame: frame["frame"])
+        found = []
+        for frame in frames:
+            x, width = (0.01 * size[0] * float(frame[edge]) for edge in ("x", "width"))
+            y, height = (0.01 * size[1] * float(frame[edge]) for edge in ("y", "height"))
+            box, rotation = (x, y, x + width, y + height), frame.get("rotation", 0.0)
+            found.append(_mark(int(frame["frame"]) - 1, name, "", box, rotation))
+        marks += found
+        if frames and frames[-1]["enabled"]:
+            found.append(replace(found[-1], image=max(num_images, found[-1].image)))
+        for frame, (mark, following) in zip(frames, pairwise(found), strict=False):
+            marks += _between(mark, following, num_images, is_visible=frame["enabled"])
+    return marks
 
 
 def _number(file_name: str) -> int:
@@ -307,8 +286,3 @@ def _number(file_name: str) -> int:
             f"the image '{file_name}' has no number in its name; name it frame_000000.png"
         )
     return int(numbers[-1])
-
-
-def _require_upright(rotation: Any, image: int) -> None:
-    if float(rotation) % 360.0:
-        raise InvalidValueError(f"the box of image {image} is rotated by {rotation}°; draw it upright")

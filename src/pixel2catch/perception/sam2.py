@@ -27,6 +27,7 @@ from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import read_json_object
 from pixel2catch.installation import install_command
 from pixel2catch.perception.segmenter import (
+    NOT_FOUND,
     BoxPrompt,
     ImageMotion,
     Segmentation,
@@ -110,15 +111,19 @@ class Sam2Segmenter(Segmenter):
         is_cuda = self._device.type == "cuda"
         if is_cuda:
             require_cuda(device)
-        if is_compiled:
-            _require_compiler()
+        if is_compiled and not any(map(shutil.which, COMPILERS)):
+            raise PerceptionError(
+                f"compiling SAM 2 needs a C compiler ({' or '.join(COMPILERS)}), and there is none: "
+                "apt install gcc python3-dev, or leave out --compile."
+            )
         dtype = dtype or (torch.bfloat16 if is_cuda else torch.float32)
         self._model = load_sam2(folder, self._device, dtype, image_size)
         self._has_graphs = is_compiled and is_cuda
         if is_compiled:
             compile_modules(self._model)
-        self._mean = torch.tensor(MEAN, device=self._device).view(3, 1, 1)
-        self._deviation = torch.tensor(DEVIATION, device=self._device).view(3, 1, 1)
+        self._mean, self._deviation = (
+            torch.tensor(each, device=self._device).view(3, 1, 1) for each in (MEAN, DEVIATION)
+        )
         self._size: tuple[int, int] | None = None  # of the images: height and width
         self._session: Sam2VideoInferenceSession | None = None
         self._frame_idx = 0
@@ -145,10 +150,11 @@ class Sam2Segmenter(Segmenter):
         self._session = Sam2VideoInferenceSession(**where, dtype=self._model.dtype)
         self._frame_idx = 0
         index = self._session.obj_id_to_idx(OBJECT)
-        points, labels = _corners(prompt)
+        corners = torch.tensor([[[prompt.box[:2], prompt.box[2:]]]])  # (1, 1, 2, 2) [px]
+        labels = torch.tensor([[BOX_LABELS]], dtype=torch.int32)
         scale = torch.tensor([self.image_size / width, self.image_size / height])
         # The model takes coordinates of pixel centres.
-        inputs = {"point_coords": points * scale - 0.5, "point_labels": labels}
+        inputs = {"point_coords": corners * scale - 0.5, "point_labels": labels}
         self._session.add_point_inputs(index, self._frame_idx, inputs)
         self._session.obj_with_new_inputs = [OBJECT]
         return self._segment(self._session, image)
@@ -157,7 +163,7 @@ class Sam2Segmenter(Segmenter):
         """See `Segmenter.track`."""
         self._check(image)
         if self._session is None:
-            return Segmentation(mask=None, score=0.0)
+            return NOT_FOUND
         return self._segment(self._session, image)
 
     def reset(self) -> None:
@@ -219,14 +225,6 @@ class Sam2Segmenter(Segmenter):
         self._size = (height, width)
 
 
-def _require_compiler() -> None:
-    if not any(map(shutil.which, COMPILERS)):
-        raise PerceptionError(
-            f"compiling SAM 2 needs a C compiler ({' or '.join(COMPILERS)}), and there is none: "
-            "apt install gcc python3-dev, or leave out --compile."
-        )
-
-
 def compile_modules(model: nn.Module) -> None:
     """Compile the parts of a model; on CUDA they run as graphs, whose outputs are copied.
 
@@ -257,12 +255,6 @@ def mask_of_logits(
     return F.interpolate(logits.float(), (height, width), mode="bilinear", align_corners=False)[0, 0] > 0.0
 
 
-def _corners(prompt: BoxPrompt) -> tuple[Float[Tensor, "1 1 2 2"], Tensor]:
-    """Corners of a prompt [px], and their labels."""
-    corners = torch.tensor([[[prompt.box[:2], prompt.box[2:]]]], dtype=torch.float32)
-    return corners, torch.tensor([[BOX_LABELS]], dtype=torch.int32)
-
-
 def load_sam2(
     folder: Path, device: torch.device, dtype: torch.dtype, image_size: int | None = None
 ) -> Sam2VideoModel:
@@ -276,7 +268,7 @@ def load_sam2(
         raise InvalidValueError(
             f"the image size must be a positive multiple of {SIZE_STEP}, not {image_size}."
         )
-    _require_files(folder)
+    _require_checkpoint(folder)
     disable_progress_bar()
     try:
         config = Sam2VideoConfig.from_pretrained(folder, local_files_only=True)
@@ -298,16 +290,12 @@ def load_sam2(
     return model.eval().requires_grad_(False).to(device)
 
 
-def _require_files(folder: Path) -> None:
-    config = folder / "config.json"
-    if not config.is_file():
-        raise _unusable(folder, f"there is no SAM 2 checkpoint in {folder}")
-    if not any(folder.glob("*.safetensors")):
-        raise _unusable(folder, f"{folder} has no weights (*.safetensors)")
+def _require_checkpoint(folder: Path) -> None:
+    """Refuse another kind of model, which transformers would read with new weights."""
     try:
-        kind = read_json_object(config).get("model_type")
+        kind = read_json_object(folder / "config.json").get("model_type")
     except (OSError, ValueError) as error:
-        raise _unusable(folder, f"{config} is damaged: {error}") from error
+        raise _unusable(folder, f"there is no SAM 2 checkpoint in {folder}: {error}") from error
     if kind != (wanted := Sam2VideoConfig.model_type):
         raise _unusable(folder, f"{folder} holds a model of type '{kind}', not '{wanted}'")
 

@@ -46,7 +46,6 @@ class Segmentation:
 
     mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
     score: float  #: Larger is more certain; each segmenter has its own scale.
-    doubt: str = ""  #: Why it is less reliable than usual; empty without a reason.
 
 
 NOT_FOUND = Segmentation(mask=None, score=0.0)
@@ -205,22 +204,14 @@ class ImageTrack:
         return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
 
 
+LEAST_SATURATION, LEAST_VALUE = 0.4, 0.2  #: Of a colour, in [0, 1]; less is grey or dark. Source: ours.
+
+
 @dataclass(frozen=True, kw_only=True)
 class ColorRange:
-    """A range of hue, saturation and value."""
+    """A range of hue, without grey and dark colours."""
 
     hue: tuple[float, float]  #: First and last [degrees]: red 0, green 120, blue 240; (340, 20) is reds.
-    saturation: tuple[float, float] = (0.4, 1.0)  #: Smallest and largest saturation in [0, 1]; grey is 0.
-    value: tuple[float, float] = (0.2, 1.0)  #: Smallest and largest brightness in [0, 1].
-
-    def __post_init__(self) -> None:
-        """Refuse a range without colours."""
-        if not all(0.0 <= bound <= 360.0 for bound in self.hue):
-            raise PerceptionError(f"hue is {self.hue}; both ends must be in [0, 360] degrees.")
-        for name in ("saturation", "value"):
-            low, high = getattr(self, name)
-            if not 0.0 <= low <= high <= 1.0:
-                raise PerceptionError(f"{name} is ({low:g}, {high:g}); it must be ordered and in [0, 1].")
 
     def mask(self, image: Pixels) -> Mask:
         """Return the pixels with such a colour, without specks."""
@@ -228,9 +219,8 @@ class ColorRange:
         pixels = np.zeros(image.shape[:2], dtype=bool)
         start, end = self.hue
         for first, last in [(start, end)] if start <= end else [(start, 360.0), (0.0, end)]:
-            lower = np.array((first / 2, 255 * self.saturation[0], 255 * self.value[0]))
-            upper = np.array((last / 2, 255 * self.saturation[1], 255 * self.value[1]))
-            pixels |= cv2.inRange(hsv, lower, upper) > 0
+            lower = np.array((first / 2, 255 * LEAST_SATURATION, 255 * LEAST_VALUE))
+            pixels |= cv2.inRange(hsv, lower, np.array((last / 2, 255.0, 255.0))) > 0
         return opened(pixels)
 
 

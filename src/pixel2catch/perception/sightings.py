@@ -12,7 +12,7 @@ import torch
 from jaxtyping import UInt8
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
-from pixel2catch.camera.image import Box, Pixels, Verdict
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.tracker import ObjectTracker
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
@@ -96,23 +96,6 @@ def follow(
         before, newest = box, max(newest, stamp)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Percentiles:
-    """Durations of one stage [s]: half, 95 % and 99 % of them were shorter; and their number."""
-
-    p50: float
-    p95: float
-    p99: float
-    count: int
-
-    @classmethod
-    def of(cls, durations: Iterable[float]) -> "Percentiles":
-        """Return those of some durations [s]."""
-        values = list(durations)
-        p50, p95, p99 = np.percentile(values, (50, 95, 99)).tolist()
-        return cls(p50=p50, p95=p95, p99=p99, count=len(values))
-
-
 class Tally:
     """Counts sightings and measures how long they took."""
 
@@ -144,22 +127,17 @@ class Tally:
             for stage, took in sighting.durations.items():
                 self._durations.setdefault(stage, []).append(took)
 
-    def percentiles(self) -> dict[str, Percentiles]:
-        """Return the durations of the stages, over the control steps whose image was processed."""
-        return {stage: Percentiles.of(self._durations[stage]) for stage in STAGES if stage in self._durations}
-
-    @property
-    def is_fast_enough(self) -> bool:
-        """Whether 99 % of the images took less than a control step."""
-        report = self.percentiles()
-        return "total" in report and report["total"].p99 < CONTROL_DT
-
     def summary(self) -> dict[str, Any]:
-        """Return the numbers for programs; times [s] and durations [ms]."""
-        stages = {
-            name: {"p50": 1e3 * p.p50, "p95": 1e3 * p.p95, "p99": 1e3 * p.p99, "count": p.count}
-            for name, p in self.percentiles().items()
-        }
+        """Return the numbers for programs.
+
+        `stages_ms` has percentiles of the durations of the stages [ms], over the control steps whose image
+        was processed. It is fast enough if 99 % of these images took less than a control step.
+        """
+        stages = {}
+        for name in STAGES:
+            if durations := self._durations.get(name):
+                p50, p95, p99 = (1e3 * np.percentile(durations, (50, 95, 99))).tolist()
+                stages[name] = {"p50": p50, "p95": p95, "p99": p99, "count": len(durations)}
         return {
             "num_steps": self.num_steps,
             "seconds": self._seconds,
@@ -169,11 +147,10 @@ class Tally:
             "num_skipped": self._num_skipped,
             "stages_ms": stages,
             "limit_ms": 1e3 * CONTROL_DT,
-            "is_fast_enough": self.is_fast_enough,
+            "is_fast_enough": "total" in stages and stages["total"]["p99"] < 1e3 * CONTROL_DT,
         }
 
 
-Color = tuple[int, int, int]
 Canvas = UInt8[np.ndarray, "rows columns 3"]
 
 SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
@@ -183,34 +160,21 @@ UNKNOWN, OUTLINE = (120, 120, 120), (255, 80, 255)
 HEADER = 24  #: Height of the line of text [px].
 
 
-class Annotator:
-    """Draws one picture per control step, all of one size."""
-
-    def __init__(self, camera: CameraSpec = RGB_CAMERA) -> None:
-        """Draw on images of the camera's size."""
-        self._camera = camera
-
-    def picture(self, sighting: Sighting) -> Canvas:
-        """Return the image with box and outline, and a line of text above."""
-        return np.concatenate([self._header(sighting), self._image(sighting, _color(sighting))])
-
-    def _header(self, sighting: Sighting) -> Canvas:
-        box = sighting.box
-        age = f"{1e3 * box.age:.0f} ms old" if box.is_valid else "never seen"
-        took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
-        words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took]
-        words += [box.doubt] if box.doubt else []
-        header = np.zeros((HEADER, self._camera.width, 3), dtype=np.uint8)
-        place, font = (8, HEADER - 8), cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(header, "   ".join(words), place, font, 0.42, _color(sighting), 1, cv2.LINE_AA)
-        return header
-
-    def _image(self, sighting: Sighting, color: Color) -> Pixels:
-        """The image with box and outline; black if it has another size."""
-        box, shape = sighting.box, (self._camera.height, self._camera.width, 3)
-        if box.verdict is Verdict.BAD_IMAGE:
-            return np.zeros(shape, dtype=np.uint8)
-        image = sighting.tick.image.pixels.copy()
+def annotated(sighting: Sighting, camera: CameraSpec = RGB_CAMERA) -> Canvas:
+    """Return the image with box and outline, and a line of text above; an image of another size is black."""
+    box = sighting.box
+    color = UNKNOWN
+    if box.is_valid:
+        color = SEEN if box.verdict is Verdict.SEEN else HELD if sighting.is_fresh else STALE
+    age = f"{1e3 * box.age:.0f} ms old" if box.is_valid else "never seen"
+    took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
+    words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took, box.doubt]
+    header = np.zeros((HEADER, camera.width, 3), dtype=np.uint8)
+    place, font = (8, HEADER - 8), cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(header, "   ".join(words), place, font, 0.42, color, 1, cv2.LINE_AA)
+    image, pixels = np.zeros((camera.height, camera.width, 3), dtype=np.uint8), sighting.tick.image.pixels
+    if pixels.shape == image.shape:
+        image[:] = pixels
         if box.mask is not None:
             mask = box.mask.view(np.uint8)
             outline, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -218,12 +182,4 @@ class Annotator:
         if box.is_valid:
             xmin, ymin, xmax, ymax = map(round, box.edges)
             cv2.rectangle(image, (xmin - 1, ymin - 1), (xmax, ymax), color, 1)
-        return image
-
-
-def _color(sighting: Sighting) -> Color:
-    if not sighting.box.is_valid:
-        return UNKNOWN
-    if sighting.box.verdict is Verdict.SEEN:
-        return SEEN
-    return HELD if sighting.is_fresh else STALE
+    return np.concatenate([header, image])

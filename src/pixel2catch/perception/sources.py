@@ -1,15 +1,12 @@
-"""Where images come from, a video, a ROS 2 bag or a camera, and how they are scaled to the policies' size.
+"""Images of a video, a ROS 2 bag or a camera, on the control clock, and how they are scaled."""
 
-All sources give ticks of the control clock. A recording is played on the clock of its stamps. Of a camera
-only the newest image is kept, and a camera that stalls does not block the caller.
-"""
-
-import threading
 import time
-from collections.abc import Generator, Iterable, Iterator
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import av
 import cv2
@@ -19,10 +16,20 @@ from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.bag_images import bag_images
-from pixel2catch.ros2.bags import BAG_SUFFIXES
-from pixel2catch.ros2.messages import MOST_PIXELS
+from pixel2catch.ros2.bags import BAG_SUFFIXES, BagMessage, decoded, opened_bag
+from pixel2catch.ros2.messages import (
+    CHANNELS,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    JOINT_STATE,
+    MOST_PIXELS,
+    pixels_of,
+    unpacked_image,
+)
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 PHASE = 0.5
 """Control steps from the first image to the first tick. Source: ours; with half a step, the jitter of a
@@ -30,15 +37,9 @@ camera of 30 Hz makes no tick miss its image."""
 
 LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
-FIRST_IMAGE_TIMEOUT = 5.0
-"""Time in which a camera must give its first image [s]. Source: ours; webcams need up to two."""
-
-LONGEST_STALL = 10.0  #: Time without a new image after which a camera counts as unplugged [s]. Source: ours.
-
-RETRY, POLL = 0.01, 0.002
-"""Time between attempts to read a camera without an image, and between checks for a new image [s]."""
-
-DEVICES = Path("/dev")
+IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
+JOINT_STATES = "/joint_states"  #: Topic of the joint states of all robots.
+NUM_STATES = 1000  #: Joint states that are kept until an image of their time arrives: 2 s at 500 Hz.
 
 OPTIONS = {
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif",
@@ -63,29 +64,25 @@ class ImageFit:
         return self.own != self.size
 
     @property
-    def _inner(self) -> Size:
-        """Size of the scaled image in the frame."""
+    def _place(self) -> tuple[int, int, int, int]:
+        """Left column, upper row, width and height of the scaled image in the frame [px]."""
         scale = min(self.size[0] / self.own[0], self.size[1] / self.own[1])
-        return round(scale * self.own[0]), round(scale * self.own[1])
-
-    @property
-    def _corner(self) -> Size:
-        """Column and row of the first pixel of the scaled image in the frame."""
-        return (self.size[0] - self._inner[0]) // 2, (self.size[1] - self._inner[1]) // 2
+        width, height = round(scale * self.own[0]), round(scale * self.own[1])
+        return (self.size[0] - width) // 2, (self.size[1] - height) // 2, width, height
 
     def image(self, image: Pixels) -> UInt8[np.ndarray, "rows columns 3"]:
         """Return the scaled image; an image of an unexpected size is returned as it is."""
         if not self.changes or (image.shape[1], image.shape[0]) != self.own:
             return image
-        (left, top), (width, height) = self._corner, self._inner
+        left, top, width, height = self._place
         method = cv2.INTER_AREA if width < self.own[0] else cv2.INTER_LINEAR
-        inner = cv2.resize(image, self._inner, interpolation=method)
+        inner = cv2.resize(image, (width, height), interpolation=method)
         right, bottom = self.size[0] - left - width, self.size[1] - top - height
         return cv2.copyMakeBorder(inner, top, bottom, left, right, cv2.BORDER_CONSTANT)
 
     def box(self, box: Edges) -> Edges:
         """Return a box of an image in the scaled image."""
-        (left, top), (width, height) = self._corner, self._inner
+        left, top, width, height = self._place
         fx, fy = width / self.own[0], height / self.own[1]
         xmin, ymin, xmax, ymax = box
         return fx * xmin + left, fy * ymin + top, fx * xmax + left, fy * ymax + top
@@ -99,66 +96,39 @@ class Tick:
     now: float  #: The time, by the clock of the stamps [s].
 
 
-@dataclass(frozen=True, kw_only=True)
-class SourceCfg:
-    """Where to find images."""
+def images_of(
+    source: str, notes: list[str], topic: str | None = None, joints: Sequence[str] = ()
+) -> Iterator[Image]:
+    """Yield the images of a video file, a bag or a camera.
 
-    name: str  #: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
-    topic: str | None = None  #: The topic of a bag's images; None for the only one.
-    joints: tuple[str, ...] = ()  #: Names in the bag's joint states, in joint order; empty to read none.
-
-
-def ticks_of(cfg: SourceCfg, notes: list[str], fit: ImageFit | None = None) -> Generator[Tick, None, None]:
-    """Yield the newest image of every control step; the images of a recording may be scaled.
-
-    Problems that do not end the stream are added to the notes.
+    Args:
+        source: A video file; the folder, .mcap or .db3 file of a bag; the number or device of a camera.
+        notes: Get problems that do not end the stream.
+        topic: The topic of a bag's images; None for the only one.
+        joints: Names in a bag's joint states, in joint order; empty to read none.
 
     Raises:
         PerceptionError: There is no such source, or it has no image.
     """
-    if is_camera(cfg.name):
-        return live_ticks(open_camera(cfg.name), notes)
-    images = file_images(cfg, notes)
-    if fit is not None:
-        images = (replace(image, pixels=fit.image(image.pixels)) for image in images)
-    return on_control_clock(images, notes)
-
-
-def file_images(cfg: SourceCfg, notes: list[str]) -> Iterator[Image]:
-    """Yield the images of a recording.
-
-    Raises:
-        PerceptionError: As `ticks_of`.
-    """
-    path = Path(cfg.name)
+    if is_camera(source):
+        return camera_images(source, notes)
+    path = Path(source)
     if not (path.is_file() or path.is_dir()):
         raise PerceptionError(
             f"there is no file '{path}'; a source is a video file, a rosbag2, or a camera: its number or "
             "/dev/videoN."
         )
     if path.suffix in BAG_SUFFIXES or path.is_dir():
-        return bag_images(path, cfg.topic, cfg.joints, notes)
+        return bag_images(path, notes, topic, joints)
     return video_images(path, notes)
 
 
-def image_size(cfg: SourceCfg) -> Size | None:
-    """Return width and height of the first image of a recording [px]; None for a camera.
+def on_control_clock(
+    images: Iterable[Image], notes: list[str], fit: ImageFit | None = None
+) -> Iterator[Tick]:
+    """Yield a tick in every control step of a stream, with its newest image, which may be scaled.
 
-    Raises:
-        PerceptionError: As `ticks_of`, or there is no image.
-    """
-    if is_camera(cfg.name):
-        return None
-    first = next(iter(file_images(cfg, [])), None)
-    if first is None:
-        raise PerceptionError(f"{cfg.name} has no images.")
-    return first.pixels.shape[1], first.pixels.shape[0]
-
-
-def on_control_clock(images: Iterable[Image], notes: list[str]) -> Generator[Tick, None, None]:
-    """Yield a tick in every control step of a recording, with its newest image.
-
-    The images come in the order of the recording. Problems with their stamps are added to the notes.
+    Problems with the stamps are added to the notes.
     """
     newest, num_older, start = None, 0, 0.0
     tick = 0
@@ -175,11 +145,43 @@ def on_control_clock(images: Iterable[Image], notes: list[str]) -> Generator[Tic
         while newest is not None and tick < due:
             yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
             tick += 1
-        newest = image
+        newest = replace(image, pixels=fit.image(image.pixels)) if fit else image
     if newest is not None:
         yield Tick(image=newest, now=start + (tick + PHASE) * CONTROL_DT)
     if num_older:
         notes.append(f"images no newer than those before them, passed over: {num_older}.")
+
+
+def is_camera(source: str) -> bool:
+    """Return whether this names a camera: a number, or a video device such as /dev/video0."""
+    return source.isdecimal() or source.startswith("/dev/video")
+
+
+def camera_images(source: str, notes: list[str]) -> Iterator[Image]:
+    """Yield the images of a camera until one fails, with a note. The stamp is the time of arrival.
+
+    Raises:
+        PerceptionError: It gives no image.
+    """
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error replaces OpenCV's lines
+    capture = cv2.VideoCapture(int(source) if source.isdecimal() else source)
+    try:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, RGB_CAMERA.width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, RGB_CAMERA.height)
+        capture.set(cv2.CAP_PROP_FPS, round(1.0 / CONTROL_DT))
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        is_read, image = capture.read()
+        if not is_read:
+            raise PerceptionError(
+                f"the camera '{source}' gives no image: plug it in, close other programs that use it, and be "
+                "a member of the group 'video'."
+            )
+        while is_read:
+            yield Image(pixels=cv2.cvtColor(image, cv2.COLOR_BGR2RGB), stamp=time.monotonic())
+            is_read, image = capture.read()
+        notes.append("the camera gives no more images. Is it unplugged?")
+    finally:
+        capture.release()
 
 
 def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
@@ -208,107 +210,89 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
         notes.append(f"the video is damaged after {num_images} images: {reason}.")
 
 
-def is_camera(source: str) -> bool:
-    """Return whether this names a camera: a number, or a video device such as /dev/video0."""
-    return source.isdecimal() or source.startswith(f"{DEVICES}/video")
+def bag_images(
+    path: Path, notes: list[str], topic: str | None = None, joints: Sequence[str] = ()
+) -> Iterator[Image]:
+    """Yield the images of a bag with the joint positions of their time: arguments as `images_of`.
 
-
-def open_camera(source: str) -> cv2.VideoCapture:
-    """Open a camera by its number or device, and set the policies' image size and 30 images a second.
+    The stamp is that of the header, or the time of recording without one. Damaged images are left out, with
+    a note. Images have no positions before the first position of every joint.
 
     Raises:
-        PerceptionError: There is no such camera, or another program uses it.
+        PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
-    level = cv2.utils.logging.getLogLevel()  # the error below replaces what OpenCV would print
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        capture = cv2.VideoCapture(int(source) if source.isdecimal() else source, cv2.CAP_V4L2)
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-    if not capture.isOpened():
-        found = ", ".join(sorted(str(path) for path in DEVICES.glob("video*"))) or "none"
-        raise PerceptionError(
-            f"the camera '{source}' cannot be opened; video devices here: {found}. Plug it in, close other "
-            "programs that use it, and be a member of the group 'video'."
-        )
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, RGB_CAMERA.width)
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, RGB_CAMERA.height)
-    capture.set(cv2.CAP_PROP_FPS, round(1.0 / CONTROL_DT))
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    return capture
-
-
-class CameraReader:
-    """Reads a camera in a thread and keeps the newest image; use it as a context manager.
-
-    The stamp of an image is its arrival, by `time.monotonic`. The camera is closed at the end.
-    """
-
-    def __init__(self, capture: cv2.VideoCapture) -> None:
-        """Start to read."""
-        self._capture = capture
-        self._newest: Image | None = None
-        self._has_image, self._is_over = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def first(self) -> Image:
-        """Wait for the first image.
-
-        Raises:
-            PerceptionError: None comes.
-        """
-        if not self._has_image.wait(FIRST_IMAGE_TIMEOUT):
-            raise PerceptionError(
-                f"the camera is open but gave no image in {FIRST_IMAGE_TIMEOUT:g} s: plug it in again, "
-                "or try another USB port."
-            )
-        return self.newest()
-
-    def newest(self) -> Image:
-        """Return the newest image; call `first` before."""
-        assert self._newest is not None
-        return self._newest
-
-    def __enter__(self) -> "CameraReader":
-        """Return the reader itself."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Stop reading; the thread closes the camera, even if it must wait for the last image."""
-        self._is_over.set()
-        self._thread.join(timeout=1.0)
-
-    def _read(self) -> None:
-        while not self._is_over.is_set():
-            is_read, image = self._capture.read()
-            if not is_read:
-                self._is_over.wait(RETRY)
+    with opened_bag(path) as reader:
+        images = _image_connections(path, reader.connections, topic)
+        wanted = (JOINT_STATES, JOINT_STATE)
+        states = [each for each in reader.connections if (each.topic, each.msgtype) == wanted]
+        positions, num_damaged, reason = _JointPositions(joints), 0, ""
+        for message in decoded(reader, [*images, *states]):
+            stamp = (message.stamp or message.received) / 1e9
+            if message.type == JOINT_STATE:
+                positions.add(message.content, stamp)
                 continue
-            stamp = time.monotonic()
-            self._newest = Image(pixels=cv2.cvtColor(image, cv2.COLOR_BGR2RGB), stamp=stamp)
-            self._has_image.set()
-        self._capture.release()
+            pixels = _pixels(message)
+            if pixels is None:
+                num_damaged += 1
+                reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
+                continue
+            yield Image(pixels=pixels, stamp=stamp, joint_pos=positions.at(stamp))
+        if num_damaged:
+            notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
 
-def live_ticks(
-    capture: cv2.VideoCapture, notes: list[str], longest_stall: float = LONGEST_STALL
-) -> Generator[Tick, None, None]:
-    """Yield a tick in every control step of an open camera, and close it at the end.
+def _image_connections(path: Path, connections: "list[Connection]", topic: str | None) -> "list[Connection]":
+    """The connections of the chosen topic, or of the only one with images."""
+    images = [each for each in connections if each.msgtype in IMAGE_TYPES and each.msgcount]
+    topics = sorted({connection.topic for connection in images})
+    if topic is None and len(topics) == 1:
+        return images
+    chosen = [connection for connection in images if connection.topic == topic]
+    if chosen:
+        return chosen
+    if not topics:
+        raise PerceptionError(
+            f"{path}: no topic has images ({', '.join(IMAGE_TYPES)}); record the camera, too."
+        )
+    wanted = "several topics have images" if topic is None else f"no images on a topic {topic}"
+    raise PerceptionError(f"{path}: {wanted}; choose with --topic out of: {', '.join(topics)}.")
 
-    A control step that the caller misses is left out. The stream ends, with a note, after the longest stall
-    without a new image [s].
 
-    Raises:
-        PerceptionError: No first image comes.
-    """
-    with CameraReader(capture) as reader:
-        start, step = reader.first().stamp, 0
-        while True:
-            image, now = reader.newest(), time.monotonic()
-            if now - image.stamp > longest_stall:
-                notes.append(f"the camera gave no image for {longest_stall:g} s: ended. Is it unplugged?")
-                return
-            yield Tick(image=image, now=now)
-            step = max(step + 1, ceil((time.monotonic() - start) / CONTROL_DT))
-            time.sleep(max(start + step * CONTROL_DT - time.monotonic(), 0.0))
+class _JointPositions:
+    """Joint positions of the last seconds."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self._joints = joints
+        self._known: dict[str, float] = {}
+        self._stamps: deque[float] = deque(maxlen=NUM_STATES)
+        self._positions: deque[np.ndarray] = deque(maxlen=NUM_STATES)
+
+    def add(self, message: Any, stamp: float) -> None:
+        """Add a joint state, which may have some of the joints only."""
+        self._known.update(zip(message.name, message.position, strict=False))
+        if self._joints and all(name in self._known for name in self._joints):
+            self._stamps.append(stamp)
+            self._positions.append(np.array([self._known[name] for name in self._joints]))
+
+    def at(self, stamp: float) -> np.ndarray | None:
+        """Return the last positions up to a time [rad]; None if there are none."""
+        index = bisect_right(self._stamps, stamp) - 1
+        return self._positions[index] if index >= 0 else None
+
+
+def _pixels(message: BagMessage) -> Pixels | None:
+    """The pixels of a message; None if it is damaged."""
+    content = message.content
+    if message.type == COMPRESSED_IMAGE:
+        name = content.format.lower()
+        if not any(known in name for known in ("jpeg", "jpg", "png")) or "depth" in name:
+            raise PerceptionError(
+                f"topic {message.topic}: format '{content.format}' is not read; record jpeg or png."
+            )
+        return unpacked_image(bytes(content.data))
+    if content.encoding not in CHANNELS:
+        raise PerceptionError(
+            f"topic {message.topic}: encoding '{content.encoding}' is not read; record "
+            f"{' or '.join(CHANNELS)}: the segmenters need colour, as an image of 8 bits a channel."
+        )
+    return pixels_of(content)

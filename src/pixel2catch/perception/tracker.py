@@ -282,19 +282,19 @@ class ObjectTracker:
             with self._stage("robot"):
                 ignored = self._robot.at(image.joint_pos)
         with self._stage("segment"):
-            segmentation = self._segment(image.pixels, ignored)
+            segmentation, doubt = self._segment(image.pixels, ignored)
         with self._stage("box"):
-            found = self._judge(segmentation, image.stamp)
+            found = replace(self._judge(segmentation, image.stamp), doubt=doubt)
         self._state.update(found, image.stamp, ignored)
         return found
 
-    def _segment(self, image: Pixels, ignored: Mask | None) -> Segmentation:
-        """Follow the object, or start at a prompt if it is unknown or lost."""
+    def _segment(self, image: Pixels, ignored: Mask | None) -> tuple[Segmentation, str]:
+        """Follow the object, or start at a prompt if it is lost; also return the doubt about it."""
         state = self._state
         is_lost = state.num_lost >= PATIENCE and not state.is_at_robot
         needs_prompt = is_lost or not state.is_prompted
         if not (needs_prompt or self._segmenter.uses_motion):
-            return self._segmenter.track(image)
+            return self._segmenter.track(image), ""
         motion = self._foreground.step(image, ignored)
         prompt = self._prompter.look(image, motion) if needs_prompt else None
         if prompt is not None and self._has_begun:
@@ -304,16 +304,13 @@ class ObjectTracker:
         else:
             segmentation = self._segmenter.track(image, motion)
         self._foreground.keep(segmentation.mask)
-        return segmentation
+        return segmentation, motion.doubt if self._segmenter.uses_motion else ""
 
     def _judge(self, segmentation: Segmentation, stamp: float) -> Box:
         """Return the box of the largest region, or why it is refused."""
         state, mask = self._state, segmentation.mask
-        found = Box(
-            verdict=Verdict.NOT_FOUND if state.is_prompted else Verdict.NO_PROMPT,
-            score=segmentation.score,
-            doubt=segmentation.doubt,
-        )
+        missing = Verdict.NOT_FOUND if state.is_prompted else Verdict.NO_PROMPT
+        found = Box(verdict=missing, score=segmentation.score)
         if mask is None:
             return found
         blobs = find_blobs(mask)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.files import write_atomically
-from pixel2catch.perception.calibration.target import BoardView, CharucoBoard
+from pixel2catch.perception.calibration.lens import BoardView, CharucoBoard
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Transport

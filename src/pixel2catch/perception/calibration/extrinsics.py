@@ -25,9 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration.intrinsics import Intrinsics
-from pixel2catch.perception.calibration.target import BoardView
-from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.perception.calibration.lens import BoardView, undistorted
 
 Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 Common = Float[np.ndarray, " num_common"]
@@ -97,7 +95,6 @@ class Calibration:
     """A camera and the evidence for it."""
 
     file: CameraFile  #: The camera and its uncertainty.
-    board: Pose  #: Pose of the board in the hand's frame at the palm.
     views: tuple[ViewError, ...]  #: The error of each image.
     #: Edge of the squares by the arm's motion over the given edge, and its standard deviation.
     square_ratio: tuple[float, float]
@@ -156,8 +153,8 @@ class _Fit:
     jacobian: Float[np.ndarray, "rows parameters"]
 
 
-def calibrate(views: Sequence[HandView], intrinsics: Intrinsics) -> Calibration:
-    """Find the camera's pose, and the board's in the hand.
+def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
+    """Find the pose of a camera with this lens, and the board's in the hand.
 
     Raises:
         PerceptionError: There are too few images, they contradict each other or do not determine the pose, or
@@ -166,11 +163,11 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics) -> Calibration:
     _require_enough(len(views), "images show the board in the hand")
     corners = _Corners(
         points=np.concatenate([view.view.points for view in views]),
-        pixels=intrinsics.undistorted(np.concatenate([view.view.pixels for view in views])),
+        pixels=undistorted(lens, np.concatenate([view.view.pixels for view in views])),
         owner=np.repeat(np.arange(len(views)), [len(view.view.points) for view in views]),
         palms=np.stack([view.palm for view in views]),
         palm_rates=np.stack([view.palm_rates for view in views]),
-        matrix=intrinsics.matrix,
+        matrix=np.array(lens.camera.matrix),
     )
     rough = _fit(corners, *_first_guess(corners), loss="cauchy")
     rms = corners.rms(rough.camera, rough.board)
@@ -186,8 +183,7 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics) -> Calibration:
     errors = used.errors(fit.camera, fit.board, fit.common)
     every = corners.rms(fit.camera, fit.board, fit.common)
     return Calibration(
-        file=_camera_file(fit.camera, _covariance(fit, used, intrinsics), intrinsics),
-        board=fit.board,
+        file=_camera_file(fit.camera, _covariance(fit, used, lens), lens),
         views=tuple(
             ViewError(name=view.name, rms=float(rms), is_used=bool(used))
             for view, rms, used in zip(views, every, is_used, strict=True)
@@ -326,7 +322,7 @@ def _require_turns(poses: _Fit) -> None:
         )
 
 
-def _covariance(fit: _Fit, corners: _Corners, intrinsics: Intrinsics) -> np.ndarray:
+def _covariance(fit: _Fit, corners: _Corners, lens: CameraFile) -> np.ndarray:
     """Covariance (6, 6) of the camera's pose: of the images, of the common parameters, of the lens."""
     gain = np.linalg.pinv(fit.jacobian)
     num_common = len(fit.common)
@@ -334,7 +330,7 @@ def _covariance(fit: _Fit, corners: _Corners, intrinsics: Intrinsics) -> np.ndar
     expected = gain[:, -num_common:] * weights * np.array([SQUARE_ERROR, *(JOINT_ERROR,) * (num_common - 1)])
     seen = corners.errors(fit.camera, fit.board, fit.common) + corners.pixels
     zoom = np.concatenate(((seen - corners.matrix[:2, 2]).ravel(), np.zeros(num_common)))
-    focal = gain @ zoom * (intrinsics.focal_std or FOCAL_ERROR)
+    focal = gain @ zoom * (lens.focal_std or FOCAL_ERROR)
     total = _jackknife(fit, corners.owner) + expected @ expected.T + np.outer(focal, focal)
     return total[:6, :6]
 
@@ -361,18 +357,8 @@ def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
     return (num - 1) / num * (num - 2) / (num - 4) * changes.T @ changes
 
 
-def _camera_file(pose: np.ndarray, covariance: np.ndarray, intrinsics: Intrinsics) -> CameraFile:
-    width, height = intrinsics.size
-    (fx, _, cx), (_, fy, cy), _ = intrinsics.matrix.tolist()
-    quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
+def _camera_file(pose: Pose, covariance: np.ndarray, lens: CameraFile) -> CameraFile:
     x, y, z = pose[:3, 3].tolist()
-    qw, qx, qy, qz = quat.tolist()
-    camera = CameraSpec(
-        width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, pos=(x, y, z), quat=(qw, qx, qy, qz)
-    )
-    return CameraFile(
-        camera=camera,
-        distortion=intrinsics.distortion,
-        pose_covariance=tuple(tuple(row) for row in covariance.tolist()),
-        focal_std=intrinsics.focal_std,
-    )
+    w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
+    camera = replace(lens.camera, pos=(x, y, z), quat=(w, i, j, k))
+    return replace(lens, camera=camera, pose_covariance=tuple(map(tuple, covariance.tolist())))

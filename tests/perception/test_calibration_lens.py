@@ -13,13 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.calibration.intrinsics import (
-    Intrinsics,
-    intrinsics_of_images,
-    intrinsics_of_views,
-    read_intrinsics,
+from pixel2catch.perception.calibration.lens import (
+    BoardView,
+    CharucoBoard,
+    lens_of_images,
+    lens_of_views,
+    read_image,
+    read_lens,
+    undistorted,
 )
-from pixel2catch.perception.calibration.target import BoardView, CharucoBoard, read_image
 from pixel2catch.scene.constants import RGB_CAMERA
 
 YAML = """image_width: 640
@@ -86,73 +88,63 @@ def write_bag(path: Path, *topics: str, model: str = "plumb_bob") -> Path:
     return path
 
 
-def check_lens(found: Intrinsics) -> None:
+def check_lens(found: CameraFile) -> None:
     """The middle of the first pixel is (0, 0) for ROS and (0.5, 0.5) here."""
-    assert found.size == (640, 480)
-    np.testing.assert_allclose(found.matrix, ((618.1, 0, 328.4), (0, 618.4, 246.5), (0, 0, 1)))
+    assert (found.camera.width, found.camera.height) == (640, 480)
+    np.testing.assert_allclose(found.camera.matrix, ((618.1, 0, 328.4), (0, 618.4, 246.5), (0, 0, 1)))
     assert found.distortion == (0.1, -0.2, 0.001, 0.002, 0.0)
 
 
-def test_reads_a_file_of_camera_calibration(tmp_path: Path):
-    check_lens(read_intrinsics(write_yaml(tmp_path), BOARD))
-
-
-def test_reads_a_bag(tmp_path: Path):
-    check_lens(read_intrinsics(write_bag(tmp_path / "bag", "/camera_info"), BOARD))
-
-
-def test_rectified_images_have_the_lens_of_the_projection_matrix(tmp_path: Path):
+def test_reads_the_lens_of_a_file_and_of_a_bag_rectified_or_not(tmp_path: Path):
     for path in (write_yaml(tmp_path), write_bag(tmp_path / "bag", "/camera_info")):
-        found = read_intrinsics(path, BOARD, is_rectified=True)
-        np.testing.assert_allclose(found.matrix, ((610, 0, 320.5), (0, 611, 240.5), (0, 0, 1)))
+        check_lens(read_lens(path, BOARD))
+        found = read_lens(path, BOARD, is_rectified=True)
+        np.testing.assert_allclose(found.camera.matrix, ((610, 0, 320.5), (0, 611, 240.5), (0, 0, 1)))
         assert found.distortion == ()
 
 
 def test_reads_the_lens_of_an_earlier_calibration(tmp_path: Path):
     path = tmp_path / "camera.json"
-    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=1e-3).save(path)
-    found = read_intrinsics(path, BOARD)
-    np.testing.assert_allclose(found.matrix, lens().matrix)
-    assert (found.distortion, found.focal_std) == ((0.1, 0.0, 0.0, 0.0), 1e-3)
+    camera = CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=1e-3)
+    camera.save(path)
+    assert read_lens(path, BOARD) == camera
 
 
 def test_undistorting_inverts_the_lens():
-    bent = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=(-0.2, 0.05, 1e-3, -1e-3))
+    bent = lens((-0.2, 0.05, 1e-3, -1e-3))
     pose = board_poses(1)[0]
     pixels = pixels_of(pose, CORNERS, bent)
     straight = pixels_of(pose, CORNERS, lens())
     assert np.abs(pixels - straight).max() > 1.0
-    np.testing.assert_allclose(bent.undistorted(pixels), straight, atol=1e-2)
+    np.testing.assert_allclose(undistorted(bent, pixels), straight, atol=1e-2)
 
 
 def test_computes_a_lens_from_noisy_corners():
     rng = np.random.default_rng(0)
-    true = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=(-0.1, 0.05, 1e-3, -1e-3))
+    true = lens((-0.1, 0.05, 1e-3, -1e-3))
     grid = np.array([(x, y, 0) for y in range(6) for x in range(8)]) * 0.03
     views = []
     for pose in board_poses(15):
         pose[:3, 3] = (*rng.uniform(-0.08, 0.08, 2), 0.45) - pose[:3, :3] @ grid.mean(axis=0)
         pixels = pixels_of(pose, grid, true)
         views.append(BoardView(points=grid, pixels=pixels + rng.normal(0, 0.3, pixels.shape)))
-    found = intrinsics_of_views(views, (640, 480))
-    assert found.rms == pytest.approx(np.sqrt(2) * 0.3, rel=0.1)
+    found = lens_of_views(views, (640, 480))
     assert found.focal_std is not None
-    error = found.matrix[0, 0] / lens().matrix[0, 0] - 1
-    assert abs(error) < 4 * found.focal_std < 0.02
-    np.testing.assert_allclose(found.matrix[:2, 2], lens().matrix[:2, 2], atol=3.0)
+    assert abs(found.camera.fx / RGB_CAMERA.fx - 1) < 4 * found.focal_std < 0.02
+    center = found.camera.cx - RGB_CAMERA.cx, found.camera.cy - RGB_CAMERA.cy
+    assert np.abs(center).max() < 3.0
 
 
 def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
     rng = np.random.default_rng(0)
     for i, pose in enumerate(board_poses(10)):
         cv2.imwrite(str(tmp_path / f"{i}.png"), rendered(pose, rng, magnification=2))
-    found = intrinsics_of_images(tmp_path, BOARD)
-    assert found.rms is not None
-    assert found.rms < 0.3
-    np.testing.assert_allclose(found.matrix.diagonal()[:2], lens().matrix.diagonal()[:2], rtol=0.02)
+    found = lens_of_images(tmp_path, BOARD)
+    camera = found.camera
+    assert (camera.fx, camera.fy) == pytest.approx((RGB_CAMERA.fx, RGB_CAMERA.fy), rel=0.02)
     (tmp_path / "9.png").unlink()
     with pytest.raises(PerceptionError, match=r"9 of 9 images show the whole board; 10 are needed"):
-        intrinsics_of_images(tmp_path, BOARD)
+        lens_of_images(tmp_path, BOARD)
 
 
 @pytest.mark.parametrize(
@@ -168,26 +160,26 @@ def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
 )
 def test_a_file_without_a_lens_is_refused(tmp_path: Path, text: str, words: str):
     with pytest.raises(PerceptionError, match=words):
-        read_intrinsics(write_yaml(tmp_path, text), BOARD)
+        read_lens(write_yaml(tmp_path, text), BOARD)
 
 
 def test_a_bag_without_the_topic_is_refused(tmp_path: Path):
     two = write_bag(tmp_path / "two", "/left/camera_info", "/right/camera_info")
-    check_lens(read_intrinsics(two, BOARD, "/left/camera_info"))
+    check_lens(read_lens(two, BOARD, "/left/camera_info"))
     for topic in (None, "/rgb"):
         with pytest.raises(PerceptionError, match=r"on /left/camera_info, /right/camera_info; .* --topic"):
-            read_intrinsics(two, BOARD, topic)
+            read_lens(two, BOARD, topic)
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"no bag")
     with pytest.raises(PerceptionError, match="not a readable rosbag2"):
-        read_intrinsics(broken, BOARD)
+        read_lens(broken, BOARD)
 
 
 def test_other_paths_are_refused(tmp_path: Path):
     with pytest.raises(PerceptionError, match="not there, or of no known kind"):
-        read_intrinsics(tmp_path / "nothing", BOARD)
+        read_lens(tmp_path / "nothing", BOARD)
     with pytest.raises(PerceptionError, match="0 of 0 images"):
-        read_intrinsics(tmp_path, BOARD)
+        read_lens(tmp_path, BOARD)
     with pytest.raises(PerceptionError, match="cannot read the image"):
         read_image(tmp_path / "missing.png")
 

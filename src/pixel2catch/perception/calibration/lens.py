@@ -1,0 +1,243 @@
+"""The printed board whose corners a calibration finds in images, and the camera's lens.
+
+ROS and OpenCV call the middle of the first pixel (0, 0), this project (0.5, 0.5): what is read is moved.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
+from pixel2catch.camera.image import Pixels
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_bytes, read_text, reading, shown
+from pixel2catch.ros2 import bags
+from pixel2catch.ros2.messages import CAMERA_INFO, MOST_PIXELS, unpacked_image
+from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
+
+MIN_CORNERS = 5
+"""Fewest corners that define the board's pose. Of five, four are such that no three of them are in a line."""
+
+SQUARES = (3, 4)
+"""Columns and rows of the board. Source: ours; of the boards that fit on A4 (3 x 4, 4 x 5 and 5 x 7 squares,
+rendered at 640 x 480), the one that is found from the farthest, 1.5 m."""
+
+SQUARE = 0.06  #: Edge of a printed square [m].
+MARKER_SHARE = 0.75  #: Edge of a marker, as a share of that of its square.
+PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
+SQUARE_PIXELS = 480  #: Edge of a square in the picture of the board [px].
+MOST_IMAGE = 2**27  #: Largest image file [bytes]. Source: ours.
+
+
+LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
+"""Lens models of ROS that OpenCV has; an empty name is no distortion."""
+
+MIN_VIEWS = 10  #: Fewest images of the board for a lens. Source: OpenCV's tutorial.
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoardView:
+    """The corners of the board in one image."""
+
+    points: Float[np.ndarray, "num_points 3"]  #: In the board's frame [m].
+    pixels: Float[np.ndarray, "num_points 2"]  #: In the image [px].
+
+
+class CharucoBoard:
+    """A chessboard with markers (ChArUco), which identify its corners."""
+
+    def __init__(self, square: float = SQUARE) -> None:
+        """Describe the board by the edge of a square as printed [m].
+
+        Raises:
+            InvalidValueError: It is not positive, or a metre or more.
+        """
+        if not 0.0 < square < 1.0:
+            raise InvalidValueError(f"a square of {square:g} m; give its edge in metres, such as {SQUARE}.")
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        self._board = cv2.aruco.CharucoBoard(SQUARES, square, MARKER_SHARE * square, dictionary)
+        self._detector = cv2.aruco.CharucoDetector(self._board)
+
+    def find(self, image: Pixels) -> BoardView | None:
+        """Return the corners in an image; None if they do not define the board's pose."""
+        corners, ids, _, _ = self._detector.detectBoard(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+        if ids is None or len(ids) < MIN_CORNERS:
+            return None
+        points = np.asarray(self._board.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
+        pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2) + PIXEL_CENTER
+        return BoardView(points=points[np.asarray(ids, dtype=np.int64).ravel()], pixels=pixels)
+
+    def picture(self) -> np.ndarray:
+        """Return the board in grey levels."""
+        columns, rows = SQUARES
+        return self._board.generateImage((columns * SQUARE_PIXELS, rows * SQUARE_PIXELS))
+
+
+def read_image(path: Path) -> Pixels:
+    """Read an image file.
+
+    Raises:
+        PerceptionError: It is missing or no image.
+    """
+    with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
+        pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
+        if pixels is None:
+            raise PerceptionError(f"not a readable image of {MOST_PIXELS:,} pixels at most")
+    return pixels
+
+
+def sheet() -> Figure:
+    """Return the page to print: the board in its size on A4."""
+    width, height = PAGE
+    figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH), dpi=PAGE_DPI)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    board_width, board_height = (1e3 * SQUARE * number for number in SQUARES)
+    left, bottom = 0.5 * (width - board_width), 0.5 * (height - board_height)
+    extent = (left, left + board_width, bottom, bottom + board_height)
+    look = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "nearest"}
+    axes.imshow(CharucoBoard().picture(), extent=extent, **look)
+    axes.set(xlim=(0.0, width), ylim=(0.0, height))
+    axes.set_axis_off()
+    words = f"Print at 100 %, glue on a stiff plate, measure a square: {1e3 * SQUARE:g} mm? Else: --square."
+    axes.text(0.5 * width, 0.5 * bottom, words, ha="center", va="center", fontsize=9)
+    return figure
+
+
+def undistorted(
+    lens: CameraFile, pixels: Float[np.ndarray, "num_points 2"]
+) -> Float[np.ndarray, "num_points 2"]:
+    """Return where a pinhole would see what the lens sees at these places [px]."""
+    if not any(lens.distortion):
+        return pixels
+    matrix = np.array(lens.camera.matrix)
+    return cv2.undistortPoints(pixels[:, None], matrix, np.array(lens.distortion), P=matrix).reshape(-1, 2)
+
+
+def read_lens(
+    path: Path, board: CharucoBoard, topic: str | None = None, *, is_rectified: bool = False
+) -> CameraFile:
+    """Read or compute a lens: a camera whose pose is not that of the laboratory.
+
+    Args:
+        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
+            folder with images of the board.
+        board: The board in these images.
+        topic: Of the CameraInfo; None for the only one.
+        is_rectified: Whether images are rectified; then the projection matrix is the lens.
+
+    Raises:
+        PerceptionError: It cannot be read, OpenCV does not have this lens model, or too few images show the
+            board.
+        InvalidValueError: A camera file is damaged.
+    """
+    if path.suffix == ".json":
+        return CameraFile.load(path)
+    if path.suffix in (".yaml", ".yml"):
+        return _of_camera_info(path, _of_yaml(path), is_rectified)
+    if bags.is_bag(path):
+        return _of_camera_info(path, _first_camera_info(path, topic), is_rectified)
+    if path.is_dir():
+        return lens_of_images(path, board)
+    raise PerceptionError(
+        f"{path}: not there, or of no known kind; give a .yaml of camera_calibration, a rosbag2, a camera "
+        "file (.json), or a folder with images of the board."
+    )
+
+
+def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
+    """Compute a lens from images of the board.
+
+    Raises:
+        PerceptionError: Too few images show it, or their sizes differ.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    sizes, views = set[tuple[int, int]](), list[BoardView]()
+    for image in map(read_image, paths):
+        sizes.add((image.shape[1], image.shape[0]))
+        if view := board.find(image):
+            views.append(view)
+    if len(views) < MIN_VIEWS:
+        raise PerceptionError(
+            f"{folder}: {len(views)} of {len(paths)} images show the whole board; {MIN_VIEWS} are needed. "
+            "Hold it nearer and in the light."
+        )
+    if len(sizes) > 1:
+        raise PerceptionError(f"{folder}: images of sizes {sorted(sizes)}; keep those of one resolution.")
+    return lens_of_views(views, sizes.pop())
+
+
+def lens_of_views(views: Sequence[BoardView], size: tuple[int, int]) -> CameraFile:
+    """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images of a size [px]."""
+    _, matrix, distortion, _, _, deviations, *_ = cv2.calibrateCameraExtended(
+        [view.points.astype(np.float32) for view in views],
+        [view.pixels.astype(np.float32)[:, None] for view in views],
+        size,
+        np.eye(3),
+        np.zeros(5),
+        flags=cv2.CALIB_FIX_K3,
+    )
+    focal_std = float(deviations[0, 0] / matrix[0, 0])
+    return replace(_lens(size, matrix, distortion.ravel()[:4]), focal_std=focal_std)
+
+
+def _lens(size: tuple[int, int], matrix: np.ndarray, distortion: Iterable[float]) -> CameraFile:
+    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    camera = replace(RGB_CAMERA, width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    return CameraFile(camera=camera, distortion=tuple(map(float, distortion)))
+
+
+def _first_camera_info(path: Path, topic: str | None) -> Any:
+    """Return the first CameraInfo of a topic; None for the only topic.
+
+    Raises:
+        PerceptionError: The bag cannot be read, or has no such topic.
+    """
+    with bags.opened_bag(path) as reader:
+        infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
+        topics = sorted({each.topic for each in infos})
+        chosen = topics if topic is None else [topic]
+        if len(chosen) != 1 or chosen[0] not in topics:
+            raise PerceptionError(
+                f"{path}: CameraInfo is on {', '.join(topics) or 'no topic'}; record the camera's "
+                "camera_info, and choose one with --topic."
+            )
+        return next(bags.decoded(reader, [each for each in infos if each.topic == chosen[0]])).content
+
+
+def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
+    """The lens of a CameraInfo of ROS, in this project's image coordinates."""
+    if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
+        raise PerceptionError(
+            f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "
+            "record rectified images and give --rectified, or calibrate with plumb_bob."
+        )
+    flat, columns = (info.p, 4) if is_rectified else (info.k, 3)
+    matrix = np.array(flat, dtype=np.float64)
+    matrix = matrix.reshape(3, columns)[:, :3] if len(matrix) == 3 * columns else np.zeros((3, 3))
+    size = (int(info.width), int(info.height))
+    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(size) <= 0:
+        raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
+    matrix[:2, 2] += PIXEL_CENTER
+    return _lens(size, matrix, () if is_rectified else info.d)
+
+
+def _of_yaml(path: Path) -> SimpleNamespace:
+    """The content of a file of `camera_calibration`, by the names of a CameraInfo."""
+    names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
+    fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}."
+    with reading("file of camera_calibration", path, fix, PerceptionError):
+        content = parse_yaml(read_text(path, MOST_YAML))
+        lists = {
+            short: decoded(tuple[float, ...], content[name]["data"], name) for short, name in names.items()
+        }
+        width, height = (decoded(int, content[name], name) for name in ("image_width", "image_height"))
+        model = decoded(str, content["distortion_model"], "distortion_model")
+    return SimpleNamespace(width=width, height=height, distortion_model=model, **lists)
