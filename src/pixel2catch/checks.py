@@ -150,8 +150,8 @@ ResultsFolder = Annotated[Path, OutputFolder()]
 """A folder for results, in which there may be some."""
 FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]
 """A film to write, or stills of it."""
-DynamicsPath = CameraPath = RobotModelPath = Annotated[Path, InputFile()]
-"""Files that `identify` and `calibrate` write, and a maker's model of a part of the robot, URDF or MJCF."""
+DynamicsPath = CameraPath = Annotated[Path, InputFile()]
+"""Files that `identify` and `calibrate` write."""
 
 
 def require_valid(values: Any, path: str = "") -> None:

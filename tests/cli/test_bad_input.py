@@ -74,7 +74,7 @@ BAD = [
     (f"{EVALUATE} --env.randomization.command-delay -2 -1", "env.randomization.command_delay is -2"),
     (f"{EVALUATE} --env.sensing.latency-steps 3 1", "env.sensing.latency_steps is 3 1"),
     (f"{EVALUATE} --env.sensing.latency-steps -3 -1", "env.sensing.latency_steps is -3"),
-    (f"{EVALUATE} --env.scene.workcell ur5e_leap", "'evaluate' sets --env.scene.workcell itself"),
+    (f"{EVALUATE} --env.scene.workcell ur5e_leap", "of work cell 'ur5e_leap' are not the policy's"),
     ("stress --env.throws.peak-z 1.9 1.5 --out {new}", "env.throws.peak_z is 1.9 1.5"),
     ("train --device cpu --env.throws.peak-z nan 1", "env.throws.peak_z is nan"),
     # options that contradict each other, or would be ignored

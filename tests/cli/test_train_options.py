@@ -32,8 +32,6 @@ OTHER = {
     "name": "mine",
     "engine": "physx",
     "cone": "pyramidal",
-    "robot_model": ("maker.urdf",),
-    "robot_surface": "visual",
     "workcell": "ur5e_leap",
     "physics_hz": 240.0,
     "object_scale": 1.1,

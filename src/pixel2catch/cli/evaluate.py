@@ -64,7 +64,6 @@ class Evaluate:
             "policy": str(self.policy or "shipped"),
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
-            "robot_model_sha256": [sha256(file) for file in self.task.robot_model],
         }
         with evaluating(" ".join(self.objects)) as watch:
             return source | assess(policy, method, cfg, *watch)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from pixel2catch.checks import CameraPath, DynamicsPath, Requirement, RobotModelPath
+from pixel2catch.checks import CameraPath, DynamicsPath, Requirement
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
@@ -75,7 +75,7 @@ def _option(field: StructFieldSpec, is_task: bool, hidden: Collection[str]) -> S
 PREFIX = "--env."  #: What options that are fields of the task begin with.
 HELP = "--env.help"
 
-OF_THE_PROTOCOL = ("objects", "episode", "scene.workcell")  #: Fields that an evaluation sets itself.
+OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
 
 TaskFields = tyro.conf.FlagConversionOff[tyro.conf.AvoidSubcommands[Any]]
 """Type of a field for a `CatchEnvCfg`: tyro takes the fields of the default instance. None has no options."""
@@ -143,9 +143,6 @@ def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
 class TaskOptions:
     """Changes of the task of an evaluation."""
 
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
     #: Any field of the task, such as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
     env: TaskFields = None
     given: Given = ()  #: Which of them are given.
@@ -154,7 +151,8 @@ class TaskOptions:
         """Return the changed task; the command is named in errors.
 
         Raises:
-            InvalidValueError: The protocol of evaluations sets a given field itself.
+            InvalidValueError: The protocol of evaluations sets a given field itself, or the work cell has
+                other joints than the policy's.
         """
         for name in self.given:
             if name in OF_THE_PROTOCOL or name.partition(".")[0] in OF_THE_PROTOCOL:
@@ -162,14 +160,12 @@ class TaskOptions:
                     f"'{command}' sets --env.{name} itself, by the policy and by --objects; leave it out."
                 )
         changed = with_given(task, self.env, self.given)
-        if self.robot_model:
-            scene = replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
-            changed = replace(changed, scene=scene)
+        _require_same_joints(task, changed)
         return changed
 
     def beneath(self, setting: "Setting", command: str) -> "Setting":
         """Return a setting that disturbs the changed task."""
-        if not self.given and not self.robot_model:
+        if not self.given:
             return setting
         change = partial(_disturbed, self, command, setting.level.change)
         return replace(setting, level=replace(setting.level, change=change))
@@ -224,6 +220,18 @@ class PageOptions:
 
         host, _, port = self.address.rpartition(":")
         return PageCfg(host=host.strip("[]"), port=int(port))
+
+
+def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:
+    """Raise if another work cell, such as one with makers' bodies, has other joints."""
+    from pixel2catch.workcells import find_workcell
+
+    ours, theirs = (find_workcell(each.scene.workcell) for each in (task, changed))
+    if ours.joint_names != theirs.joint_names:
+        raise InvalidValueError(
+            f"the joints of work cell '{theirs.name}' are not the policy's, those of '{ours.name}'; "
+            "leave out --env.scene.workcell, or give a work cell with the same joints."
+        )
 
 
 def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":

@@ -31,7 +31,7 @@ class Play:
 
     def run(self) -> None:
         """Throw, draw and write; or serve the page until Ctrl-C."""
-        given = {"--out": self.out, "--robot-model": self.task.robot_model, "--env": self.task.given}
+        given = {"--out": self.out, "--env": self.task.given}
         if self.web and any(given.values()):
             names = " ".join(name for name, value in given.items() if value)
             raise InvalidValueError(f"--web serves a page of the paper's task: leave out {names}, or --web.")

@@ -142,7 +142,14 @@ class CatchEnvCfg:
 
 
 def current_fields(task: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON fields of a task of an earlier revision with their present names."""
+    """Return the JSON fields of a task of an earlier revision with their present names.
+
+    An empty `robot_model` and what belongs to it are left out; with a file in it, it remains and is refused.
+    """
+    scene = task.get("scene", {})
+    if not scene.get("robot_model"):
+        names = ("robot_model", "robot_surface")
+        task = task | {"scene": {name: value for name, value in scene.items() if name not in names}}
     if "name" in task:
         return task
     renamed = {name: value for name, value in task.items() if name != "is_value_told"}

@@ -1,6 +1,5 @@
 """A work cell: robots with their poses, and a table."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
@@ -23,11 +22,6 @@ MOST_ELEMENTS, MOST_NESTED = 20_000, 64
 
 GROWING = ("include", "replicate", "composite", "flexcomp")
 """Elements that create other elements or read other files. They are refused."""
-
-URDF_COMPILER = '<mujoco><compiler strippath="false" fusestatic="false" discardvisual="false"/></mujoco>'
-"""Compiler settings for a URDF: keep all links, mesh paths and visual shapes."""
-
-MESH_ENDINGS = (".stl", ".obj", ".msh")  #: Mesh formats that MuJoCo reads.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,16 +143,6 @@ def _prefixed(palm: PalmSpec, prefix: str) -> PalmSpec:
     )
 
 
-def parts_of(workcell: WorkcellSpec) -> Iterator[tuple[str, RobotSpec]]:
-    """Yield every part of every robot, without its tool, with the prefix of its names."""
-    for placed in workcell.robots:
-        prefix, part = "", placed
-        while part is not None:
-            prefix += part.prefix
-            yield prefix, replace(part.robot, tool=None)
-            part = part.robot.tool
-
-
 def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> None:
     """Add the robots of a work cell to a scene, with or without visual geoms."""
     for placed in workcell.robots:
@@ -198,56 +182,33 @@ def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, prefix: str, frame: mujoc
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Read a model, MJCF or URDF. Mesh paths are searched in its folder and in all folders above.
+    """Read an MJCF file.
 
     Raises:
         InvalidValueError: It cannot be read, is too large or too deep, or creates elements.
     """
-    with reading("model", path, "Write MJCF, as for MuJoCo, or URDF without macros."):
-        content = read_bytes(path, MOST_MJCF)
-        if _require_simple(content) != "robot":
-            return mujoco.MjSpec.from_file(str(path))
-        spec = mujoco.MjSpec.from_string(content.decode().replace("</robot>", f"{URDF_COMPILER}</robot>"))
-        for mesh in tuple(spec.meshes):
-            if Path(mesh.file).suffix.lower() in MESH_ENDINGS:
-                mesh.file = str(_find_mesh(mesh.file, path.parent.resolve()))
-            else:
-                for geom in tuple(spec.geoms):
-                    if geom.meshname == mesh.name:
-                        spec.delete(geom)
-                spec.delete(mesh)
-        return spec
-
-
-def _find_mesh(name: str, folder: Path) -> Path:
-    """Return the file of `package://NAME/PATH` or of a path, in a folder or in one above."""
-    parts = Path(name.partition("://")[2] or name)
-    for above in (folder, *folder.parents):
-        for found in (above / parts, above / Path(*parts.parts[1:])):
-            if found.is_file():
-                return found
-    raise InvalidValueError(f"there is no mesh '{name}' in {folder} or above; copy it there")
+    with reading("model", path, "Write MJCF, as for MuJoCo."):
+        _require_simple(read_bytes(path, MOST_MJCF))
+        return mujoco.MjSpec.from_file(str(path))
 
 
 @lru_cache(maxsize=8)  # scenes with different objects share their robots
-def _require_simple(content: bytes) -> str:
-    """Return the name of the outermost element of a model without forbidden content."""
+def _require_simple(content: bytes) -> None:
+    """Refuse a model with forbidden content."""
     if b"<!DOCTYPE" in content:
         raise InvalidValueError("it declares a document type or entities; remove them")
-    root, depth, num_elements = "", 0, 0
+    depth, num_elements = 0, 0
     try:
         for event, element in ElementTree.iterparse(BytesIO(content), ("start", "end")):
-            root, name = root or element.tag, element.tag
             depth += 1 if event == "start" else -1
             num_elements += event == "start"
             if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
                 raise InvalidValueError(
                     f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
                 )
-            if name in GROWING:
+            if element.tag in GROWING:
                 raise InvalidValueError(
-                    f"it has the element '{name}'; write out the elements that it creates"
+                    f"it has the element '{element.tag}'; write out the elements that it creates"
                 )
     except ElementTree.ParseError as error:
         raise InvalidValueError(f"it is not XML ({error})") from error
-    return root

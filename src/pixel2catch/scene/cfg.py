@@ -8,7 +8,6 @@ from numpy import ndarray
 from torch import Tensor
 
 from pixel2catch.checks import IN_ORDER, PhysicsRate, Share, Within
-from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -50,9 +49,6 @@ class SceneCfg:
     cone: Cone = "elliptic"  #: Friction cone: elliptic, or pyramidal, which is faster and less accurate.
     multiccd: bool = True  #: Whether faces and edges touch in several points, or in one, which is faster.
     engine: str = "mujoco"  #: Physics engine: mujoco, or physx or drake for evaluations.
-    #: Makers' models, URDF or MJCF, for parts of the robots. Default: the package's models.
-    robot_model: tuple[str, ...] = ()
-    robot_surface: Surface = "collision"  #: Shapes of makers' models that collide: collision or visual.
     visuals: bool = False  #: Whether to add lights, textures and visual geoms.
     camera: CameraSpec = RGB_CAMERA  #: The camera that takes pictures.
     #: Sliding friction of the object; randomised per environment by the release.

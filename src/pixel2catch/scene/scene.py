@@ -16,7 +16,6 @@ from numpy import ndarray
 
 from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robots.maker import add_maker_bodies
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
 from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
@@ -70,8 +69,6 @@ def _spec_without_object(cfg: SceneCfg, workcell: WorkcellSpec) -> mujoco.MjSpec
     _set_options(spec, cfg)
     _add_surroundings(spec, cfg, workcell.table)
     add_robots(spec, workcell, cfg.visuals)
-    if cfg.robot_model:
-        add_maker_bodies(spec, workcell, cfg.robot_model, cfg.robot_surface)
     _add_servos(spec, workcell.joints)
     return spec
 
