@@ -95,7 +95,7 @@ def evaluate_policies(
     """
     results = plan_results(find_policies(folders), settings, out)
     grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
-    run_grid(grid, slots, title)
+    run_grid(grid, slots, title.split()[0].lower())
     if rows := result_rows(results, home_of):
         sections = sections_of(rows)
         print(as_markdown(title, sections), end="", flush=True)
