@@ -29,8 +29,11 @@ if TYPE_CHECKING:
         make as make,
         train as train,
     )
-    from pixel2catch.api.parallel import CatchParallelEnv as CatchParallelEnv
-    from pixel2catch.api.vector import CatchSingleEnv as CatchSingleEnv, CatchVectorEnv as CatchVectorEnv
+    from pixel2catch.api.views import (
+        CatchParallelEnv as CatchParallelEnv,
+        CatchSingleEnv as CatchSingleEnv,
+        CatchVectorEnv as CatchVectorEnv,
+    )
     from pixel2catch.camera.pinhole import nominal_projection as nominal_projection
     from pixel2catch.envs import actuators as actuators, world as world
     from pixel2catch.envs.catch_env import CatchEnv as CatchEnv
@@ -62,8 +65,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "agents": "AgentSpec agents_of sharing together",
     "api.calls": "evaluate load_policy make train",
-    "api.parallel": "CatchParallelEnv",
-    "api.vector": "CatchSingleEnv CatchVectorEnv",
+    "api.views": "CatchParallelEnv CatchSingleEnv CatchVectorEnv",
     "camera.pinhole": "nominal_projection",
     "envs.actuators": "actuators",
     "envs.catch_env": "CatchEnv",

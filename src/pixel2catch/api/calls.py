@@ -1,11 +1,11 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.api.training import run
+from pixel2catch.checks import require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -13,15 +13,17 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation import loading
 from pixel2catch.evaluation.metrics import Metrics, assess
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.learning.config import require_known
+from pixel2catch.learning.config import TrainCfg, require_known
 from pixel2catch.learning.experiment import Experiment, require_run
 from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.train import TrainResult
+from pixel2catch.learning.train import train as train_policy
 from pixel2catch.methods import Method, find_method
 from pixel2catch.own_files import add, import_files, named
-from pixel2catch.policy import Policy, method_of
+from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.objects import ObjectSpec, select_objects
+from pixel2catch.scene.objects import ObjectSpec, largest_radius, select_objects
+from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
@@ -165,6 +167,54 @@ def train(
     experiment = replace(experiment, train=replace(experiment.train, **options))
     found = _method(method, experiment.env)
     return run(experiment, found, Path(out), resume=resume, preset=name, inputs=inputs)
+
+
+def run(
+    experiment: Experiment,
+    method: Method,
+    out: Path,
+    *,
+    resume: bool = False,
+    preset: str | None = None,
+    inputs: Mapping[str, Path | None] | None = None,
+) -> TrainResult:
+    """Train a method to the end.
+
+    The run folder records the name of the preset, and keeps copies of the inputs: files by option.
+
+    Raises:
+        Pixel2CatchError: As `learning.train.train`.
+    """
+    require_valid(experiment)
+    cfg, env = experiment.train, experiment.env
+    env = replace(env, objects=select_objects(env.objects))
+    workcell = find_workcell(env.scene.workcell)
+    env = env.for_workcell(workcell)
+    method = method.with_weights(cfg.rewards)
+    if cfg.start and not resume:
+        policy_folder(cfg.start)  # before anything is built
+    teacher = loading.load_policy(cfg.teacher)[1] if cfg.teacher else None
+
+    def make_env(share: TrainCfg, physics_hz: float | None) -> CatchEnv:
+        rate = physics_hz or env.scene.physics_hz
+        return CatchEnv(
+            replace(env, scene=replace(env.scene, physics_hz=rate)),
+            method,
+            num_envs=share.num_envs,
+            device=share.device,
+            seed=share.seed,
+            teacher=teacher,
+            is_fused=share.fuse,
+        )
+
+    contract = replace(
+        contract_of(method, workcell, env.sensing.camera.camera),
+        task=env.name,
+        object_radius=largest_radius(env.objects, env.scene.object_scale),
+    )
+    agents = {agent.name: agent.to_dict() for agent in method.agents}
+    record = {"env": asdict(env), "agents": agents, "preset": preset}
+    return train_policy(cfg, make_env, contract, out, resume=resume, inputs=inputs, record=record)
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:

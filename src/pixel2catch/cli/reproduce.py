@@ -230,7 +230,7 @@ class Reproduce:
 
 def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
     """Train a method on a device, from the checkpoint in its folder if there is one."""
-    from pixel2catch.api.training import run
+    from pixel2catch.api.calls import run
     from pixel2catch.methods import find_method
     from pixel2catch.sim.factory import require_cuda
     from pixel2catch.workcells import find_workcell

@@ -93,7 +93,7 @@ class Train:
             DeviceUnavailableError: CUDA is not available.
             InvalidValueError: The run to resume is not where the other options say.
         """
-        from pixel2catch.api.training import run
+        from pixel2catch.api.calls import run
         from pixel2catch.learning.experiment import Experiment
         from pixel2catch.methods import find_method
         from pixel2catch.sim.factory import require_cuda
