@@ -2,40 +2,39 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import av
 import numpy as np
 import pytest
 from pyarrow import parquet
 
-from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, write_dataset
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, Episode, write_dataset
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS = len(UR5E_ALLEGRO.joints)
 COLORS = ((200, 0, 0), (0, 200, 0), (0, 0, 200))
 
 
-def step(value: float, *, done: bool = False) -> dict[str, Any]:
-    return {
-        STATE: np.full(NUM_JOINTS, value),
-        ACTION: np.full(NUM_JOINTS, -value),
-        "next.reward": value,
-        "next.done": done,
-    }
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Episodes of two steps, of none and of one, with pictures of one colour."""
+    """Episodes of two steps and of one, with pictures of one colour."""
     folder = tmp_path_factory.mktemp("lerobot") / "data set"
     pictures = [np.full((48, 64, 3), color, np.uint8) for color in COLORS]
-    steps = [step(1.0), step(3.0, done=True), step(-2.0, done=True)]
-    images = list(zip(steps, pictures, strict=True))
-    episodes = [("Catch the cup.", images[:2]), ("Nothing happened.", []), ("Catch the ball.", images[2:])]
+    episodes = [
+        Episode(task=task, columns=columns(values), images=images)
+        for task, values, images in (
+            ("Catch the cup.", [1.0, 3.0], pictures[:2]),
+            ("Catch the ball.", [-2.0], pictures[2:]),
+        )
+    ]
     assert write_dataset(folder, UR5E_ALLEGRO, episodes) == (2, 3)
     return folder
+
+
+def columns(values: list[float]) -> dict[str, np.ndarray]:
+    rows = np.repeat(np.array(values)[:, None], NUM_JOINTS, axis=1)
+    is_last = np.arange(len(values)) == len(values) - 1
+    return {STATE: rows, ACTION: -rows, "next.reward": np.array(values), "next.done": is_last}
 
 
 def test_every_control_step(folder: Path) -> None:
@@ -98,8 +97,3 @@ def test_images_come_at_the_times_of_their_steps(folder: Path) -> None:
     assert [frame.time for frame in frames] == pytest.approx([0.0, 1 / 30, 2 / 30], abs=1e-4)
     for frame, color in zip(frames, COLORS, strict=True):
         assert np.abs(frame.to_ndarray(format="rgb24").mean(axis=(0, 1)) - color).max() < 8
-
-
-def test_a_data_set_without_episodes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError):
-        write_dataset(tmp_path, UR5E_ALLEGRO, [])

@@ -11,22 +11,19 @@ FOLDER/videos/KEY/chunk-000/...        the images of all episodes, one after the
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.camera.image import Pixels
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_folder
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
-
-if TYPE_CHECKING:
-    import pyarrow
 
 STATE = "observation.state"  #: Measured joint positions [rad].
 ACTION = "action"  #: Joint targets of the policy [rad].
@@ -37,188 +34,156 @@ DONE = "next.done"  #: Whether the episode ends with this step.
 SUCCESS = "next.success"  #: Whether it ends with a catch; in simulation only.
 IMAGES = "observation.images.rgb"  #: Image of the robot's camera.
 
-VERSION = "v3.0"  #: Version of the format.
 FPS = round(1.0 / CONTROL_DT)  #: Control steps per second.
 FILE = "chunk-000/file-000"  #: Name of the only file of data, of episodes, and of images.
+VIDEO = f"videos/{IMAGES}/{FILE}.mp4"
+IMAGE_AXES = ("height", "width", "channels")
 PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"  #: Pattern of such names in the format.
 TASK_NAMES = "__index_level_0__"  #: Column that pandas reads as the names of the rows.
 GOP = 2  #: Images from one that is stored whole to the next, for random access. Source: LeRobot.
 SAMPLED = (5, 16)  #: Statistics use every 5th image, and every 16th row and column. Source: ours.
 
-Step = tuple[Mapping[str, Any], Pixels | None]  #: Numbers or booleans by feature, and an image.
-Episode = tuple[str, Iterable[Step]]  #: A task in words, and the control steps.
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """Control steps, at least one."""
+
+    task: str  #: In words.
+    columns: Mapping[str, np.ndarray]  #: Numbers or booleans by feature, (num_steps, size).
+    images: Iterable[Pixels] = ()  #: One for each step, or none.
 
 
 def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episode]) -> tuple[int, int]:
     """Write a data set of a work cell's robots into a new or empty folder.
 
-    Images are written at once, everything else at the end. All steps have the same features. Episodes without
-    a step are left out.
+    Images are written at once, everything else at the end. All episodes have the same features.
 
     Returns:
         The number of episodes, and of control steps.
 
     Raises:
-        InvalidValueError: The folder is not empty or cannot be made, or there is no episode.
+        InvalidValueError: The folder is not empty or cannot be made.
     """
     require_free_folder(folder)
-    steps, ends, tasks, images = list[Mapping[str, Any]](), [0], list[str](), _Images(folder)
-    with closing(images):
-        for task, episode in episodes:
-            for number, (step, image) in enumerate(episode):
-                steps.append({name: np.atleast_1d(value) for name, value in step.items()})
-                if image is not None:
-                    images.add(image, number)
-            if len(steps) > ends[-1]:
-                ends.append(len(steps))
-                tasks.append(task)
-    if not tasks:
-        raise InvalidValueError("there is no episode to write; check that anything was thrown.")
-    columns = _columns(steps, ends, tasks)
+    written, samples, shape = list[Episode](), list[np.ndarray](), list[int]()
+    with ExitStack() as stack:
+        video: VideoWriter | None = None
+        for episode in episodes:
+            written.append(episode)
+            for number, image in enumerate(episode.images):
+                if video is None:
+                    video = stack.enter_context(VideoWriter(_placed(folder, VIDEO), fps=FPS, gop=GOP))
+                    shape = list(image.shape)
+                video.write(image)
+                every, stride = SAMPLED
+                if number % every == 0:
+                    samples.append(image[::stride, ::stride].reshape(-1, 3))
+    tasks = list(dict.fromkeys(episode.task for episode in written))
+    columns = _columns(written, tasks)
+    features = {name: (str(column.dtype), list(column.shape[1:])) for name, column in columns.items()}
     statistics = {name: _statistics(column) for name, column in columns.items()}
-    info = _info(columns, workcell, len(tasks), len(set(tasks)))
-    if images.pixels:
-        info["video_path"] = f"videos/{{video_key}}/{PATTERN}.mp4"
-        info["features"][IMAGES], statistics[IMAGES] = images.described()
-    _write_tables(folder, columns, _episodes(ends, tasks, has_video=bool(images.pixels)), tasks)
+    if samples:
+        features[IMAGES] = ("video", shape)
+        shares = _statistics(np.concatenate(samples) / 255.0)  # of full brightness, (3, 1, 1)
+        statistics[IMAGES] = {name: [[[value]] for value in values] for name, values in shares.items()}
+        statistics[IMAGES]["count"] = [len(samples)]
+    _write_tables(folder, columns, written, tasks, has_video=bool(samples))
+    counts = {"episodes": len(written), "frames": len(columns["index"]), "tasks": len(tasks)}
+    info = _info(workcell, features, counts, has_video=bool(samples))
     for name, content in (("info", info), ("stats", statistics)):
         (folder / "meta" / f"{name}.json").write_text(json_text(content))
-    return len(tasks), len(steps)
+    return counts["episodes"], counts["frames"]
 
 
-class _Images:
-    """The video of a data set, and the pixels of some of its images."""
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / "videos" / IMAGES / f"{FILE}.mp4"
-        self._video: VideoWriter | None = None
-        self._shape: tuple[int, ...] = ()
-        self.pixels = list[np.ndarray]()  #: Of each image that counts in the statistics, (num_pixels, 3).
-
-    def add(self, image: Pixels, number: int) -> None:
-        """Write an image, by its number in the episode."""
-        if self._video is None:
-            self._path.parent.mkdir(parents=True)
-            self._video, self._shape = VideoWriter(self._path, fps=FPS, gop=GOP), image.shape
-        self._video.write(image)
-        every, stride = SAMPLED
-        if number % every == 0:
-            self.pixels.append(image[::stride, ::stride].reshape(-1, 3))
-
-    def close(self) -> None:
-        if self._video:
-            self._video.close()
-
-    def described(self) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-        """Return the feature, and statistics of shares of full brightness, (3, 1, 1); images are counted."""
-        names = ["height", "width", "channels"]
-        found = _statistics(np.concatenate(self.pixels) / 255.0)
-        shaped = {name: [[[value]] for value in values] for name, values in found.items()}
-        feature = {"dtype": "video", "shape": list(self._shape), "names": names}
-        return feature, shaped | {"count": [len(self.pixels)]}
+def _placed(folder: Path, name: str) -> Path:
+    """Return the path of a file, whose folder is made."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
-def _columns(
-    steps: Sequence[Mapping[str, Any]], ends: Sequence[int], tasks: Sequence[str]
-) -> dict[str, np.ndarray]:
+def _columns(episodes: Sequence[Episode], tasks: Sequence[str]) -> dict[str, np.ndarray]:
     """Return every feature over all steps, (num_steps, size)."""
-    lengths, names = np.diff(ends), list(dict.fromkeys(tasks))
-    episode = np.repeat(np.arange(len(lengths)), lengths)
+    lengths = [len(episode.columns[DONE]) for episode in episodes]
     frame = np.concatenate([np.arange(length) for length in lengths])
-    stacked = {name: np.stack([step[name] for step in steps]) for name in steps[0]}
-    numbers = {
+    columns = {
         "timestamp": (frame / FPS).astype(np.float32),
         "frame_index": frame,
-        "episode_index": episode,
+        "episode_index": np.repeat(np.arange(len(episodes)), lengths),
         "index": np.arange(len(frame)),
-        "task_index": np.array([names.index(task) for task in tasks])[episode],
+        "task_index": np.repeat([tasks.index(each.task) for each in episodes], lengths),
     }
-    return {
-        name: column if column.dtype == np.bool_ else column.astype(np.float32)
-        for name, column in stacked.items()
-    } | {name: column[:, None] for name, column in numbers.items()}
+    for name in episodes[0].columns:
+        values = np.concatenate([each.columns[name] for each in episodes])
+        columns[name] = values if values.dtype == bool else values.astype(np.float32)
+    return {name: values.reshape(len(frame), -1) for name, values in columns.items()}
 
 
 def _write_tables(
-    folder: Path, columns: Mapping[str, np.ndarray], episodes: list[dict[str, Any]], tasks: Sequence[str]
+    folder: Path,
+    columns: Mapping[str, np.ndarray],
+    episodes: Sequence[Episode],
+    tasks: Sequence[str],
+    *,
+    has_video: bool,
 ) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    names = list(dict.fromkeys(tasks))
-    table = pyarrow.table({"task_index": np.arange(len(names)), TASK_NAMES: names})
-    tables = {
-        f"data/{FILE}": pyarrow.table({name: _arrow(column) for name, column in columns.items()}),
-        f"meta/episodes/{FILE}": pyarrow.Table.from_pylist(episodes),
-        "meta/tasks": table.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
-    }
-    for name, table in tables.items():
-        path = folder / f"{name}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        parquet.write_table(table, path)
-
-
-def _episodes(ends: Sequence[int], tasks: Sequence[str], *, has_video: bool) -> list[dict[str, Any]]:
-    rows, files = list[dict[str, Any]](), ["data", "meta/episodes"]
-    files += [f"videos/{IMAGES}"] if has_video else []
-    for number, (begin, end, task) in enumerate(zip(ends[:-1], ends[1:], tasks, strict=True)):
-        row: dict[str, Any] = {"episode_index": number, "tasks": [task], "length": end - begin}
+    rows, begin = list[dict[str, Any]](), 0
+    files = ["data", "meta/episodes", *([f"videos/{IMAGES}"] if has_video else [])]
+    for number, episode in enumerate(episodes):
+        end = begin + len(episode.columns[DONE])
+        row: dict[str, Any] = {"episode_index": number, "tasks": [episode.task], "length": end - begin}
         row |= {f"{file}/{kind}_index": 0 for file in files for kind in ("chunk", "file")}
         row |= {"dataset_from_index": begin, "dataset_to_index": end}
-        if has_video:
-            row[f"videos/{IMAGES}/from_timestamp"] = begin / FPS
-            row[f"videos/{IMAGES}/to_timestamp"] = end / FPS
-        rows.append(row)
-    return rows
+        times = {f"{files[-1]}/from_timestamp": begin / FPS, f"{files[-1]}/to_timestamp": end / FPS}
+        rows.append(row | times if has_video else row)
+        begin = end
+    steps = {
+        name: pyarrow.FixedSizeListArray.from_arrays(values.reshape(-1), values.shape[1])
+        if values.shape[1] > 1
+        else values[:, 0]
+        for name, values in columns.items()
+    }
+    names = pyarrow.table({"task_index": np.arange(len(tasks)), TASK_NAMES: tasks})
+    for name, table in {
+        f"data/{FILE}": pyarrow.table(steps),
+        f"meta/episodes/{FILE}": pyarrow.Table.from_pylist(rows),
+        "meta/tasks": names.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
+    }.items():
+        parquet.write_table(table, _placed(folder, f"{name}.parquet"))
+
+
+INDEX = {"name": None, "field_name": TASK_NAMES, "pandas_type": "unicode", "numpy_type": "object"}
+PANDAS = {"index_columns": [TASK_NAMES], "columns": [INDEX], "pandas_version": "2.0.0"}
+"""Metadata of the table of tasks, from which pandas takes the names of the rows."""
 
 
 def _info(
-    columns: Mapping[str, np.ndarray], workcell: WorkcellSpec, num_episodes: int, num_tasks: int
+    workcell: WorkcellSpec,
+    features: Mapping[str, tuple[str, list[int]]],
+    counts: Mapping[str, int],
+    *,
+    has_video: bool,
 ) -> dict[str, Any]:
-    joints = list(workcell.joint_names)
     seen = ["xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES]
-    names = {STATE: joints, ACTION: joints, SEEN: seen}
-    return {
-        "codebase_version": VERSION,
+    names = {STATE: workcell.joint_names, ACTION: workcell.joint_names, SEEN: seen, IMAGES: IMAGE_AXES}
+    return {f"total_{name}": count for name, count in counts.items()} | {
+        "codebase_version": "v3.0",
         "robot_type": workcell.name,
-        "total_episodes": num_episodes,
-        "total_frames": len(columns["index"]),
-        "total_tasks": num_tasks,
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": FPS,
-        "splits": {"train": f"0:{num_episodes}"},
+        "splits": {"train": f"0:{counts['episodes']}"},
         "data_path": f"data/{PATTERN}.parquet",
-        "video_path": None,
+        "video_path": f"videos/{{video_key}}/{PATTERN}.mp4" if has_video else None,
         "features": {
-            name: {"dtype": str(column.dtype), "shape": list(column.shape[1:]), "names": names.get(name)}
-            for name, column in columns.items()
+            name: {"dtype": kind, "shape": shape, "names": names.get(name)}
+            for name, (kind, shape) in features.items()
         },
     }
-
-
-PANDAS = {
-    "index_columns": [TASK_NAMES],
-    "column_indexes": [],
-    "columns": [
-        {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": stored, "metadata": None}
-        for field, name, kind, stored in (
-            ("task_index", "task_index", "int64", "int64"),
-            (TASK_NAMES, None, "unicode", "object"),
-        )
-    ],
-    "pandas_version": "2.0.0",
-}
-"""Metadata of the table of tasks, from which pandas takes the names of the rows."""
-
-
-def _arrow(column: np.ndarray) -> "pyarrow.Array":
-    """Return a column as the format stores it: rows of one number as that number."""
-    import pyarrow
-
-    values, size = pyarrow.array(column.reshape(-1)), column.shape[1]
-    return values if size == 1 else pyarrow.FixedSizeListArray.from_arrays(values, size)
 
 
 def _statistics(column: np.ndarray) -> dict[str, list[Any]]:

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import groupby
-from operator import itemgetter
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import torch
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.camera.image import Pixels
-from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, write_dataset
+from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, Episode, write_dataset
 from pixel2catch.deployment.recorder import SERVO, TARGETS
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
@@ -22,7 +21,6 @@ from pixel2catch.servo.link import Command, JointTargets, Mode
 from pixel2catch.workcells import find_workcell
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
-TASK = "Catch the thrown object."
 
 
 def write_recording(folder: Path, recording: Path, profile: Profile) -> tuple[int, int]:
@@ -37,44 +35,42 @@ def write_recording(folder: Path, recording: Path, profile: Profile) -> tuple[in
         PerceptionError: It cannot be read.
         DeploymentError: The policy never ran in it.
     """
-    steps, runs, images = _decisions(recording, profile)
-    pictures = zip(runs, zip(steps, _pictures(recording, profile, images), strict=True), strict=True)
-    episodes = ((TASK, (step for _, step in run)) for _, run in groupby(pictures, key=itemgetter(0)))
-    return write_dataset(folder, find_workcell(profile.workcell), episodes)
-
-
-def _decisions(
-    recording: Path, profile: Profile
-) -> tuple[list[dict[str, np.ndarray]], np.ndarray, np.ndarray]:
-    """Return features, number of the run, and number of the newest image (-1 for none) of each decision."""
     servo, orders, boxes, images = _read(recording, profile)
-    newest = np.searchsorted(
-        [status.time for status in servo], [order.target_stamp for _, order in orders], side="right"
+    ticks = np.searchsorted(
+        [tick.time for tick in servo], [order.target_stamp for _, order in orders], "right"
     )
-    num_others = np.cumsum([status.mode not in RUNS for status in servo])  # a run ends where it grows
-    chosen = [
-        (time, order, servo[row - 1], num_others[row - 1])
-        for (time, order), row in zip(orders, newest, strict=True)
-        if row > 0 and servo[row - 1].mode in RUNS
-    ]
-    if not chosen:
+    is_followed = np.array([False, *(tick.mode in RUNS for tick in servo)])  # before the first tick, too
+    chosen = np.flatnonzero(is_followed[ticks]) if orders else []
+    if not len(chosen):
         raise DeploymentError(
             f"{recording}: the policy decided nothing there while the robot followed it; name what 'deploy "
             "--record' or 'rehearse --record' wrote, of a throw at least."
         )
-    times, decided, known, runs = zip(*chosen, strict=True)
-    run = np.array(runs)
+    if not boxes:
+        raise DeploymentError(f"{recording}: has no boxes on {profile.operator.status.name}; record it, too.")
+    run = np.cumsum(~is_followed)[ticks[chosen]]  # it grows where a run ends
+    is_first = np.diff(run, prepend=0) != 0
+    times = [orders[row][0] for row in chosen]
     # The status with the box of a decision is recorded just after it.
     rows = np.minimum(np.searchsorted([time for time, _ in boxes], times), len(boxes) - 1)
     box = torch.from_numpy(np.array([boxes[row][1] for row in rows]))
-    before = np.arange(len(run)) - (np.diff(run, prepend=-1) == 0)
-    seen = torch.cat((box, pixel_features(box[before], box, RGB_CAMERA)), dim=1).numpy()
-    is_last = np.diff(run, append=-1) != 0
-    steps = [
-        {STATE: status.joint_pos, ACTION: order.joint_pos_target, SEEN: seen[row], DONE: is_last[row]}
-        for row, (order, status) in enumerate(zip(decided, known, strict=True))
-    ]
-    return steps, run, np.searchsorted(images, times, side="right") - 1
+    before = box[np.arange(len(run)) - ~is_first]
+    columns = {
+        STATE: np.array([servo[row - 1].joint_pos for row in ticks[chosen]]),
+        ACTION: np.array([orders[row][1].joint_pos_target for row in chosen]),
+        SEEN: torch.cat((box, pixel_features(before, box, RGB_CAMERA)), dim=1).numpy(),
+        DONE: np.append(is_first[1:], True),
+    }
+    pictures = _pictures(recording, profile, np.searchsorted(images, times, side="right") - 1)
+    episodes = (
+        Episode(
+            task="Catch the thrown object.",
+            columns={name: values[begin:end] for name, values in columns.items()},
+            images=islice(pictures, end - begin),
+        )
+        for begin, end in pairwise([*np.flatnonzero(is_first).tolist(), len(run)])
+    )
+    return write_dataset(folder, find_workcell(profile.workcell), episodes)
 
 
 def _read(
@@ -96,8 +92,6 @@ def _read(
                     boxes.append((time, boxes[-1][1] if box is None else np.array(box)))
             elif topic in _image_topics(profile):
                 images.append(time)
-    if orders and not boxes:
-        raise DeploymentError(f"{recording}: has no boxes on {profile.operator.status.name}; record it, too.")
     return servo, orders, boxes, np.array(images)
 
 
@@ -106,10 +100,9 @@ def _image_topics(profile: Profile) -> tuple[str, ...]:
     return (topic.name, messages.compressed_topic(topic).name)
 
 
-def _pictures(recording: Path, profile: Profile, wanted: np.ndarray) -> Iterator[Pixels | None]:
-    """Images by their numbers, which never fall: the last good one where one is damaged, None without any."""
-    if wanted.max() < 0:
-        yield from (None for _ in wanted)
+def _pictures(recording: Path, profile: Profile, wanted: np.ndarray) -> Iterator[Pixels]:
+    """Yield images by their numbers, which never fall: the last good one where one is damaged."""
+    if wanted.max() < 0:  # there are none
         return
     row, picture = 0, None
     with opened_bag(recording, extra="deployment") as reader:
@@ -123,6 +116,5 @@ def _pictures(recording: Path, profile: Profile, wanted: np.ndarray) -> Iterator
             while picture is not None and row < len(wanted) and wanted[row] <= number:
                 yield picture
                 row += 1
-            if row == len(wanted):
-                return
-    raise DeploymentError(f"{recording}: no image can be read.")
+    if picture is None:
+        raise DeploymentError(f"{recording}: no image can be read.")
