@@ -31,7 +31,6 @@ from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.factory import make_simulation
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-NUM_POINTS = 64
 POINT_COUNTS = (64, 96, 128, 256)
 SHARES = (0.001, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3)
 LEAST_PIXELS = (1, 20, 40)
@@ -44,36 +43,21 @@ RESET_NOISE = 0.125
 REACH = (0.4, 0.6, 0.6, 0.6, 0.3, 0.3)
 """How far an arm joint of the reaching robot is from its start position, at most [rad]."""
 
-NUM_REACHES = 200
-"""Arm positions drawn per throw; the one whose palm is nearest to the path is taken."""
-
-NUM_INSTANTS = 60
-"""Instants of the path that are tried with each of them."""
-
-HELD_DISTANCE = 0.04
-"""From the palm's surface to the centre of a held object [m]."""
-
-CURL = 1.0
-"""How far the hand closes around a held object, at most [rad]."""
+NUM_REACHES = 200  #: Arm positions drawn per throw; the one whose palm is nearest to the path is taken.
+NUM_INSTANTS = 60  #: Instants of the path that are tried with each of them.
+HELD_DISTANCE = 0.04  #: From the palm's surface to the centre of a held object [m].
+CURL = 1.0  #: How far the hand closes around a held object, at most [rad].
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxErrors:
-    """One row per frame.
+    """One row per frame."""
 
-    Attributes:
-        error: Computed minus rendered box [px]; 0 where one of them sees nothing.
-        num_pixels: Rendered pixels of the object.
-        visible_fraction: Share of the surface points that are on the image and not hidden.
-        is_hit: Whether a ray to any point is stopped.
-        is_cut: Whether any point lies off the image.
-    """
-
-    error: Float[Tensor, "num_frames 4"]
-    num_pixels: Int[Tensor, " num_frames"]
-    visible_fraction: Float[Tensor, " num_frames"]
-    is_hit: Bool[Tensor, " num_frames"]
-    is_cut: Bool[Tensor, " num_frames"]
+    error: Float[Tensor, "num_frames 4"]  #: Computed minus rendered box [px]; 0 where one sees nothing.
+    num_pixels: Int[Tensor, " num_frames"]  #: Rendered pixels of the object.
+    visible_fraction: Float[Tensor, " num_frames"]  #: Share of the points on the image and not hidden.
+    is_hit: Bool[Tensor, " num_frames"]  #: Whether a ray to any point is stopped.
+    is_cut: Bool[Tensor, " num_frames"]  #: Whether any point lies off the image.
 
     @property
     def worst_edge(self) -> Float[Tensor, " num_frames"]:
@@ -219,60 +203,29 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--frames", type=int, default=90, help="frames per object")
-    frames = parser.parse_args().frames
-    print_errors({name: compare_one(name, frames, NUM_POINTS) for name in OBJECTS})
-    print_point_counts(frames)
-
-
-def compare_one(name: str, frames: int, num_points: int) -> BoxErrors:
-    """The same frames at every number of points."""
-    return compare(name, sample_frames(frames, seed=list(OBJECTS).index(name)), num_points)
-
-
-def print_errors(errors: dict[str, BoxErrors]) -> None:
-    print(f"Worst edge [px], computed ({NUM_POINTS} points) against rendered box")
-    print(f"{'object':<18}{'unoccluded':>36}{'occluded':>36}")
-    for name, each in [*errors.items(), ("all", BoxErrors.concatenate(list(errors.values())))]:
-        print(f"{name:<18}{summary(free(each)):>36}{summary(hidden(each)):>36}")
-    everything = BoxErrors.concatenate(list(errors.values()))
-    cut = everything.select(~everything.is_hit & everything.is_cut & (everything.num_pixels > 0))
-    print(f"cut by the image edge, not occluded: {summary(cut)}")
-    print_shares(everything.select(everything.is_hit))
+    frames = {name: sample_frames(parser.parse_args().frames, i) for i, name in enumerate(OBJECTS)}
+    print("worst edge [px], computed against rendered box")
+    for num_points in POINT_COUNTS:
+        every = BoxErrors.concatenate([compare(name, qpos, num_points) for name, qpos in frames.items()])
+        is_seen = (every.num_pixels > 0) & (every.visible_fraction > 0)
+        free, hidden = every.select(~every.is_hit & ~every.is_cut), every.select(every.is_hit & is_seen)
+        print(f"{num_points:>6} points   unoccluded {summary(free)}   occluded {summary(hidden)}")
+        if num_points == POINT_COUNTS[0]:
+            print_shares(every.select(every.is_hit))
 
 
 def print_shares(hit: BoxErrors) -> None:
     """Print how often a threshold on the share disagrees with a detector that needs so many pixels."""
-    print(f"\nLeast visible share of the points, {len(hit.error)} frames in which a ray is stopped")
-    print(f"{'share':>6}" + "".join(f"{f'>= {pixels} px: missed, ghosts':>28}" for pixels in LEAST_PIXELS))
+    print(f"least visible share of the points, {len(hit.error)} frames in which a ray is stopped")
     for share in SHARES:
         is_seen = hit.visible_fraction >= share
-        columns = []
         for pixels in LEAST_PIXELS:
             is_rendered = hit.num_pixels >= pixels
             missed, ghosts = (is_rendered & ~is_seen).float().mean(), (~is_rendered & is_seen).float().mean()
-            columns.append(f"{f'{missed:.1%}, {ghosts:.1%}':>28}")
-        print(f"{share:>6}" + "".join(columns))
-
-
-def print_point_counts(frames: int) -> None:
-    names = ("cube_l", "sphere_s", "cone_l", "capsule_l", "cross")
-    print(f"\nNumber of points, objects {', '.join(names)}")
-    for count in POINT_COUNTS:
-        errors = BoxErrors.concatenate([compare_one(name, frames, count) for name in names])
-        print(f"{count:>6}   unoccluded {summary(free(errors))}   occluded {summary(hidden(errors))}")
-
-
-def free(errors: BoxErrors) -> BoxErrors:
-    return errors.select(~errors.is_hit & ~errors.is_cut)
-
-
-def hidden(errors: BoxErrors) -> BoxErrors:
-    return errors.select(errors.is_hit & (errors.num_pixels > 0) & (errors.visible_fraction > 0))
+            print(f"{share:>6}, at least {pixels} px: missed {missed:.1%}, ghosts {ghosts:.1%}")
 
 
 def summary(errors: BoxErrors) -> str:
-    if not len(errors.error):
-        return "none"
     worst = errors.worst_edge
     quantiles = torch.quantile(worst, torch.tensor([0.5, 0.9], dtype=worst.dtype))
     return f"n {len(worst):>4}  {quantiles[0]:.2f}  p90 {quantiles[1]:.2f}  max {worst.max():.2f}"

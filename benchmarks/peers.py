@@ -1,20 +1,25 @@
 """Ways to follow an object, all asked alike: ours, and what one would first write with OpenCV."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+import argparse
+import json
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
 from math import hypot
-from typing import Final, final
+from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from pixel2catch.camera.image import Edges, Image, Pixels, Verdict
-from pixel2catch.evaluation.box_scores import Score, score_box
+from pixel2catch.camera.image import Edges, Image, Verdict
+from pixel2catch.evaluation.box_scores import Score, score_box, summary
+from pixel2catch.files import write_atomically
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.labels import Truth
+from pixel2catch.perception.regions import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, ColorRange, ColorThreshold, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
-from pixel2catch.scene.constants import CONTROL_DT
 
 CLICK_ERROR = 2.0  #: How far each edge of a person's box is off at most [px]. Source: ours.
 LARGEST_DISTANCE = 60.0  #: From the prediction to a region that is taken for the object [px]. Source: ours.
@@ -22,74 +27,62 @@ LARGEST_GROWTH = 3.0  #: How many times larger or smaller than before it may be.
 LEAST_AREA = 12  #: Of a region [px]. Source: ours.
 
 
-class Method(ABC):
-    """Gets every image of a stream once: `learn` until the object is pointed out by `start`, then `see`."""
+class Method(Protocol):
+    """Gets every image of a stream once: `see` until the object is pointed out by `start`, and after it."""
 
-    @abstractmethod
-    def learn(self, image: Pixels) -> None:
-        """Look at an image before anything is pointed out."""
-
-    @abstractmethod
-    def start(self, image: Pixels, box: Edges) -> Edges | None:
+    def start(self, image: Image, box: Edges) -> Edges | None:
         """Look at the image in which a person says that the object is in this box."""
+        ...
 
-    @abstractmethod
-    def see(self, image: Pixels) -> Edges | None:
+    def see(self, image: Image) -> Edges | None:
         """Return the object's box in the next image; None where it is not found."""
+        ...
 
 
-@final
-class Ours(Method):
+class Ours:
     """The perception of this project, as `track` runs it."""
 
-    def __init__(self, segmenter: Segmenter) -> None:
-        self._person: Final = Prompter()
-        self._tracker = ObjectTracker(segmenter, self._person, waits=True)
-        self._num_seen = 0
+    def __init__(self, segmenter: Segmenter, robot: RobotMask | None) -> None:
+        self._person = Prompter()
+        self._tracker = ObjectTracker(segmenter, self._person, robot=robot, waits=True)
 
-    def learn(self, image: Pixels) -> None:
-        self.see(image)
-
-    def start(self, image: Pixels, box: Edges) -> Edges | None:
+    def start(self, image: Image, box: Edges) -> Edges | None:
         self._tracker.reset()
         self._person.give(BoxPrompt(box=box))
         return self.see(image)
 
-    def see(self, image: Pixels) -> Edges | None:
-        now = self._num_seen * CONTROL_DT
-        self._num_seen += 1
-        seen = self._tracker.step(Image(pixels=image, stamp=now), now)
+    def see(self, image: Image) -> Edges | None:
+        seen = self._tracker.step(image, image.stamp)
         return seen.edges if seen.verdict is Verdict.SEEN else None
 
 
-@final
 class NearestBlob(Method):
     """MOG2, and of its regions that nearest to where constant velocity leads."""
 
     def __init__(self) -> None:
         self._model = cv2.createBackgroundSubtractorMOG2(300, 16.0, detectShadows=True)
-        self._box: Edges = (0.0, 0.0, 0.0, 0.0)
+        self._box: Edges | None = None
         self._velocity = (0.0, 0.0)
         self._num_lost = 0
 
-    def learn(self, image: Pixels) -> None:
-        self._model.apply(image)
-
-    def start(self, image: Pixels, box: Edges) -> Edges | None:
+    def start(self, image: Image, box: Edges) -> Edges | None:
         self._box, self._velocity, self._num_lost = box, (0.0, 0.0), 0
         return self.see(image)
 
-    def see(self, image: Pixels) -> Edges | None:
-        mask = (self._model.apply(image) == 255).astype(np.uint8)
+    def see(self, image: Image) -> Edges | None:
+        mask = (self._model.apply(image.pixels) == 255).astype(np.uint8)
+        if self._box is None:
+            return None
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
         num, _, stats, centers = cv2.connectedComponentsWithStats(mask)
         steps = self._num_lost + 1
-        (u, v), area = _middle(self._box), _area(self._box)
+        (u, v), (left, top, right, bottom) = _middle(self._box), self._box
+        area = (right - left) * (bottom - top)
         expected = u + steps * self._velocity[0], v + steps * self._velocity[1]
         best, best_distance = None, LARGEST_DISTANCE * steps
         for i in range(1, num):
-            left, top, width, height, size = stats[i].tolist()
+            left, top, width, height, size = map(float, stats[i])
             ratio = width * height / max(area, 1.0)
             distance = hypot(centers[i][0] - expected[0], centers[i][1] - expected[1])
             fits = size >= LEAST_AREA and 1 / LARGEST_GROWTH <= ratio <= LARGEST_GROWTH
@@ -98,48 +91,47 @@ class NearestBlob(Method):
         if best is None:
             self._num_lost += 1
             return None
-        box = (float(best[0]), float(best[1]), float(best[2]), float(best[3]))
-        now = _middle(box)
+        now = _middle(best)
         self._velocity = (now[0] - u) / steps, (now[1] - v) / steps
-        self._box, self._num_lost = box, 0
-        return box
+        self._box, self._num_lost = best, 0
+        return best
 
 
-@final
 class Mil(Method):
     """OpenCV's tracker by multiple instance learning; the others in OpenCV 5 need weights."""
 
     def __init__(self) -> None:
-        self._tracker = cv2.TrackerMIL.create()
+        self._tracker, self._is_started = cv2.TrackerMIL.create(), False
 
-    def learn(self, image: Pixels) -> None:
-        pass
-
-    def start(self, image: Pixels, box: Edges) -> Edges | None:
+    def start(self, image: Image, box: Edges) -> Edges | None:
         left, top, right, bottom = (round(edge) for edge in box)
         cv2.setRNGSeed(0)
-        self._tracker.init(image, (left, top, max(right - left, 4), max(bottom - top, 4)))
+        self._tracker.init(image.pixels, (left, top, max(right - left, 4), max(bottom - top, 4)))
+        self._is_started = True
         return box
 
-    def see(self, image: Pixels) -> Edges | None:
-        is_found, (left, top, width, height) = self._tracker.update(image)
+    def see(self, image: Image) -> Edges | None:
+        if not self._is_started:
+            return None
+        is_found, (left, top, width, height) = self._tracker.update(image.pixels)
         return (float(left), float(top), float(left + width), float(top + height)) if is_found else None
 
 
-def methods(hue: tuple[float, float] | None) -> dict[str, Callable[[], Method]]:
+def methods(
+    hue: tuple[float, float] | None, robot: RobotMask | None = None
+) -> dict[str, Callable[[], Method]]:
     """What makes each, by name; colour where the object's hue is known [degrees]."""
     made: dict[str, Callable[[], Method]] = {
-        "background": lambda: Ours(BackgroundSubtraction()),
+        "background": lambda: Ours(BackgroundSubtraction(), robot),
         "nearest blob": NearestBlob,
         "MIL": Mil,
     }
     if hue is not None:
-        colors = ColorRange(hue=hue)
-        made["color"] = lambda: Ours(ColorThreshold(colors))
+        made["color"] = lambda: Ours(ColorThreshold(ColorRange(hue=hue)), robot)
     return made
 
 
-def follow(method: Method, images: list[Pixels], truths: list[Truth | None], seed: int) -> list[Score]:
+def follow(method: Method, images: Sequence[Image], truths: Sequence[Truth | None], seed: int) -> list[Score]:
     """Show a method a stream; a person points the object out in the first image in which it is labelled.
 
     That image counts for nothing, and neither do images of which the truth is not known.
@@ -149,26 +141,82 @@ def follow(method: Method, images: list[Pixels], truths: list[Truth | None], see
     errors = np.random.default_rng(seed).uniform(-CLICK_ERROR, CLICK_ERROR, 4).tolist()
     last: Edges = (0.0, 0.0, 0.0, 0.0)
     for number, (image, truth) in enumerate(zip(images, truths, strict=True)):
-        if number < first:
-            method.learn(image)
-            continue
-        if number == first:
-            assert truth is not None
-            assert truth.box is not None
+        if number == first and truth and truth.box:
             a, b, c, d = (edge + error for edge, error in zip(truth.box, errors, strict=True))
             last = (a, b, max(c, a + 3.0), max(d, b + 3.0))
             found = method.start(image, last)
         else:
             found = method.see(image)
-            if truth is not None:
+            if truth is not None and number > first:
                 scores.append(score_box(truth, found or last, is_seen=found is not None))
         last = found or last
     return scores
 
 
+class Results:
+    """Scores of the methods by case, and the time that an image takes them."""
+
+    def __init__(self, chosen: str) -> None:
+        """Compare some methods, whose names are separated by commas; empty for all."""
+        self._chosen = chosen.split(",") if chosen else None
+        self._scores = defaultdict[str, dict[str, list[Score]]](dict)
+        self._seconds, self._num_images = defaultdict[str, float](float), Counter[str]()
+        cv2.setNumThreads(1)
+
+    def add(
+        self,
+        case: str,
+        images: Sequence[Image],
+        truths: Sequence[Truth | None],
+        hue: tuple[float, float] | None,
+        seed: int,
+    ) -> None:
+        """Show a stream to the methods."""
+        for name, make in methods(hue).items():
+            if self._chosen is None or name in self._chosen:
+                begin = time.thread_time()
+                found = follow(make(), images, truths, seed)
+                self._seconds[name] += time.thread_time() - begin
+                self._num_images[name] += len(images)
+                self._scores[case].setdefault(name, []).extend(found)
+
+    def report(self, out: Path | None) -> None:
+        """Print a table of the images in flight, and write all numbers as JSON."""
+        pooled: dict[str, list[Score]] = {name: [] for name in self._seconds}
+        for each in self._scores.values():
+            for name, rows in each.items():
+                pooled[name] += rows
+        cases = {**self._scores, "all": pooled}
+        report = {case: {name: summary(rows) for name, rows in each.items()} for case, each in cases.items()}
+        took = {name: 1e3 * spent / self._num_images[name] for name, spent in self._seconds.items()}
+        title = "in flight: within 5 px, false boxes"
+        print(f"{title:40s}" + "".join(f"{name:>32s}" for name in took))
+        for case, found in report.items():
+            cells = [_cell(found[name]["flight"]) if name in found else "" for name in took]
+            print(f"{case:40s}" + "".join(f"{cell:>32s}" for cell in cells))
+        print(f"{'ms an image, of one core':40s}" + "".join(f"{each:32.2f}" for each in took.values()))
+        if out:
+            write_atomically({out: json.dumps({**report, "ms an image": took}, indent=1).encode()})
+
+
+def parser_of(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the options of every comparison."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--methods", default="", help="some of the columns, by commas")
+    parser.add_argument("--seed", type=int, default=0, help="of what is drawn, and of a person's error")
+    parser.add_argument("--out", type=Path, help="JSON file")
+    return parser
+
+
+def _cell(flight: dict[str, Any]) -> str:
+    if not flight["images"]:
+        return "-"
+    low, high = flight["within_5px_interval"]
+    share = f"{100 * flight['within_5px']:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    return f"{share} of {flight['images']}, {flight['false_boxes']}"
+
+
 def _middle(box: Edges) -> tuple[float, float]:
     return 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
-
-
-def _area(box: Edges) -> float:
-    return (box[2] - box[0]) * (box[3] - box[1])

@@ -7,26 +7,20 @@ nice python benchmarks/perception_on_composites.py --out composites.json
 python benchmarks/perception_on_composites.py --backgrounds room.mp4 --faults "plain,shake 2 px" --throws 4
 """
 
-import argparse
-import json
-import time
-from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
-import cv2
 import numpy as np
 from composites import WIDTH, Fault, Film, Flight, Thing, exposure_step, film, flicker, jpeg, noisy, shake
-from peers import follow, methods
+from peers import Results, parser_of
 
-from pixel2catch.camera.image import Pixels
-from pixel2catch.evaluation.box_scores import Score, summary
-from pixel2catch.files import write_atomically
+from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.perception.sources import ImageFit, video_images
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell
 
@@ -85,35 +79,25 @@ CASES: dict[str, Case] = {
 
 
 def main() -> None:
-    options = _options()
-    begin = time.perf_counter()
-    names = options.faults.split(",") if options.faults else list(CASES)
-    scores: dict[str, dict[str, list[Score]]] = {name: {} for name in names}
-    seconds, num_images = defaultdict[str, float](float), Counter[str]()
-    cv2.setNumThreads(1)
+    parser = parser_of(__doc__)
+    parser.add_argument("--throws", type=int, default=6, help="of every case")
+    parser.add_argument(
+        "--backgrounds", type=Path, nargs="*", default=[], help="videos of rooms without objects"
+    )
+    parser.add_argument("--faults", default="", help="some of the table's rows, by commas")
+    options = parser.parse_args()
+    results = Results(options.methods)
     for throw in range(options.throws):
         rng = np.random.default_rng([options.seed, throw])
         room, flight = backgrounds(options.backgrounds, throw, rng), drawn(rng)
-        for name in names:
+        for name in options.faults.split(",") if options.faults else CASES:
             case = CASES[name]
             shown = made(case, room, flight, np.random.default_rng([options.seed, throw, 1]))
             hue = (350.0, 16.0) if case.thing is RED else None
-            for method, make in methods(hue).items():
-                if options.methods and method not in options.methods.split(","):
-                    continue
-                worked = time.thread_time()
-                found = follow(make(), list(shown.images), list(shown.truths), throw)
-                seconds[method] += time.thread_time() - worked
-                num_images[method] += len(shown.images)
-                scores[name].setdefault(method, []).extend(found)
-        print(f"throw {throw}: {time.perf_counter() - begin:.0f} s", flush=True)
-    report = {name: {method: summary(rows) for method, rows in each.items()} for name, each in scores.items()}
-    milliseconds = {method: 1e3 * spent / num_images[method] for method, spent in seconds.items()}
-    print(table(report))
-    print(f"{'ms an image':34s}" + "".join(f"{each:22.2f}" for each in milliseconds.values()))
-    if options.out:
-        text = json.dumps({**report, "ms an image": milliseconds}, indent=1)
-        write_atomically({options.out: text.encode()})
+            images = [Image(pixels=each, stamp=i * CONTROL_DT) for i, each in enumerate(shown.images)]
+            results.add(name, images, shown.truths, hue, throw)
+        print(f"throw {throw} of {options.throws}", flush=True)
+    results.report(options.out)
 
 
 def made(case: Case, room: list[Pixels], flight: Flight, rng: np.random.Generator) -> Film:
@@ -150,37 +134,6 @@ def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list
     images = [frame.pixels for frame in frames]
     fit = ImageFit(own=(images[0].shape[1], images[0].shape[0]))
     return [fit.image(image) for image in images]
-
-
-def table(report: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
-    """Share within 5 px in flight, and false boxes, by fault and method."""
-    names = list(dict.fromkeys(method for each in report.values() for method in each))
-    lines = [f"{'in flight: within 5 px, false boxes':34s}" + "".join(f"{name:>22s}" for name in names)]
-    for fault, each in report.items():
-        cells = [_cell(each[name]["flight"]) if name in each else "" for name in names]
-        lines.append(f"{fault:34s}" + "".join(f"{cell:>22s}" for cell in cells))
-    return "\n".join(lines)
-
-
-def _cell(flight: dict[str, float]) -> str:
-    if not flight["images"]:
-        return "-"
-    return f"{100 * flight['within_5px']:.0f} % of {flight['images']}, {flight['false_boxes']}"
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--throws", type=int, default=6, help="of every case")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--backgrounds", type=Path, nargs="*", default=[], help="videos of rooms without objects"
-    )
-    parser.add_argument("--faults", default="", help="some of the table's rows, by commas")
-    parser.add_argument("--methods", default="", help="some of its columns, likewise")
-    parser.add_argument("--out", type=Path, help="JSON file")
-    return parser.parse_args()
 
 
 if __name__ == "__main__":

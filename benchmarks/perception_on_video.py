@@ -6,152 +6,92 @@ every segmenter watches the same images: once as they are, once with the object 
 nice python benchmarks/perception_on_video.py --throws 20 --out results.json
 """
 
-import argparse
 import json
 import multiprocessing
-import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rendered_throws import (
-    NEAR_HAND,
-    FilmCfg,
-    LabelledImage,
-    PerceptionRunner,
-    ThrowFilm,
-    film_scores,
-    moments,
-)
+from peers import follow, methods, parser_of
+from rendered_throws import NEAR_HAND, FilmCfg, ThrowFilm, moments, truths
 
-from pixel2catch.camera.image import Box
-from pixel2catch.evaluation.box_scores import GOOD, Score, reacquisition, summary
+from pixel2catch.camera.image import Image
+from pixel2catch.evaluation.box_scores import Score, reacquisition, summary
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.files import write_atomically
-from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.segmenter import ColorRange, ColorThreshold, Segmenter
-from pixel2catch.rendering.camera import CameraCfg, Moment
+from pixel2catch.perception.regions import RobotMask
 from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.objects import select_objects
+from pixel2catch.workcells import find_workcell
 
-RED = ColorRange(hue=(350.0, 16.0))
-"""What a person finds who looks at the object's pixels."""
+HUE = (350.0, 16.0)  #: Of the object, as a person finds it who looks at its pixels [degrees].
 
 GAP_START, GAP_IMAGES = 8, 4
 """The object is gone from so many images after its release on, for so many images."""
 
-AFTER_REACH = 10
-"""Images that are filmed after the object came near the hand."""
-
-
-def segmenters() -> dict[str, Segmenter]:
-    """Fresh ones, by name."""
-    return {"background": BackgroundSubtraction(), "color": ColorThreshold(RED)}
+AFTER_REACH = 10  #: Images that are filmed after the object came near the hand.
 
 
 def main() -> None:
-    options = _options()
+    parser = parser_of(__doc__)
+    parser.add_argument("--throws", type=int, default=20, help="of seen, and of unseen objects")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that watch at the same time")
+    options = parser.parse_args()
+    chosen = options.methods.split(",") if options.methods else ["background", "color"]
     policy, method = load_policy(None)
-    camera = replace(CameraCfg(), exposure=options.exposure)
-    filming = FilmCfg(scene=task_of(policy).scene, camera=camera, num_held=options.held)
+    filming = FilmCfg(scene=task_of(policy).scene)
     report: dict[str, Any] = {"throws": options.throws, "seed": options.seed, "film": asdict(filming)}
     scores: dict[str, list[Score]] = {}
     waits: dict[str, list[int | None]] = {}
-    times: dict[str, list[float]] = {}
-    begin = time.perf_counter()
     for number, group in enumerate(("seen", "unseen")):
         objects, seed = select_objects(group), options.seed + number
         cfg = EvaluationCfg(objects=objects, num_envs=options.throws, trials=1, seed=seed)
         takes = recorded_throws(replace(cfg, task=task_of(policy)), policy, method)
         rooms = [replace(filming, room=i) for i in range(options.throws)]
         with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            every = list(pool.map(watch, takes, rooms, range(options.throws)))
-        for i, (take, watched) in enumerate(zip(takes, every, strict=True)):
-            for name, (rows, wait, total) in watched.items():
-                scores.setdefault(f"{name}, {group}", []).extend(rows)
-                waits.setdefault(f"{name}, {group}", []).append(wait)
-                times.setdefault(name, []).append(total)
-                good = np.mean([row.is_good for row in rows if row.is_visible])
-                print(f"{group} {i} {take.object_name} {name} {good:.3f} wait {wait}", flush=True)
+            every = pool.map(watch, takes, rooms, [chosen] * options.throws)
+            for i, watched in enumerate(every):
+                for name, (rows, wait) in watched.items():
+                    scores.setdefault(f"{name}, {group}", []).extend(rows)
+                    waits.setdefault(f"{name}, {group}", []).append(wait)
+                print(f"{group}: throw {i + 1} of {options.throws}", flush=True)
     report["scores"] = {name: summary(rows) for name, rows in scores.items()}
-    report["gap"] = {name: gap_summary(several) for name, several in waits.items()}
-    report["total_ms_p50"] = {name: 1e3 * float(np.median(several)) for name, several in times.items()}
-    report["good_px"], report["seconds"] = GOOD, time.perf_counter() - begin
-    print(json.dumps(report, indent=1))
+    report["images_until_found_after_gap"] = waits
+    text = json.dumps(report, indent=1)
+    print(text)
     if options.out:
-        write_atomically({options.out: json.dumps(report, indent=1).encode()})
+        write_atomically({options.out: text.encode()})
 
 
-def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[Score], int | None, float]]:
-    """What each segmenter makes of a throw: scores, images until it is back after a gap, time of an image."""
-    plain, gapped = ({name: PerceptionRunner(each) for name, each in segmenters().items()} for _ in range(2))
-    shots: list[LabelledImage] = []
-    seen: dict[str, list[Box]] = {name: [] for name in plain}
-    seen_gapped: dict[str, list[Box]] = {name: [] for name in plain}
+def watch(take: RecordedThrow, cfg: FilmCfg, names: list[str]) -> dict[str, tuple[list[Score], int | None]]:
+    """What each segmenter makes of a throw: scores, and images until it is found again after a gap.
+
+    The object is not found again where there is None.
+    """
     states = moments(take)
-    release_pos = states[0].qpos[OBJECT_POS]
     first = next(i for i, moment in enumerate(states) if moment.time > 0.0) + GAP_START
-    with ThrowFilm(cfg, take.object_name, release_pos, seed) as film:
-        for watcher in (*plain.values(), *gapped.values()):
-            watcher.begin()
-        for number, (shot, hidden) in enumerate(images(film, states, cfg, first)):
-            found = {name: watcher.see(shot) for name, watcher in plain.items()}
-            found_gapped = {name: watcher.see(hidden) for name, watcher in gapped.items()}
-            if number < cfg.num_empty:
-                continue
-            shots.append(shot)
-            for name in plain:
-                seen[name].append(found[name])
-                seen_gapped[name].append(found_gapped[name])
-    back = cfg.num_held + first + GAP_IMAGES
-    return {
-        name: (
-            film_scores(shots, seen[name]),
-            reacquisition(film_scores(shots, seen_gapped[name]), back),
-            float(np.median(plain[name].durations)),
-        )
-        for name in plain
-    }
+    with ThrowFilm(cfg, take.object_name, states[0].qpos[OBJECT_POS], cfg.room) as film:
+        shots = list(film.lead_in(states[0]))
+        gapped = [shot.image for shot in shots]
+        num_near = 0
+        for i, moment in enumerate(states):
+            shots.append(film.shot(moment))
+            is_hidden = first <= i < first + GAP_IMAGES
+            gapped.append((film.shot(moment, is_empty=True) if is_hidden else shots[-1]).image)
+            num_near += num_near > 0 or shots[-1].palm_distance < NEAR_HAND
+            if num_near > AFTER_REACH:
+                break
+    known = truths(shots)
+    back = cfg.num_held + first + GAP_IMAGES - 1  # among the images after the one in which a person points
+    robot = RobotMask(find_workcell(cfg.scene.workcell))
 
+    def scores(name: str, images: list[Image]) -> list[Score]:
+        return follow(methods(HUE, robot)[name](), images, known, cfg.room)
 
-def images(
-    film: ThrowFilm, states: list[Moment], cfg: FilmCfg, first: int
-) -> Iterator[tuple[LabelledImage, LabelledImage]]:
-    """Yield each image, and what is shown to those from whom the object is hidden for a while."""
-    for shot in film.lead_in(states[0], cfg.num_empty):
-        yield shot, shot
-    num_near = 0
-    for i, moment in enumerate(states):
-        shot = film.shot(moment)
-        is_hidden = first <= i < first + GAP_IMAGES
-        yield shot, film.shot(moment, is_empty=True) if is_hidden else shot
-        num_near += num_near > 0 or shot.palm_distance < NEAR_HAND
-        if num_near > AFTER_REACH:
-            return
-
-
-def gap_summary(waits: list[int | None]) -> dict[str, Any]:
-    """How many images after its return the object was found."""
-    found = [wait for wait in waits if wait is not None]
-    return {"throws": len(waits), "not_found": len(waits) - len(found), "images": sorted(found)}
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--throws", type=int, default=20, help="of seen, and of unseen objects")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--exposure", type=float, default=CameraCfg().exposure, help="[s]")
-    parser.add_argument("--held", type=int, default=FilmCfg().num_held, help="images before the episode")
-    parser.add_argument("--jobs", type=int, default=1, help="processes that watch at the same time")
-    parser.add_argument("--out", type=Path, help="JSON file")
-    return parser.parse_args()
+    images = [shot.image for shot in shots]
+    return {name: (scores(name, images), reacquisition(scores(name, gapped), back)) for name in names}
 
 
 if __name__ == "__main__":

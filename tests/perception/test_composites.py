@@ -61,7 +61,7 @@ def test_clips_in_a_folder_are_compared(
     arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,color", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", arguments)
     perception_on_clips.main()
-    assert "throw (red ball): nearest blob" in capsys.readouterr().out
+    assert "throw (red ball)" in capsys.readouterr().out
     report = json.loads(out.read_text())
     assert set(report["all"]) == {"nearest blob", "color"}
-    assert report["throw"]["nearest blob"]["flight"]["images"] == 7
+    assert report["throw (red ball)"]["nearest blob"]["flight"]["images"] == 7

@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from rendered_throws import FilmCfg, ThrowFilm
+from rendered_throws import FilmCfg, ThrowFilm, moments
 
 from pixel2catch.camera.pinhole import project
+from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+from pixel2catch.methods import METHODS
 from pixel2catch.rendering.camera import CameraCfg, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, HAND_DROP, Bystanders, build_room
-from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -69,18 +71,45 @@ def test_the_true_box_is_where_the_object_projects_to(film: ThrowFilm):
 
 @pytest.mark.parametrize("film", [STILL], indirect=True)
 def test_the_lead_in_shows_the_room_and_then_the_object_in_the_hand(film: ThrowFilm):
-    shots = list(film.lead_in(moment(RELEASE, time=-0.5), num_empty=2))
+    shots = list(film.lead_in(moment(RELEASE, time=-0.5)))
     assert [shot.num_pixels > 0 for shot in shots] == [False, False, True]
-    assert [shot.time for shot in shots] == pytest.approx([-0.6, -0.5 - 2 / 30, -0.5 - 1 / 30])
-    reds = [(shot.image[..., 0] > 1.8 * shot.image[..., 1]).sum() for shot in shots]
+    assert [shot.image.stamp for shot in shots] == pytest.approx([-0.6, -0.5 - 2 / 30, -0.5 - 1 / 30])
+    reds = [(shot.image.pixels[..., 0] > 1.8 * shot.image.pixels[..., 1]).sum() for shot in shots]
     assert reds[2] - reds[1] > 0.5 * shots[2].num_pixels
 
 
 @pytest.mark.parametrize("film", [CameraCfg()], indirect=True)
 def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
-    first, second = (film.shot(moment(RELEASE)).image.astype(float) for _ in range(2))
+    first, second = (film.shot(moment(RELEASE)).image.pixels.astype(float) for _ in range(2))
     difference, light = first - second, 0.5 * (first + second)
     for low, high in ((20, 45), (110, 140)):
         band = (light > low) & (light < high)
         expected = 2.0 * (1.5**2 + 0.05 * light[band].mean() + 1 / 12)
         assert difference[band].var() == pytest.approx(expected, rel=0.2)
+
+
+class Idle:
+    """Does nothing."""
+
+    def reset(self, is_ended: torch.Tensor | None = None) -> None:
+        pass
+
+    def act(self, observations: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        num_envs = next(iter(observations.values())).shape[0]
+        return {agent.name: torch.zeros(num_envs, agent.num_joints) for agent in METHODS["proposed"].agents}
+
+
+def test_throws_are_recorded_with_the_time_of_their_release():
+    cfg = EvaluationCfg(objects=("cube_l", "sphere_s"), num_envs=2, trials=1)
+    for throw in recorded_throws(cfg, Idle(), METHODS["proposed"]):
+        states = moments(throw)
+        times = [moment.time for moment in states]
+        assert -19 * CONTROL_DT <= times[0] <= -4 * CONTROL_DT
+        held = states[times.index(0.0) - 1]
+        released, later = (states[times.index(0.0) + i] for i in (0, 3))
+        assert abs(held.qvel[OBJECT_VEL]).max() < 0.01
+        assert released.qvel[OBJECT_VEL][2] > 3.0
+        assert later.qpos[OBJECT_POS][0] - released.qpos[OBJECT_POS][0] == pytest.approx(
+            3 * CONTROL_DT * released.qvel[OBJECT_VEL][0], rel=0.02
+        )
+        assert throw.object_name in cfg.objects

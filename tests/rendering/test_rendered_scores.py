@@ -1,26 +1,20 @@
 import numpy as np
 import pytest
 import torch
-from rendered_throws import LabelledImage, film_scores
+from rendered_throws import LabelledImage, truths
 
-from pixel2catch.camera.image import Box, Verdict
-from pixel2catch.evaluation.box_scores import reacquisition, score_box, summary
+from pixel2catch.camera.image import Box, Image, Verdict
+from pixel2catch.evaluation.box_scores import reacquisition, score, score_box, summary
 from pixel2catch.perception.labels import Truth
 
-IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
+PIXELS = np.zeros((2, 2, 3), dtype=np.uint8)
 BOX = (100.0, 100.0, 120.0, 110.0)
 
 
 def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> LabelledImage:
     box = torch.tensor([BOX]) * (num_pixels > 0)
-    return LabelledImage(
-        image=IMAGE,
-        joint_pos=np.zeros(19),
-        time=time,
-        box=box,
-        num_pixels=num_pixels,
-        palm_distance=palm_distance,
-    )
+    image = Image(pixels=PIXELS, stamp=time)
+    return LabelledImage(image=image, box=box, num_pixels=num_pixels, palm_distance=palm_distance)
 
 
 def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
@@ -33,18 +27,21 @@ SHOTS = [*map(shot, (-0.1, 0.0, 0.1, 0.2)), shot(0.3, num_pixels=0), shot(0.4, 0
 SEEN = [*map(seen, (1.0, 3.0, -5.0)), seen(9.0, Verdict.NOT_FOUND), *map(seen, (2.0, 6.0, 4.0))]
 
 
+SCORES = [score(truth, box) for truth, box in zip(truths(SHOTS), SEEN, strict=True)]
+
+
 def test_a_throw_is_held_then_flies_then_stays_near_the_hand():
-    phases = [each.phase for each in film_scores(SHOTS, SEEN)]
+    phases = [each.phase for each in SCORES]
     assert phases == ["held"] * 2 + ["flight"] * 3 + ["near the hand"] * 2
 
 
 def test_only_a_new_box_of_at_most_five_pixels_error_is_good():
-    is_good = [each.is_good for each in film_scores(SHOTS, SEEN)]
+    is_good = [each.is_good for each in SCORES]
     assert is_good == [True, True, True, False, False, False, True]
 
 
 def test_rates_are_of_the_images_in_which_the_object_is_visible():
-    report = summary(film_scores(SHOTS, SEEN))
+    report = summary(SCORES)
     assert report["held"]["error_p50"] == pytest.approx(2.0)
     flight = report["flight"]
     assert (flight["images"], flight["hidden"], flight["seen_though_hidden"]) == (2, 1, 1)
@@ -75,7 +72,6 @@ def test_the_object_is_lost_and_found_again():
 
 
 def test_the_wait_after_a_gap_ends_with_the_first_good_box():
-    scores = film_scores(SHOTS, SEEN)
-    assert reacquisition(scores, 2) == 0
-    assert reacquisition(scores, 3) == 3
-    assert reacquisition(scores[:6], 3) is None
+    assert reacquisition(SCORES, 2) == 0
+    assert reacquisition(SCORES, 3) == 3
+    assert reacquisition(SCORES[:6], 3) is None

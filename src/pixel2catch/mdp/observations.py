@@ -187,7 +187,7 @@ def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_
     )
 
 
-NUM_BOXES = 16  #: Boxes that `fit_boxes` takes. Source: ours, `benchmarks/sight_information.py`.
+NUM_BOXES = 16  #: Boxes that `fit_boxes` takes. Source: ours, experiments/LOG.md, 2026-11-22.
 
 TIME_CONSTANTS = (3.0, 8.0)
 """Time constants of the weights of the two fits [control steps]. Source: ours, as above."""
@@ -241,7 +241,7 @@ def fit_boxes(
         age: Their ages [control steps].
         camera: Its axis and focal lengths turn pixels into directions.
 
-    Source: ours, `benchmarks/sight_information.py`.
+    Source: ours, experiments/LOG.md, 2026-11-22.
     """
     lower, upper = box[..., :2], box[..., 2:]
     center, size = (lower + upper) / 2.0, (upper - lower).mean(dim=-1).clamp(min=LEAST_SIZE)
