@@ -52,9 +52,7 @@ class LabelledImage:
     image: (
         Image  #: With the encoders' positions and the time since the release of the middle of its exposure.
     )
-    box: Float[
-        Tensor, "1 4"
-    ]  #: True box of the visible part of the object [px]; zeros if there is none.
+    box: Float[Tensor, "1 4"]  #: True box of the visible part of the object [px]; zeros if there is none.
     num_pixels: int  #: Pixels of this part.
     palm_distance: float  #: From the palm to the object's centre [m].
 
