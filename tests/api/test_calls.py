@@ -55,7 +55,7 @@ def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path):
     assert run.experiment.train.physics_stages == ()
     assert (run.experiment.env.scene, run.experiment.env.sensing) == (OWN.scene, OWN.sensing)
     assert run.experiment.env.dynamics == arm
-    assert (out / "dynamics.json").read_bytes() == file.read_bytes()
+    assert read_run(out).experiment.env.with_files(file, None) == run.experiment.env
     assert p2c.load_policy(out).contract.task == "own"
     with pytest.raises(CheckpointError, match="'own', and 'nominal' is given"):
         p2c.train("only_center", out, task="nominal", resume=True)

@@ -192,3 +192,15 @@ def roll_out(mappo: Mappo, env: Any) -> None:
         step = env.step(mappo.act(observation))
         mappo.record(step)
         observation = step.observation
+
+
+def during_step(number: int, function: Callable[[], object]) -> Callable[..., Any]:
+    """Make environments in which something happens at the beginning of a step."""
+
+    class Env(ReachingEnv):
+        def step(self, actions: dict[str, Tensor]) -> ReachingStep:
+            if self.num_steps == number:
+                function()
+            return super().step(actions)
+
+    return Env

@@ -2,20 +2,16 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, Statistics, TaughtEnv, observed, roll_out
+from reaching import CONTRACT, SMALL, ReachingEnv, TaughtEnv, roll_out
 from torch import Tensor, nn
 
-from pixel2catch.envs.catch_env import Observation
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import gru_rollout
-from pixel2catch.learning.train import train
-from pixel2catch.policy import AgentContract, Policy
+from pixel2catch.policy import Policy
 
 RECURRENT = dataclasses.replace(SMALL, recurrent=16)
 
@@ -73,60 +69,6 @@ def test_learning_sees_what_acting_saw() -> None:
         log_prob = networks.log_prob(networks.policy(features), rollout.actions)
         torch.testing.assert_close(log_prob, rollout.log_prob)
         mappo.update(0.0)
-
-
-class CueEnv(ReachingEnv):
-    """A cue, 1 or -1, is shown at the first step of an episode only, and asked for at the fifth."""
-
-    observation_sizes = {"arm": 2}  # noqa: RUF012
-    state_size = 2
-    action_sizes = {"arm": 1}  # noqa: RUF012
-    LAST = 4
-
-    def __init__(self, cfg: TrainCfg, physics_hz: float | None = None) -> None:
-        super().__init__(cfg, physics_hz)
-        self.buffers = observed({"arm": self._zeros(2)}, self._zeros(2))
-        self.statistics = Statistics()
-
-    def reset(self, *, is_staggered: bool = False) -> Observation:
-        self.time = torch.randint(0, self.LAST + 1, (self.num_envs,), generator=self.generator).float()
-        self.goal = self._zeros()
-        return self.see()
-
-    def step(self, actions: dict[str, Tensor]) -> Any:
-        is_done = self.time == self.LAST
-        reward = torch.where(is_done, self.goal * actions["arm"][:, 0].clamp(-1.0, 1.0), 0.0)
-        self.statistics.episodes += float((is_done & (self.goal != 0.0)).sum())
-        self.statistics.successes += float((is_done & (reward > 0.0)).sum())
-        cue = 2.0 * torch.randint(0, 2, (self.num_envs,), generator=self.generator).float() - 1.0
-        self.goal = torch.where(is_done, cue, self.goal)
-        self.time = torch.where(is_done, 0.0, self.time + 1.0)
-        return ReachingStep(self.see(), {"arm": reward}, is_done, torch.zeros_like(is_done))
-
-    def see(self) -> Observation:
-        columns = (torch.where(self.time == 0.0, self.goal, 0.0), (self.time == self.LAST).float())
-        for buffer in (self.buffers.policy["arm"], self.buffers.state):
-            buffer.copy_(torch.stack(columns, -1))
-        return self.buffers
-
-
-CUE_CONTRACT = dataclasses.replace(
-    CONTRACT, agents={"arm": AgentContract(observation=(("cue", 1), ("question", 1)), joints=("pan",))}
-)
-
-
-def test_a_memory_learns_what_was_shown_before(tmp_path: Path) -> None:
-    """Without a memory half of the answers are right."""
-    cfg = dataclasses.replace(RECURRENT, hidden=(16,), transitions=24 * 1024, learning_rate=5e-3)
-    result = train(cfg, CueEnv, CUE_CONTRACT, tmp_path)
-    policy = Policy.load(result.policy)
-    env = CueEnv(dataclasses.replace(SMALL, seed=9))
-    observation = env.reset()
-    for _ in range(50):
-        step = env.step(policy.act(observation.policy))
-        policy.reset(step.terminated)
-        observation = step.observation
-    assert env.statistics.pop()["success_rate"] > 0.97
 
 
 def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:

@@ -1,18 +1,18 @@
 """Whole trainings of a small task, and everything that can get in their way."""
 
+import contextlib
 import csv
 import dataclasses
 import json
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv
+from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step
 
 from pixel2catch.errors import (
     CheckpointError,
@@ -32,7 +32,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@contextmanager
+@contextlib.contextmanager
 def full_disk(limit: int = 0) -> Iterator[None]:
     """No file can grow beyond the limit [bytes], as on a full disk."""
     resource = pytest.importorskip("resource")
@@ -181,14 +181,11 @@ def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str,
 def test_the_last_good_update_is_logged_when_the_next_fails(tmp_path: Path) -> None:
     """A row is written while the next rollout is collected, which fails here."""
 
-    class BreakingEnv(ReachingEnv):
-        def step(self, actions: dict[str, torch.Tensor]) -> Any:
-            if self.num_steps == 20:
-                raise NonFiniteError("the physics broke")
-            return super().step(actions)
+    def fail() -> None:
+        raise NonFiniteError("the physics broke")
 
     with pytest.raises(NonFiniteError, match="the physics broke"):
-        train(SMALL, BreakingEnv, CONTRACT, tmp_path)
+        train(SMALL, during_step(20, fail), CONTRACT, tmp_path)
     assert [row["transitions"] for row in rows(tmp_path)] == ["1024"]
 
 
@@ -202,15 +199,6 @@ def test_nan_in_the_networks_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(GradientStep, "apply", spoil)
     with pytest.raises(NonFiniteError, match=r"value network of agent 'arm'"):
         train(SMALL, ReachingEnv, CONTRACT, tmp_path)
-
-
-class FillingEnv(ReachingEnv):
-    """The disk is full from the first step on."""
-
-    def step(self, actions: dict[str, torch.Tensor]) -> Any:
-        resource = pytest.importorskip("resource")
-        resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
-        return super().step(actions)
 
 
 def test_one_warning_of_a_value_network_that_does_not_learn(
@@ -231,8 +219,9 @@ def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }
     longer = dataclasses.replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
     message = r"could not be written.*earlier checkpoint there is still good"
-    with full_disk(limit=-1), pytest.raises(CheckpointError, match=message):
-        train(longer, FillingEnv, CONTRACT, tmp_path, resume=True)
+    with contextlib.ExitStack() as stack, pytest.raises(CheckpointError, match=message):
+        fill = during_step(0, lambda: stack.enter_context(full_disk(5000)))
+        train(longer, fill, CONTRACT, tmp_path, resume=True)
     assert "warning: could not write checkpoint" in capsys.readouterr().out
     assert before == {path: path.read_bytes() for path in before}
     assert not list(tmp_path.rglob("*.tmp"))
@@ -252,18 +241,10 @@ def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:
     assert [row["transitions"] for row in rows(tmp_path)] == ["10", "20", "30", "40", "60"]
 
 
-class InterruptedEnv(ReachingEnv):
-    """Ctrl-C is pressed in the third rollout."""
-
-    def step(self, actions: dict[str, torch.Tensor]) -> Any:
-        if self.num_steps == 2 * SMALL.rollout_steps + 3:
-            signal.raise_signal(signal.SIGINT)
-        return super().step(actions)
-
-
 def test_interruption(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """After one Ctrl-C there are checkpoint, policy and summary, and the training can go on."""
-    result = train(SMALL, InterruptedEnv, CONTRACT, tmp_path)
+    env = during_step(2 * SMALL.rollout_steps + 3, partial(signal.raise_signal, signal.SIGINT))
+    result = train(SMALL, env, CONTRACT, tmp_path)
     assert (result.status, result.transitions) == ("interrupted", 2048)
     assert "--resume" in capsys.readouterr().out
     assert json.loads((tmp_path / "summary.json").read_text())["status"] == "interrupted"
@@ -277,7 +258,7 @@ def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
         env.statistics.time_penalty = float("nan")
         return env
 
-    with pytest.raises(NonFiniteError, match=r"reward term 'arm\.time'"):
+    with pytest.raises(NonFiniteError, match=r"reward_term/arm\.time"):
         train(SMALL, make, CONTRACT, tmp_path)
 
 
@@ -290,3 +271,27 @@ def test_the_simulation_is_checked_once_a_rollout(tmp_path: Path) -> None:
 
     train(SMALL, make, CONTRACT, tmp_path)
     assert made[0].num_checks == len(rows(tmp_path)) == 4
+
+
+@pytest.mark.parametrize("staggered", [True, False])
+def test_physics_rates_share_the_training(staggered: bool, tmp_path: Path) -> None:
+    """Of four rollouts three begin in the first two thirds; at the change the environments are new.
+
+    A resume in the last stage makes only the environments of that stage.
+    """
+    made: list[Any] = []
+
+    def make_env(cfg: TrainCfg, physics_hz: float | None) -> Any:
+        made.append(ReachingEnv(cfg, physics_hz))
+        return made[-1]
+
+    cfg = dataclasses.replace(SMALL, physics_stages=(120.0, 120.0, 240.0), staggered=staggered)
+    train(cfg, make_env, CONTRACT, tmp_path)
+    assert [env.physics_hz for env in made] == [120.0, 240.0]
+    assert [env.num_steps for env in made] == [3 * SMALL.rollout_steps, SMALL.rollout_steps]
+    assert [env.staggered_resets for env in made] == [[staggered], [staggered]]
+    assert [cfg.rate_at(n) for n in (0, 2730, 2731, 4095, 4096)] == [120.0, 120.0, 240.0, 240.0, 240.0]
+    longer = dataclasses.replace(cfg, transitions=5120)
+    train(longer, make_env, CONTRACT, tmp_path, resume=True)
+    assert [env.physics_hz for env in made] == [120.0, 240.0, 240.0]
+    assert all(env.is_closed for env in made)

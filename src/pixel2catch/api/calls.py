@@ -1,6 +1,6 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -148,25 +148,24 @@ def train(
     """
     require_known(options)
     given = {"dynamics": dynamics, "camera": camera}
-    inputs = {key: None if file is None else Path(file) for key, file in given.items()}
+    files = {key: Path(file) for key, file in given.items() if file is not None}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
     if resume:
         if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):
             raise InvalidValueError("resume is given with an experiment or a task; leave that out.")
         method_name = method.name if isinstance(method, Method) else named(method)
-        run_there = require_run(Path(out), method=method_name, preset=name, task=task, workcell=cell)
+        run_there = require_run(Path(out), method=method_name, preset=name, task=task, workcell=cell, **files)
         experiment, name = run_there.experiment, run_there.preset
     elif isinstance(preset, Experiment):
         if (task, workcell, dynamics, camera) != (None, None, None, None):
             raise InvalidValueError("an experiment is given; leave out task, workcell, dynamics and camera.")
         experiment = preset
     else:
-        files = {key: file for key, file in inputs.items() if file}
         name = name or "cpu"
         experiment = preset_of(name, "nominal" if task is None else task, workcell=cell, **files, **options)
     experiment = replace(experiment, train=replace(experiment.train, **options))
     found = _method(method, experiment.env)
-    return run(experiment, found, Path(out), resume=resume, preset=name, inputs=inputs)
+    return run(experiment, found, Path(out), resume=resume, preset=name)
 
 
 def run(
@@ -176,11 +175,10 @@ def run(
     *,
     resume: bool = False,
     preset: str | None = None,
-    inputs: Mapping[str, Path | None] | None = None,
 ) -> TrainResult:
     """Train a method to the end.
 
-    The run folder records the name of the preset, and keeps copies of the inputs: files by option.
+    The run folder records the name of the preset.
 
     Raises:
         Pixel2CatchError: As `learning.train.train`.
@@ -214,7 +212,7 @@ def run(
     )
     agents = {agent.name: agent.to_dict() for agent in method.agents}
     record = {"env": asdict(env), "agents": agents, "preset": preset}
-    return train_policy(cfg, make_env, contract, out, resume=resume, inputs=inputs, record=record)
+    return train_policy(cfg, make_env, contract, out, resume=resume, record=record)
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:

@@ -87,9 +87,10 @@ REMOVED_OPTIONS = (
     (
         "train",
         "--schedule --kl-target --discount --gae-lambda --ratio-clip "
-        "--value-clip --value-loss --value-loss-scale --entropy-scale --gradient-clip",
+        "--value-clip --value-loss-scale --entropy-scale --gradient-clip",
         "set it in Python or by 'reproduce --training NAME=VALUE'",
     ),
+    ("train", "--value-loss", "leave it out; the error of a value is clipped"),
     ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
     ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),
 )

@@ -41,10 +41,10 @@ class Train:
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands load such a file by `--import FILE.py`. Default: ur5e_allegro.
     workcell: str | None = None
-    #: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
-    #: Evaluations take it by their own --dynamics only. Default: the nominal robot.
+    #: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps its
+    #: values. Evaluations take it by their own --dynamics only. Default: the nominal robot.
     dynamics: DynamicsPath | None = None
-    #: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy. Every
+    #: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps its values. Every
     #: episode draws pose and focal length within what the file leaves open. Its images must be rectified.
     #: Default: the release's camera, known exactly.
     camera: CameraPath | None = None
@@ -74,7 +74,10 @@ class Train:
         require_valid(cls(**files))
         method = args[0] if args and not args[0].startswith("-") else None
         folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
-        experiment, method = _run(folder, given, method) if given.resume else (_preset(given, files), method)
+        if given.resume:
+            experiment, method = _run(folder, given, files, method)
+        else:
+            experiment = _preset(given, files)
         if "scene.physics_hz" in given_fields(args):  # one rate throughout
             if given.physics_stages is not None:
                 raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
@@ -111,7 +114,6 @@ class Train:
             folder,
             resume=self.resume,
             preset=self.preset,
-            inputs={"dynamics": self.dynamics, "camera": self.camera},
         )
         if result.status == "interrupted":
             raise KeyboardInterrupt
@@ -132,12 +134,15 @@ def _preset(given: argparse.Namespace, files: dict[str, Any]) -> "Experiment":
     return preset(name, given.task or "nominal", workcell=given.workcell, **files, **options)
 
 
-def _run(folder: Path, given: argparse.Namespace, method: str | None) -> "tuple[Experiment, str]":
+def _run(
+    folder: Path, given: argparse.Namespace, files: dict[str, Any], method: str | None
+) -> "tuple[Experiment, str]":
     from pixel2catch.learning.experiment import require_run
     from pixel2catch.workcells import find_workcell
 
     workcell = find_workcell(given.workcell).name if given.workcell else None
-    run = require_run(folder, method=method, preset=given.preset, task=given.task, workcell=workcell)
+    names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
+    run = require_run(folder, **files, **names)
     return run.experiment, run.method
 
 

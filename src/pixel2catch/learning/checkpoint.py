@@ -122,14 +122,12 @@ def _read(path: Path, device: str) -> dict[str, Any]:
 class RunFolder:
     """Files of a run.
 
-    `config.json` resolved configuration · `dynamics.json`, `camera.json` copies of files that were given ·
-    `sessions.json` versions, revision, hardware of every start · `metrics.csv` and TensorBoard events ·
-    `checkpoint.pt` to resume · `policy/` to use · `summary.json` how it ended.
+    `config.json` resolved configuration, with the values of dynamics and camera files · `sessions.json`
+    versions, revision, hardware of every start · `metrics.csv` and TensorBoard events · `checkpoint.pt` to
+    resume · `policy/` to use · `summary.json` how it ended.
     """
 
     path: Path  #: The folder.
-    #: Files that were given, by the option that names them; None where the option is not given.
-    inputs: Mapping[str, Path | None] = dataclasses.field(default_factory=dict)
 
     @property
     def checkpoint(self) -> Path:
@@ -146,21 +144,12 @@ class RunFolder:
         """Make the folder, or check that it can be resumed; at the end remove folders that stayed empty.
 
         Raises:
-            CheckpointError: The folder holds a run already, holds none to resume or one with other inputs, or
-                cannot be made.
+            CheckpointError: The folder holds a run already, holds none to resume, or cannot be made.
         """
         if resume and not self.checkpoint.exists():
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
         if not resume and (self.path / CONFIG_FILE).exists():
             raise CheckpointError(f"'{self.path}' holds a run already; name another folder, or add --resume.")
-        for name, given in self.inputs.items():
-            copy = self._copy_of(name)
-            is_same = bool(given) and copy.exists() and copy.read_bytes() == given.read_bytes()
-            if given and not is_same and (resume or copy.exists()):
-                raise CheckpointError(
-                    f"'{self.path}' has another {name} file, or none; leave out --{name}, or name another "
-                    "folder."
-                )
         made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -174,11 +163,8 @@ class RunFolder:
                     folder.rmdir()
 
     def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
-        """Write the resolved configuration, copy the inputs, append this session's circumstances."""
+        """Write the resolved configuration, append this session's circumstances."""
         self.write_json(CONFIG_FILE, config)
-        files.write_atomically(
-            {self._copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
-        )
         sessions_file = self.path / "sessions.json"
         sessions = files.parse_json(files.read_text(sessions_file)) if sessions_file.exists() else []
         session = {**circumstances(), "processes": num_processes}
@@ -187,6 +173,3 @@ class RunFolder:
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
         files.write_atomically({self.path / name: files.json_text(content).encode()})
-
-    def _copy_of(self, name: str) -> Path:
-        return self.path / f"{name}.json"

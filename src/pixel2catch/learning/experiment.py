@@ -106,11 +106,15 @@ def read_run(folder: Path) -> RunRecord:
         ) from error
 
 
-def require_run(folder: Path, **given: str | None) -> RunRecord:
+def require_run(
+    folder: Path, dynamics: Path | None = None, camera: Path | None = None, **given: str | None
+) -> RunRecord:
     """Read the run that goes on, and check that what is given is what it was started with.
 
     Args:
         folder: The run folder.
+        dynamics: Dynamics file; None where none is given.
+        camera: Camera file; likewise.
         **given: Names by option: method, preset, task, workcell; None where the option is not given.
 
     Raises:
@@ -129,6 +133,13 @@ def require_run(folder: Path, **given: str | None) -> RunRecord:
             raise CheckpointError(
                 f"'{folder}' {before}, and '{value}' is given; leave out the {name}, or name another folder."
             )
+    tasks = {"dynamics": env.with_files(dynamics, None), "camera": env.with_files(None, camera)}
+    for name, task in tasks.items():
+        if task != env:
+            raise CheckpointError(
+                f"'{folder}' is a run with another {name} file, or none; leave out --{name}, or name another "
+                "folder."
+            )
     return run
 
 
@@ -141,4 +152,6 @@ def _current(content: dict[str, Any]) -> dict[str, Any]:
         env = env | {"name": train["task"], "scene": env["scene"] | {"physics_hz": stages[0]}}
         moved = ("method", "task", "dynamics", "camera", "latency_steps", "cone", "multiccd")
         train = {name: value for name, value in train.items() if name not in moved}
-    return content | {"train": {"value_loss": "clipped"} | train, "env": env}
+    if train.pop("value_loss", "clipped") != "clipped":
+        raise InvalidValueError("its value_loss is not 'clipped'")
+    return content | {"train": train, "env": env}

@@ -3,6 +3,7 @@
 import csv
 import importlib
 import io
+import os
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -39,12 +40,19 @@ class TrainingLog:
             console=self._console,
             line_seconds=cfg.report_seconds,
         )
-        self._csv = self._tensorboard = self._wandb = None
-        if not is_silent:
-            self._csv = CsvLog(folder / METRICS_FILE, transitions)
-            # TensorBoard hides later points of older event files.
-            self._tensorboard = SummaryWriter(str(folder), purge_step=transitions or None)
-            self._wandb = WandbRun(cfg.wandb, folder) if cfg.wandb else None
+        self._sinks: dict[str, Callable[[Row], object]] = {}
+        self._closing: dict[str, Callable[[], None]] = {}
+        if is_silent:
+            return
+        # TensorBoard hides later points of older event files.
+        events = SummaryWriter(str(folder), purge_step=transitions or None)
+        self._sinks["metrics"] = CsvLog(folder / METRICS_FILE, transitions).write
+        self._sinks["TensorBoard events"] = partial(_add_scalars, events)
+        self._closing["TensorBoard events"] = events.close
+        if cfg.wandb:
+            run = start_wandb(cfg.wandb, folder)
+            self._sinks["metrics to Weights & Biases"] = run.log
+            self._closing["the run of Weights & Biases"] = run.finish
 
     def __enter__(self) -> "TrainingLog":
         """Show the bar."""
@@ -53,21 +61,15 @@ class TrainingLog:
 
     def __exit__(self, *_: object) -> None:
         """Close the files and leave the terminal as it was."""
-        if self._tensorboard is not None:
-            self.attempt("TensorBoard events", self._tensorboard.close)
-        if self._wandb is not None:
-            self.attempt("the run of Weights & Biases", self._wandb.close)
+        for what, close in self._closing.items():
+            self.attempt(what, close)
         self._bar.__exit__()
 
     def write(self, row: Row) -> None:
         """Show and write a row of metrics; warn of value networks that do not learn."""
         self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
-        if self._csv is not None:
-            self.attempt("metrics", partial(self._csv.write, row))
-        if self._tensorboard is not None:
-            self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
-        if self._wandb is not None:
-            self.attempt("metrics to Weights & Biases", partial(self._wandb.write, row))
+        for what, write in self._sinks.items():
+            self.attempt(what, partial(write, row))
         self._warn(row)
 
     def _warn(self, row: Row) -> None:
@@ -84,7 +86,7 @@ class TrainingLog:
                     "with another --seed or a lower --learning-rate"
                 )
 
-    def attempt(self, what: str, write: Callable[[], None]) -> None:
+    def attempt(self, what: str, write: Callable[[], object]) -> None:
         """Write something; if that fails, print a warning and go on."""
         try:
             write()
@@ -118,38 +120,27 @@ def wandb_package() -> Any:
         return importlib.import_module("wandb")
 
 
-class WandbRun:
-    """A run of Weights & Biases with configuration and metrics of a run folder."""
+def start_wandb(project: str, folder: Path) -> Any:
+    """Start a run of Weights & Biases, or go on with the one of this folder; it has the folder's name.
 
-    def __init__(self, project: str, folder: Path) -> None:
-        """Start it, or go on with the one of this folder; it has the name of the folder.
-
-        Raises:
-            InvalidValueError: It cannot start.
-        """
-        config = read_json_object(folder / CONFIG_FILE)
-        file = folder / WANDB_FILE
-        number = file.read_text(encoding="utf-8") if file.exists() else None
-        wandb = wandb_package()
-        try:
-            self._run = wandb.init(
-                project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
-            )
-        except wandb.Error as error:
-            raise InvalidValueError(
-                f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
-                "WANDB_MODE=offline."
-            ) from error
-        write_atomically({file: self._run.id.encode()})
-        self._run.define_metric("*", step_metric="transitions")
-
-    def write(self, row: Row) -> None:
-        """Send a row of metrics."""
-        self._run.log(dict(row))
-
-    def close(self) -> None:
-        """Send the rest and close the run."""
-        self._run.finish()
+    Raises:
+        InvalidValueError: It cannot start.
+    """
+    wandb, file = wandb_package(), folder / WANDB_FILE
+    number = file.read_text(encoding="utf-8") if file.exists() else None
+    config = read_json_object(folder / CONFIG_FILE)
+    try:
+        run = wandb.init(
+            project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
+        )
+    except wandb.Error as error:
+        raise InvalidValueError(
+            f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
+            "WANDB_MODE=offline."
+        ) from error
+    write_atomically({file: run.id.encode()})
+    run.define_metric("*", step_metric="transitions")
+    return run
 
 
 class CsvLog:
@@ -160,7 +151,7 @@ class CsvLog:
         self._path = path
         self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
         self._columns: list[str] = []
-        self._num_written = -1
+        self._num_written = 0
 
     def write(self, row: Row) -> None:
         """Append a row; with a new column the whole file is written again.
@@ -172,12 +163,22 @@ class CsvLog:
             {name: f"{value:.6g}" for name, value in row.items()} | {"transitions": str(row["transitions"])}
         )
         columns = list(dict.fromkeys(name for row in (self._rows[0], self._rows[-1]) for name in row))
-        if columns != self._columns or self._num_written < 0:
+        if columns != self._columns:
             text = ",".join(columns) + "\n" + _format(self._rows, columns)
             write_atomically({self._path: text.encode()})
         else:
-            _append(self._path, _format(self._rows[self._num_written :], columns).encode())
+            self._append(_format(self._rows[self._num_written :], columns).encode())
         self._columns, self._num_written = columns, len(self._rows)
+
+    def _append(self, content: bytes) -> None:
+        size = self._path.stat().st_size
+        try:
+            with open(self._path, "ab", buffering=0) as file:
+                if file.write(content) != len(content):
+                    raise OSError(f"no space left for '{self._path}'")
+        except OSError:
+            os.truncate(self._path, size)
+            raise
 
 
 def _add_scalars(writer: SummaryWriter, row: Row) -> None:
@@ -197,15 +198,3 @@ def _format(rows: list[dict[str, str]], columns: list[str]) -> str:
     text = io.StringIO()
     csv.DictWriter(text, columns, restval="", lineterminator="\n").writerows(rows)
     return text.getvalue()
-
-
-def _append(path: Path, content: bytes) -> None:
-    size = path.stat().st_size
-    try:
-        with open(path, "ab", buffering=0) as file:
-            if file.write(content) != len(content):
-                raise OSError(f"no space left for '{path}'")
-    except OSError:
-        with open(path, "rb+") as file:
-            file.truncate(size)
-        raise

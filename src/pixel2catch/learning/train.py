@@ -26,8 +26,6 @@ from pixel2catch.shipped import policy_folder
 MakeEnv = Callable[..., CatchEnv]
 """Makes environments from a share of the `TrainCfg` and a physics rate [1/s], or None for their own rate."""
 
-REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainResult:
@@ -48,7 +46,6 @@ def train(
     out_dir: Path,
     *,
     resume: bool = False,
-    inputs: Mapping[str, Path | None] | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> TrainResult:
     """Train a method and write its run folder; in a process that torchrun started, together with the others.
@@ -59,7 +56,6 @@ def train(
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
-        inputs: Files that were given, by option; the folder keeps copies.
         record: Other entries of `config.json`: the environments, the agents, the preset.
 
     Raises:
@@ -72,7 +68,7 @@ def train(
     """
     if cfg.wandb:
         wandb_package()
-    folder = RunFolder(out_dir, inputs or {})
+    folder = RunFolder(out_dir)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
         with workers.sync_errors():
             share = workers.share(cfg)
@@ -81,87 +77,64 @@ def train(
         with workers.sync_errors():
             checkpoint = Checkpoint.load(folder.checkpoint, share.device) if resume else None
             progress = checkpoint.progress if checkpoint else Progress()
-            schedule = EnvSchedule(share, make_env, contract, progress.transitions)
-            stack.enter_context(contextlib.closing(schedule))
-            torch.manual_seed(cfg.seed)
-            training = _Training(cfg, schedule, contract, folder, workers, record or {})
+            training = _Training(cfg, make_env, contract, folder, workers, record or {}, progress)
             stack.enter_context(contextlib.closing(training))
-            if cfg.start and not resume:
-                with workers.sync_errors():
-                    start = Policy.load(policy_folder(cfg.start))
-                    start.contract.require(contract)
-                    training.mappo.adopt(start)
             if checkpoint:
                 checkpoint.restore(training.mappo)
-                training.progress = progress
-            workers.diverge(cfg.seed, training.progress.transitions)
+            elif cfg.start:
+                start = Policy.load(policy_folder(cfg.start))
+                start.contract.require(contract)
+                training.mappo.adopt(start)
+            workers.diverge(cfg.seed, progress.transitions)
         return training.run()
 
 
-class EnvSchedule:
-    """Environments that are made again where the physics rate changes in the course of a training."""
+def _fitting(env: CatchEnv, cfg: TrainCfg, contract: PolicyContract) -> CatchEnv:
+    """Return environments that fit the configuration and the contract, or close them.
 
-    def __init__(self, cfg: TrainCfg, make_env: MakeEnv, contract: PolicyContract, transitions: int) -> None:
-        """Make the environments that follow some transitions, for this process's share of the configuration.
-
-        Raises:
-            PolicyMismatchError: They do not fit the contract; the message names the field.
-        """
-        self._cfg, self._make_env, self._contract = cfg, make_env, contract
-        self._rate = cfg.rate_at(transitions)
-        self.env = self._make()  #: The environments at the present rate.
-
-    def enter(self, transitions: int) -> bool:
-        """Change to the rate that follows this many transitions; return whether the environments are new."""
-        rate = self._cfg.rate_at(transitions)
-        if rate == self._rate:
-            return False
-        self.env.close()
-        self._rate = rate
-        self.env = self._make()
-        return True
-
-    def close(self) -> None:
-        """Close the environments."""
-        self.env.close()
-
-    def _make(self) -> CatchEnv:
-        env, agents = self._make_env(self._cfg, self._rate), self._contract.agents.items()
-        sizes = {
-            "num_envs": (self._cfg.num_envs, env.num_envs),
-            "observation_sizes": ({name: each.num_inputs for name, each in agents}, env.observation_sizes),
-            "action_sizes": ({name: len(each.joints) for name, each in agents}, env.action_sizes),
-        }
-        for name, (expected, found) in sizes.items():
-            if expected != found:
-                env.close()
-                raise PolicyMismatchError(
-                    f"{name}: configuration and contract have {expected}, the environments {found}."
-                )
-        return env
+    Raises:
+        PolicyMismatchError: They do not fit; the message names the field.
+    """
+    agents = contract.agents.items()
+    sizes = {
+        "num_envs": (cfg.num_envs, env.num_envs),
+        "observation_sizes": ({name: each.num_inputs for name, each in agents}, env.observation_sizes),
+        "action_sizes": ({name: len(each.joints) for name, each in agents}, env.action_sizes),
+    }
+    for name, (expected, found) in sizes.items():
+        if expected != found:
+            env.close()
+            raise PolicyMismatchError(
+                f"{name}: configuration and contract have {expected}, the environments {found}."
+            )
+    return env
 
 
 class _Training:
     def __init__(
         self,
         cfg: TrainCfg,
-        schedule: EnvSchedule,
+        make_env: MakeEnv,
         contract: PolicyContract,
         folder: RunFolder,
         workers: Workers,
         record: Mapping[str, Any],
+        progress: Progress,
     ) -> None:
-        self.record = record
-        self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
-        self.workers = workers
-        self.mappo = Mappo(workers.share(cfg), schedule.env, contract, workers)
-        self.progress = Progress()
+        self.cfg, self.contract, self.folder, self.workers = cfg, contract, folder, workers
+        self.record, self.progress = record, progress
+        self.share, self.make_env = workers.share(cfg), make_env
+        self.rate = cfg.rate_at(progress.transitions)
+        self.env = _fitting(make_env(self.share, self.rate), self.share, contract)
+        torch.manual_seed(cfg.seed)
+        self.mappo = Mappo(self.share, self.env, contract, workers)
         self.row: Row = {}
         self._is_unlogged = False
 
     def close(self) -> None:
-        """Release what would keep the process group from ending."""
+        """Close the environments, and release what would keep the process group from ending."""
         self.mappo.close()
+        self.env.close()
 
     def run(self) -> TrainResult:
         """Train to the end; in any case write how it ended."""
@@ -201,8 +174,8 @@ class _Training:
             while self.progress.transitions < self.cfg.transitions:
                 started = time.monotonic()
                 with self.workers.sync_errors():
-                    if self.schedule.enter(self.progress.transitions) or observation is None:
-                        observation = self.schedule.env.reset(is_staggered=self.cfg.staggered)
+                    if self._change_rate() or observation is None:
+                        observation = self.env.reset(is_staggered=self.cfg.staggered)
                         self.mappo.reset_hidden()
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)
@@ -219,6 +192,16 @@ class _Training:
             self._log_row(log)
         return "finished"
 
+    def _change_rate(self) -> bool:
+        """Make the environments anew where the physics rate changes; return whether it does."""
+        rate = self.cfg.rate_at(self.progress.transitions)
+        if rate == self.rate:
+            return False
+        self.env.close()
+        self.rate = rate
+        self.env = _fitting(self.make_env(self.share, rate), self.share, self.contract)
+        return True
+
     def _log_row(self, log: TrainingLog) -> None:
         if self._is_unlogged:
             self._is_unlogged = False
@@ -228,7 +211,7 @@ class _Training:
         for _ in range(self.cfg.rollout_steps):
             if stop.is_set:
                 break
-            step = self.schedule.env.step(self.mappo.act(observation))
+            step = self.env.step(self.mappo.act(observation))
             self.mappo.record(step)
             observation = step.observation
         return observation
@@ -243,11 +226,12 @@ class _Training:
         rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
         rewards = self.workers.sum(rewards) / self.workers.size
         with self.workers.sync_errors():  # first: NaN of one process reaches the networks of all
-            self.schedule.env.check()
+            self.env.check()
             require_finite(given())
-        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
+        statistics = self.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
-            require_finite(reward_terms(statistics) | found())
+            terms = {name: value for name, value in statistics.items() if name.startswith("reward_term/")}
+            require_finite(terms | found())
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -320,15 +304,6 @@ def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
             norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])
             found[f"parameters of the {role} network of agent '{agent}'"] = norm
     return found
-
-
-def reward_terms(statistics: Mapping[str, float]) -> dict[str, float]:
-    """Return the means of the reward terms among an environment's statistics, by name."""
-    return {
-        f"reward term '{name.removeprefix(REWARD_TERM)}'": value
-        for name, value in statistics.items()
-        if name.startswith(REWARD_TERM)
-    }
 
 
 def require_finite(named: Mapping[str, float]) -> None:
