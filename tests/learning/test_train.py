@@ -219,9 +219,10 @@ def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }
     longer = dataclasses.replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
     message = r"could not be written.*earlier checkpoint there is still good"
-    with contextlib.ExitStack() as stack, pytest.raises(CheckpointError, match=message):
+    with contextlib.ExitStack() as stack:
         fill = during_step(0, lambda: stack.enter_context(full_disk(5000)))
-        train(longer, fill, CONTRACT, tmp_path, resume=True)
+        with pytest.raises(CheckpointError, match=message):
+            train(longer, fill, CONTRACT, tmp_path, resume=True)
     assert "warning: could not write checkpoint" in capsys.readouterr().out
     assert before == {path: path.read_bytes() for path in before}
     assert not list(tmp_path.rglob("*.tmp"))
