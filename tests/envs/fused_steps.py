@@ -10,7 +10,7 @@ import torch
 from pixel2catch.devices import keeping
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.sim.fusion import fused
+from pixel2catch.sim.graphs import fused
 
 
 def require_equal_steps(plain: CatchEnv, compiled: CatchEnv, num_steps: int) -> None:

@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from pixel2catch.robots.poses import quaternion
 from pixel2catch.scene.cfg import SOLIMP, contact_solref
-from pixel2catch.sim.engine import EngineCopy, Inputs
+from pixel2catch.sim.engine import EngineCopy
 from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
 
 
@@ -90,9 +90,11 @@ class RebuiltCopy(EngineCopy):
     def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
-    def step(self, inputs: Inputs) -> None:
-        self.data.ctrl[:], self.data.qfrc_applied[:] = inputs.ctrl, inputs.qfrc_applied
-        self.data.xfrc_applied[self._ids] = inputs.xfrc_applied[self._numbers]
+    def step(
+        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
+    ) -> None:
+        self.data.ctrl[:], self.data.qfrc_applied[:] = ctrl, qfrc
+        self.data.xfrc_applied[self._ids] = xfrc[self._numbers]
         mujoco.mj_step(self.model, self.data)
 
     def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:

@@ -77,10 +77,10 @@ def test_an_ellipsoid_is_the_hull_of_points_on_it():
     ("extra", "replaced", "what"),
     [
         ('<equality><joint joint1="hinge"/></equality>', {}, "neq"),
-        ("", {'gravcomp="1"': 'gravcomp="0.5"'}, "gravcomp of body 'arm'"),
+        ("", {'gravcomp="1"': 'gravcomp="0.5"'}, "a gravcomp between 0 and 1"),
         ("", {'armature="0.01"': 'armature="0.01" damping="1"'}, "dof_damping"),
         ("", {'forcerange="-5 5"': ""}, "servos without limits"),
-        ("", {'axis="0 0 1"': 'axis="0 0 1" type="slide"'}, "joint 'hinge'"),
+        ("", {'axis="0 0 1"': 'axis="0 0 1" type="slide"'}, "joints other than hinges"),
         ("", {'axis="0 0 1"': 'axis="0 0 1" ref="1"'}, "a reference angle"),
     ],
 )

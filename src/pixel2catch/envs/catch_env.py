@@ -30,7 +30,7 @@ from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.sim.fusion import fused
+from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
 
 STAGGER_STEPS = 45
@@ -108,7 +108,7 @@ class CatchEnv:
         """Build the environments; the first `reset` begins their episodes.
 
         Observations of a `teacher` are computed, too. With `is_fused`, the first step compiles the control
-        step: see `sim.fusion`.
+        step: see `sim.graphs.fused`.
 
         Raises:
             InvalidValueError: If a value is of another type or out of range.

@@ -1,6 +1,7 @@
 """The CPU back end: `mujoco.batch`, all cores, float64."""
 
 import os
+import warnings
 from typing import final
 
 import mujoco
@@ -84,13 +85,5 @@ def _require_memory(num_envs: int) -> None:
 
 def _as_tensor(array: np.ndarray) -> Tensor:
     """Return a tensor that shares the memory of an array, read-only or not."""
-    return torch.from_numpy(np.asarray(_Writable(array)))
-
-
-class _Writable:
-    """An array without its read-only flag, about which PyTorch would warn."""
-
-    def __init__(self, array: np.ndarray) -> None:
-        address, _ = array.__array_interface__["data"]
-        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
-        self._owner = array  # keeps the memory alive
+    with warnings.catch_warnings(action="ignore"):  # of PyTorch about arrays that are read-only
+        return torch.from_numpy(array)

@@ -17,7 +17,7 @@ from numpy import ndarray
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import Pose, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy, Inputs
+from pixel2catch.sim.engine import EngineCopy
 from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
 
 MODULES = {
@@ -85,19 +85,21 @@ class DrakeCopy(EngineCopy):
             v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
         plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
 
-    def step(self, inputs: Inputs) -> None:  # noqa: D102
-        self._aim[: len(self._ctrl)] = inputs.ctrl[self._ctrl]
+    def step(  # noqa: D102
+        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
+    ) -> None:
+        self._aim[: len(self._ctrl)] = ctrl[self._ctrl]
         self._target.FixValue(self._context, self._aim)
         force = np.zeros(self._plant.num_velocities())
-        force[self._v] = inputs.qfrc_applied[self._dofs]
-        if inputs.xfrc_applied[self._links].any():
+        force[self._v] = qfrc[self._dofs]
+        if xfrc[self._links].any():
             raise InvalidValueError(
                 "xfrc_applied acts on a link; engine 'drake' supports it on free bodies only."
             )
         positions = self._plant.GetPositions(self._context)
         for body, first, speed in self._free:
             rotation = rotation_matrix(positions[first : first + 4])
-            applied, pushed = inputs.qfrc_applied[body.dof : body.dof + 6], inputs.xfrc_applied[body.number]
+            applied, pushed = qfrc[body.dof : body.dof + 6], xfrc[body.number]
             arm = rotation @ body.inertial_pose[:3, 3]
             force[speed : speed + 3] = rotation @ applied[3:] + pushed[3:] + np.cross(arm, pushed[:3])
             force[speed + 3 : speed + 6] = applied[:3] + pushed[:3]

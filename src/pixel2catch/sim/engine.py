@@ -8,7 +8,6 @@ difference in success comes from physics.
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import final
 
 import mujoco
@@ -44,15 +43,6 @@ DERIVED = (
 """Model fields that MuJoCo derives from these, and that only MuJoCo uses."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Inputs:
-    """Inputs of one environment in a step, as in MuJoCo."""
-
-    ctrl: Float[ndarray, " nu"]  #: Targets of the servos [rad].
-    qfrc_applied: Float[ndarray, " nv"]  #: Forces and torques on the joints.
-    xfrc_applied: Float[ndarray, "nbody 6"]  #: Forces and torques on the bodies, at their centres of mass.
-
-
 class EngineCopy(ABC):
     """One environment in an engine."""
 
@@ -61,8 +51,16 @@ class EngineCopy(ABC):
         """Set positions and speeds, in MuJoCo's coordinates."""
 
     @abstractmethod
-    def step(self, inputs: Inputs) -> None:
-        """Advance by one physics step."""
+    def step(
+        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
+    ) -> None:
+        """Advance by one physics step.
+
+        Args:
+            ctrl: Targets of the servos [rad].
+            qfrc: Forces and torques on the joints, MuJoCo's `qfrc_applied`.
+            xfrc: Forces and torques on the bodies at their centres of mass, MuJoCo's `xfrc_applied`.
+        """
 
     @abstractmethod
     def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
@@ -122,7 +120,7 @@ class EngineSimulation(Simulation):
         ctrl, qfrc, xfrc = np.clip(self._inputs[0], *self._reach), *self._inputs[1:]
         for i, each in enumerate(self._copies):
             assert each is not None
-            each.step(Inputs(ctrl=ctrl[i], qfrc_applied=qfrc[i], xfrc_applied=xfrc[i]))
+            each.step(ctrl[i], qfrc[i], xfrc[i])
             each.read_state(self._qpos[i], self._qvel[i])
         self._known[:] = self._state()
         self._time += self.model.opt.timestep

@@ -1,5 +1,7 @@
 """Choice of the back end for a device and an engine."""
 
+from typing import Any
+
 import mujoco
 import torch
 
@@ -28,15 +30,13 @@ def make_simulation(
     kind = device.split(":")[0]
     if kind not in ("cpu", "cuda"):
         raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
-    require_engine(engine)
     if engine != ENGINES[0]:
+        make_copy = require_engine(engine)
         if kind != "cpu":
             raise InvalidValueError(f"engine '{engine}' does not support CUDA; give --device cpu.")
-        from pixel2catch.sim.drake import DrakeCopy
         from pixel2catch.sim.engine import EngineSimulation
-        from pixel2catch.sim.physx import PhysxCopy
 
-        return EngineSimulation(model, num_envs, {"physx": PhysxCopy, "drake": DrakeCopy}[engine])
+        return EngineSimulation(model, num_envs, make_copy)
     if kind == "cpu":
         from pixel2catch.sim.batch import BatchSimulation
 
@@ -47,18 +47,21 @@ def make_simulation(
     return WarpSimulation(model, num_envs, device)
 
 
-def require_engine(engine: str) -> None:
-    """Raise if an engine is unknown or not installed."""
+def require_engine(engine: str) -> Any:
+    """Return the class of copies in an engine, None for MuJoCo; raise if it is unknown or not installed."""
     if engine not in ENGINES:
         raise UnknownNameError("engine", engine, ENGINES)
     if engine == "physx":
-        from pixel2catch.sim.physx import load_sapien
+        from pixel2catch.sim.physx import PhysxCopy, load_sapien
 
         load_sapien()
-    elif engine == "drake":
-        from pixel2catch.sim.drake import load_drake
+        return PhysxCopy
+    if engine == "drake":
+        from pixel2catch.sim.drake import DrakeCopy, load_drake
 
         load_drake()
+        return DrakeCopy
+    return None
 
 
 def require_cuda(device: str) -> None:

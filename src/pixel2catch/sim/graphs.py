@@ -1,5 +1,6 @@
-"""CUDA graphs: record a function of tensors once and replay it with one launch."""
+"""Fewer and larger launches of work on a device: CUDA graphs, and torch.compile around a simulation."""
 
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
@@ -9,6 +10,8 @@ import torch
 from torch import Tensor
 
 from pixel2catch.devices import Constants, keeping
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.sim.simulation import Simulation
 
 Result = TypeVar("Result")
 
@@ -17,9 +20,8 @@ class GraphedFunction(Generic[Result]):
     """A function on a CUDA device: its first calls run eagerly, later calls replay a recording.
 
     The object owns all memory of the recording: the function, copies of its arguments, device constants, the
-    result and, unless a pool is shared, the stream. cuBLAS has one workspace per stream, so recordings of one
-    stream must not be replayed concurrently (PyTorch issue 193402). Change other tensors that the function
-    reads in place only.
+    result and the stream. cuBLAS has one workspace per stream, so recordings of one stream must not be
+    replayed concurrently (PyTorch issue 193402). Change other tensors that the function reads in place only.
     """
 
     def __init__(
@@ -29,7 +31,6 @@ class GraphedFunction(Generic[Result]):
         device: torch.device,
         num_eager_calls: int,
         is_aside: bool = True,
-        pool: Any = None,
         generator: torch.Generator | None = None,
         around: Callable[[], AbstractContextManager[Any]] = nullcontext,
     ) -> None:
@@ -41,13 +42,12 @@ class GraphedFunction(Generic[Result]):
             num_eager_calls: Calls before the recording, in which libraries initialise and constants are made.
             is_aside: Whether eager calls use a separate stream, as gradients require; False if another
                 library uses the current stream.
-            pool: Memory shared by several recordings, a `torch.cuda.graph_pool_handle`. Default: its own.
             generator: Random generator of the function, if it is not torch's default.
             around: Context of the recorded call, such as the capture of another library.
         """
         self._function, self._device = function, device
         self._num_eager_calls, self._is_aside = num_eager_calls, is_aside
-        self._pool, self._generator, self._around = pool, generator, around
+        self._generator, self._around = generator, around
         self._constants: Constants = {}
         self._graph: torch.cuda.CUDAGraph | None = None
 
@@ -81,12 +81,11 @@ class GraphedFunction(Generic[Result]):
         graph = torch.cuda.CUDAGraph()
         if self._generator is not None:
             graph.register_generator_state(self._generator)
-        stream = self._stream if self._pool is None else None  # one stream is needed to share memory
         # "thread_local" lets other threads, such as NCCL's, use the device during the capture.
         with (
             keeping(self._constants),
             torch.cuda.device(self._device),
-            torch.cuda.graph(graph, self._pool, stream, capture_error_mode="thread_local"),
+            torch.cuda.graph(graph, stream=self._stream, capture_error_mode="thread_local"),
             self._around(),
         ):
             self._result = self._function(*self._arguments)
@@ -94,3 +93,31 @@ class GraphedFunction(Generic[Result]):
         # again on this stream and must come later.
         torch.cuda.synchronize(self._device)
         return graph
+
+
+def fused(
+    function: Callable[..., Result], simulation: Simulation, backend: str = "inductor"
+) -> Callable[..., Result]:
+    """Return the function with fused tensor operations; the steps of the simulation are not compiled.
+
+    The first call compiles for about a minute. `backend` is a back end of torch.compile.
+
+    Raises:
+        DeviceUnavailableError: No C++ compiler works, which torch.compile needs for a CPU.
+    """
+    if simulation.device.type == "cpu" and backend == "inductor":
+        from torch._inductor.cpp_builder import get_cpp_compiler
+        from torch._inductor.exc import InvalidCxxCompiler
+
+        try:
+            get_cpp_compiler()
+        except InvalidCxxCompiler as error:
+            raise DeviceUnavailableError(
+                "--fuse on a CPU needs a C++ compiler and none works: install g++ (on Ubuntu: apt install "
+                "g++), name a compiler in the environment variable CXX, or leave out --fuse."
+            ) from error
+    for name in ("step", "forward", "ray"):
+        setattr(simulation, name, torch.compiler.disable(getattr(simulation, name)))
+    # Dynamo treats results of cached functions as constants.
+    warnings.filterwarnings("ignore", "Dynamo detected a call to a `functools.lru_cache`", UserWarning)
+    return torch.compile(function, dynamic=False, backend=backend)

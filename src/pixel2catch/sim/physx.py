@@ -18,7 +18,7 @@ from numpy import ndarray
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import Pose, quaternion, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy, Inputs
+from pixel2catch.sim.engine import EngineCopy
 from pixel2catch.sim.rigid_world import Body, Geom, Joint, RigidWorld, turned_onto
 
 MOST_EXCLUDED = 32  #: Largest number of pairs that do not collide: bits of SAPIEN's collision group.
@@ -79,7 +79,8 @@ class PhysxCopy(EngineCopy):
             self._add(component)
         self._free = [(body, self._components[body.number]) for body in world.bodies if body.joint is None]
         jointed = {body.number: (body, body.joint) for body in world.bodies if body.joint is not None}
-        self._trees = _trees(jointed, self._components)
+        articulations = {id(a): a for a in (self._components[number].articulation for number in jointed)}
+        self._trees = [_Tree(articulation, jointed) for articulation in articulations.values()]
         for solved in (
             *(component for _, component in self._free),
             *(tree.articulation for tree in self._trees),
@@ -101,16 +102,18 @@ class PhysxCopy(EngineCopy):
             component.set_linear_velocity(qvel[body.dof : body.dof + 3] + _cross(angular, arm))
             component.set_angular_velocity(angular)
 
-    def step(self, inputs: Inputs) -> None:  # noqa: D102
+    def step(  # noqa: D102
+        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
+    ) -> None:
         for tree in self._trees:
-            for joint, target in zip(tree.joints, inputs.ctrl[tree.actuators].tolist(), strict=True):
+            for joint, target in zip(tree.joints, ctrl[tree.actuators].tolist(), strict=True):
                 joint.set_drive_target(target)
-            tree.articulation.set_qf(inputs.qfrc_applied[tree.dofs])
-        for number in np.flatnonzero(inputs.xfrc_applied.any(axis=1)).tolist():
-            force = inputs.xfrc_applied[number]
+            tree.articulation.set_qf(qfrc[tree.dofs])
+        for number in np.flatnonzero(xfrc.any(axis=1)).tolist():
+            force = xfrc[number]
             self._components[number].add_force_torque(force[:3], force[3:])
         for body, component in self._free:
-            applied = inputs.qfrc_applied[body.dof : body.dof + 6]
+            applied = qfrc[body.dof : body.dof + 6]
             if applied.any():
                 rotation = np.array(component.entity.pose.to_transformation_matrix())[:3, :3]
                 arm = rotation @ body.inertial_pose[:3, 3]
@@ -137,34 +140,16 @@ class PhysxCopy(EngineCopy):
         self._scene.add_entity(entity)
 
 
-@dataclass(frozen=True, kw_only=True)
+@final
 class _Tree:
     """An articulation, and the indices of its joints in MuJoCo's arrays, in PhysX's order."""
 
-    articulation: Any
-    joints: list[Any]
-    qpos: list[int]
-    dofs: list[int]
-    actuators: list[int]
-
-
-def _trees(bodies: dict[int, tuple[Body, Joint]], components: dict[int, Component]) -> list[_Tree]:
-    """Return the articulations of the bodies with joints."""
-    articulations = {id(a): a for a in (components[number].articulation for number in bodies)}
-    trees = []
-    for articulation in articulations.values():
-        joints = articulation.get_active_joints()
-        members = [bodies[int(joint.name)] for joint in joints]
-        trees.append(
-            _Tree(
-                articulation=articulation,
-                joints=joints,
-                qpos=[body.qpos for body, _ in members],
-                dofs=[body.dof for body, _ in members],
-                actuators=[joint.actuator for _, joint in members],
-            )
-        )
-    return trees
+    def __init__(self, articulation: Any, bodies: dict[int, tuple[Body, Joint]]) -> None:
+        self.articulation, self.joints = articulation, articulation.get_active_joints()
+        members = [bodies[int(joint.name)] for joint in self.joints]
+        self.qpos = [body.qpos for body, _ in members]
+        self.dofs = [body.dof for body, _ in members]
+        self.actuators = [joint.actuator for _, joint in members]
 
 
 def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:

@@ -26,8 +26,11 @@ from pixel2catch.scene.cfg import restitution_of
 ELLIPSOID_POINTS = 200
 """Points of the convex hull that replaces an ellipsoid. Source: ours; PhysX accepts at most 255."""
 
-REFUSED = ("neq", "ntendon", "nflex", "nhfield", "npair", "nmocap")
-"""Counts in a model that must be 0: elements without a counterpart in other engines."""
+REFUSED = (
+    *("neq", "ntendon", "nflex", "nhfield", "npair", "nmocap"),
+    *("dof_damping", "dof_frictionloss", "jnt_stiffness"),
+)
+"""Counts and fields of a model that must be 0, as other engines have no counterpart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,34 +124,21 @@ def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
 
 
 def _refuse(model: mujoco.MjModel) -> None:
-    hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
-    kinds, gravcomp = model.jnt_type, model.body_gravcomp
-    servos = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    driven = sorted(model.actuator_trnid[servos, 0].tolist())
-    limited = model.actuator_ctrllimited.all() and model.actuator_forcelimited.all()
-    others = np.flatnonzero((kinds != hinge) & (kinds != free))
-    found = [
-        *(name for name in REFUSED if getattr(model, name)),
-        *(f"joint '{model.joint(i).name}'" for i in others),
-        *(f"body '{model.body(i).name}' with several joints" for i in np.flatnonzero(model.body_jntnum > 1)),
-        *(
-            f"gravcomp of body '{model.body(i).name}'"
-            for i in np.flatnonzero((gravcomp != 0) & (gravcomp != 1))
-        ),
-        *(
-            name
-            for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness")
-            if getattr(model, name).any()
-        ),
-    ]
-    faults = {
-        "joints without one servo each": not servos.all()
-        or driven != np.flatnonzero(kinds == hinge).tolist(),
-        "servos without limits": not limited,
+    """Raise if the model has elements without a counterpart in other engines."""
+    is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+    is_servo = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    driven = sorted(model.actuator_trnid[is_servo, 0].tolist())
+    faults = {name: np.any(getattr(model, name)) for name in REFUSED} | {
+        "joints other than hinges": (model.jnt_type[~is_hinge] != int(mujoco.mjtJoint.mjJNT_FREE)).any(),
+        "bodies with several joints": (model.body_jntnum > 1).any(),
+        "a gravcomp between 0 and 1": ~np.isin(model.body_gravcomp, (0.0, 1.0)).all(),
+        "joints without one servo each": not is_servo.all() or driven != np.flatnonzero(is_hinge).tolist(),
+        "servos without limits": not model.actuator_ctrllimited.all()
+        or not model.actuator_forcelimited.all(),
         "signed distance fields": (model.geom_type > int(mujoco.mjtGeom.mjGEOM_MESH)).any(),
-        "a reference angle other than 0": model.qpos0[model.jnt_qposadr[kinds == hinge]].any(),
+        "a reference angle other than 0": model.qpos0[model.jnt_qposadr[is_hinge]].any(),
     }
-    if found := [*found, *(text for text, is_there in faults.items() if is_there)]:
+    if found := [name for name, is_there in faults.items() if is_there]:
         raise InvalidValueError(
             f"the model has {', '.join(found)}, which other engines do not support; use engine 'mujoco'."
         )
