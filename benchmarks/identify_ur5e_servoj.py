@@ -14,13 +14,13 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from identify_ur5 import target_error, tracking_error
 
 from pixel2catch.arrays import read_table
 from pixel2catch.identification.checks import check_recording, excess_time
 from pixel2catch.identification.fit import FILTER_PARAMETERS, LATENCY_UNIT, FitCfg, fit_dynamics
 from pixel2catch.identification.identify import estimates, stiff
 from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.simulation import RecordedMotion, is_settled
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 JOINTS = {0: "shoulder_pan_joint", 4: "wrist_2_joint", 5: "wrist_3_joint"}
@@ -96,6 +96,19 @@ def part(recording: Recording, begin: float, end: float, time: np.ndarray | None
         q=recording.q[is_in],
         qd=recording.qd[is_in],
     )
+
+
+def target_error(recording: Recording) -> np.ndarray:
+    """Error of the prediction that the joints are where their targets are [rad]."""
+    error = recording.held(recording.t_meas) - recording.q
+    return np.sqrt(np.mean(error[is_settled(recording)] ** 2, axis=0))
+
+
+def tracking_error(recording: Recording, dynamics: JointDynamics) -> np.ndarray:
+    """Root mean square of simulated minus measured positions, joint by joint [rad]."""
+    motion = RecordedMotion([recording])
+    (simulated,) = motion.simulate([dynamics])
+    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))
 
 
 if __name__ == "__main__":

@@ -22,11 +22,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import played_topics
-from pixel2catch.files import write_atomically
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX
@@ -38,7 +36,6 @@ STAMPED = (messages.IMAGE, messages.JOINT_STATE)
 PAUSE = 1.0
 START_TIME = 120.0
 POLL = 0.02
-WIDTH = 60
 
 Played = list[tuple[float, Topic, bytearray]]
 
@@ -102,39 +99,12 @@ def wait_for(node: Transport, profile: Profile, process: subprocess.Popen[bytes]
         node.wait(POLL)
 
 
-def bars(counts: list[int]) -> Iterator[str]:
-    """A histogram, a line a millisecond."""
-    most = max(counts)
-    for lower, count in enumerate(counts):
-        if count:
-            yield f"{lower:4d} ms {count:6d} {'#' * max(round(WIDTH * count / most), 1)}"
-
-
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in words."""
-    deploy = report["deploy"]
-    yield f"load {report['load'][0]:.1f} -> {report['load'][1]:.1f}; CPU of a core: " + ", ".join(
-        f"{name} {share:.2f}" for name, share in report["cpu"].items()
-    )
-    yield f"images are {report['sent_ms']:.1f} ms old when they are sent; then, since the exposure [ms]:"
-    stages = {**deploy["stages_ms"], "commanded": deploy["image_to_command_ms"]}
-    for name, values in {**stages, "(a tick)": deploy["servo_tick_ms"]}.items():
-        if values:
-            figures = "  ".join(f"{key} {values[key]:6.2f}" for key in ("p50", "p90", "p99", "max"))
-            yield f"{name:10} {figures}  of {values['count']}"
-    if values := deploy["image_to_command_ms"]:
-        yield from bars(values["by_ms"])
-    counts = ("num_steps", "num_missed", "num_late_ticks", "stops", "refusals")
-    yield ", ".join(f"{name} {deploy[name]}" for name in counts)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("recording", type=Path, help="what `rehearse --record` or `deploy --record` wrote")
     parser.add_argument("--passes", type=int, default=3, help="how often it is played")
     parser.add_argument("--clock", type=float, default=1.0, help="seconds in a real one")
     parser.add_argument("--record", type=Path, help="new folder: have the deployment record, too")
-    parser.add_argument("--json", type=Path, help="file for the figures")
     args = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "92")
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(args.clock)
@@ -161,9 +131,7 @@ def main() -> None:
         "cpu": cpu,
         "deploy": json.loads(said[0])["summary"],
     }
-    print("\n".join(lines(report)))
-    if args.json:
-        write_atomically({args.json: (json.dumps(report, indent=2) + "\n").encode()})
+    print(json.dumps(report, indent=2))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import SIZES_TASK
 from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
-from pixel2catch.files import json_text, read_json_object
 from pixel2catch.mdp.control_step import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
@@ -34,9 +33,8 @@ from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("two_ur5e_allegro")
 FARTHEST_X = 0.88  # where an object is met at the farthest [m]
-NOISE = 0.1  # of actions, while states for imitation are collected, and in a search
+NOISE = 0.1  # of actions, while states for imitation are collected
 HUBER = 0.1  # Difference of actions from which on it counts linearly: where two ways blur, one is chosen.
-CANDIDATES, ELITE = 48, 10  # of a generation of a search
 BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
 SIZE_NAMES = ("6", "10", "16", "22", "28")  # In the names of objects [cm], and of the columns of the table.
@@ -62,24 +60,16 @@ CATCH: dict[str, tuple] = {
     "thumb_base": (0.51, 0.73, 0.05, -0.16, -0.11),
     "palms": (1, 1, 2, 2, 2),  # One: the nearer.
 }
-"""Where palms and fingers wait and go. Source: ours, of `--device cuda:0 --throws 6144 --generations 24`."""
-
-SPREAD = {
-    **dict.fromkeys(("tilt", "lean"), 6.0),
-    **dict.fromkeys(("gap", "along", "above", "below"), 0.012),
-    **dict.fromkeys(("lead", "give"), 0.02),
-    **dict.fromkeys(("first", "others", "ring", "thumb", "thumb_base"), 0.2),
-    "palms": 0.0,
-}
-"""Standard deviations of the first generation of a search [units of the table]."""
+"""Where palms and fingers wait and go. Source: ours, by the cross-entropy method."""
 
 
 class Script:
     """Chooses the actions of a scripted catch in every environment."""
 
-    def __init__(self, env: CatchEnv, tables: Mapping[str, Tensor]) -> None:
-        """Script of one of several tables, (num_tables, num_sizes, ...), in every environment."""
-        self._env, self._tables, self._is_planned = env, tables, False
+    def __init__(self, env: CatchEnv) -> None:
+        """Plan with the table `CATCH`; the first action plans."""
+        self._env, self._is_planned = env, False
+        self._table = {name: self._tensor(rows) for name, rows in CATCH.items()}
         self._chains = [chain_of(WORKCELL, palm, env.device, torch.float64) for palm in WORKCELL.palms]
         rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands_of(WORKCELL)]
         self._commands = self._tensor(rows).T
@@ -122,8 +112,7 @@ class Script:
         radii = self._tensor([OBJECTS[name].radius for name in env.world.objects.names])
         objects = env._episode.record.object_id
         sizes, radius = _sizes(env)[objects], radii[objects]
-        envs = torch.arange(env.num_envs, device=env.device)
-        catch = {name: tables[envs % len(tables), sizes] for name, tables in self._tables.items()}
+        catch = {name: rows[sizes] for name, rows in self._table.items()}
         pos, speed = throw.pos.double(), throw.lin_vel.double()
         rise = throw.aim[:, 2].double() + catch["above"] - pos[:, 2]
         root = (speed[:, 2] ** 2 - 2.0 * GRAVITY * rise).clamp(min=0.0).sqrt()
@@ -204,64 +193,13 @@ def inverse(
     return joints
 
 
-def search(env: CatchEnv, table: Mapping[str, Tensor], num_generations: int, path: Path) -> None:
-    """Better numbers for the script, by the cross-entropy method; those of each size on their own.
-
-    Joints are disturbed as a policy's would be. Writes the table of every generation's mean.
-    """
-    mean = dict(table)
-    std = {name: torch.full_like(rows, SPREAD[name]) for name, rows in table.items()}
-    for number in range(num_generations):
-        drawn = {
-            name: rows + std[name] * torch.randn(CANDIDATES, *rows.shape).to(rows)
-            for name, rows in mean.items()
-        }
-        trials = run_round(env, Disturbed(Script(env, drawn)))
-        record = trials.record
-        score = 0.6 * record.is_success.double() + 0.4 * trials.is_verified - 0.5 * record.is_robot_contact
-        cell = torch.arange(env.num_envs, device=env.device) % CANDIDATES * len(SIZE_NAMES)
-        cell += _sizes(env)[record.object_id]
-        total, count = score.new_zeros(2, CANDIDATES * len(SIZE_NAMES))
-        total.index_add_(0, cell, score)
-        count.index_add_(0, cell, torch.ones_like(score))
-        scores = (total / count.clamp(min=1.0)).view(CANDIDATES, -1)
-        best, columns = scores.topk(ELITE, dim=0).indices, torch.arange(len(SIZE_NAMES), device=env.device)
-        for name, values in drawn.items():
-            elite = values[best, columns]
-            mean[name] = 0.3 * mean[name] + 0.7 * elite.mean(dim=0)
-            std[name] = 0.3 * std[name] + 0.7 * elite.std(dim=0)
-        print(f"generation {number}:", *(f"{rate:.3f}" for rate in scores.mean(dim=0).tolist()), flush=True)
-        path.write_text(json_text({name: rows.tolist() for name, rows in mean.items()}))
-
-
-class Disturbed:
-    """Plays a script with errors in every action, some of which stay for an episode."""
-
-    def __init__(self, script: Script) -> None:
-        self._script, self._errors = script, dict[str, Tensor]()
-
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        """Other errors if all episodes begin."""
-        self._script.reset(is_ended)
-        if is_ended is None:
-            self._errors.clear()
-
-    def act(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The script's actions and what an imitation's may differ by."""
-        actions = self._script.act(observations)
-        for name, action in actions.items():
-            error = self._errors.setdefault(name, 0.5 * NOISE * torch.randn_like(action))
-            action += error + 0.5 * NOISE * torch.randn_like(action)
-        return actions
-
-
 def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     """Throws of `sizes` as they are in training."""
     scene = replace(SIZES_TASK.scene, workcell=WORKCELL.name, physics_hz=120.0, cone="pyramidal")
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Namespace) -> Policy:
+def imitated(method: Method, options: argparse.Namespace) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
@@ -275,7 +213,7 @@ def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Nam
     env = CatchEnv(task, method, num_envs=num_envs, device=device)
     for number in range(options.rounds):
         env.seed(3000 + number)
-        script, observed = Script(env, tables), env.reset().policy
+        script, observed = Script(env), env.reset().policy
         is_scripted = torch.rand(num_envs, 1, device=device) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
         is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool, device=device)
         while is_running.any():
@@ -330,8 +268,6 @@ def main() -> None:
     parser.add_argument("--hidden", type=int, nargs="+", default=HIDDEN, help="sizes of the policy's layers")
     parser.add_argument("--num-envs", type=int, default=256, help="of a round of imitation")
     parser.add_argument("--device", default="cpu", help="to play and learn on")
-    parser.add_argument("--generations", type=int, help="search for a better table, with --throws in each")
-    parser.add_argument("--table", type=Path, help="of the script, one that a search has written")
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
     options = parser.parse_args()
     options.device = prepare(options.device)
@@ -344,19 +280,10 @@ def main() -> None:
         device=options.device,
         task=throws_task(EpisodeCfg()),
     )
-    rows = read_json_object(options.table) if options.table else CATCH
-    table = {
-        name: torch.tensor(row, dtype=torch.float64, device=options.device) for name, row in rows.items()
-    }
-    if options.generations:
-        options.out.mkdir(parents=True, exist_ok=True)
-        search(cfg.make_env(method), table, options.generations, options.out / "table.json")
-        return
-    tables = {name: row[None] for name, row in table.items()}
-    actors: list[Callable[[CatchEnv], Actor]] = [lambda env: Script(env, tables)]
+    actors: list[Callable[[CatchEnv], Actor]] = [Script]
     if options.out:
         torch.manual_seed(0)
-        policy = imitated(method, tables, options)
+        policy = imitated(method, options)
         policy.save(options.out / "policy")
         actors.append(lambda _: policy)
     for actor in actors:

@@ -18,7 +18,7 @@ MAX_OBJECT_SCALE = 1.4  #: Largest scale of objects: the largest object must fit
 PUSH_OUT = 0.2
 """Share of a penetration that one physics step removes: time constant of 5 steps.
 
-Source: ours, `benchmarks/contact_quality.py`. A larger share decays faster, but adds up to half of it to the
+Source: ours, by drops and throws on table and palm (experiments/LOG.md). A larger share decays faster, but adds up to half of it to the
 restitution, depending on the penetration at the first step of an impact.
 """
 
