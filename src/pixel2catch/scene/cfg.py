@@ -18,8 +18,8 @@ MAX_OBJECT_SCALE = 1.4  #: Largest scale of objects: the largest object must fit
 PUSH_OUT = 0.2
 """Share of a penetration that one physics step removes: time constant of 5 steps.
 
-Source: ours, by drops and throws on table and palm (experiments/LOG.md). A larger share decays faster, but adds up to half of it to the
-restitution, depending on the penetration at the first step of an impact.
+Source: ours, by drops and throws on table and palm (experiments/LOG.md). A larger share decays faster, but
+adds up to half of it to the restitution, depending on the penetration at the first step of an impact.
 """
 
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
