@@ -15,7 +15,6 @@ from domains import PATIENCE, own_domain
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.image import Image
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.perception.calibration.capture import Capture, blur
 from pixel2catch.perception.calibration.lens import CharucoBoard, read_image
 from pixel2catch.robots.ur5e import ARM
@@ -92,36 +91,6 @@ def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, sprea
     assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
 
 
-def bag_of(path: Path, num: int) -> Path:
-    """Images of several poses, three of each, 0.2 s apart, and the states of the arm."""
-    with BagRecorder(path) as recorder:
-        stamp, topic = 100.0, PROFILE.camera.image
-        for number, joint_pos in enumerate(poses(num, seed=2)):
-            picture = image_of(joint_pos, number)
-            for _ in range(3):
-                stamp += 0.2
-                state = messages.joint_state(JOINTS, joint_pos, stamp - 0.01)
-                recorder.record(PROFILE.robots[0].state_topic, state, stamp - 0.01)
-                recorder.record(topic, messages.image(picture, stamp), stamp)
-    return path
-
-
-@pytest.mark.slow
-def test_a_rosbag_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
-    bag, views = bag_of(tmp_path / "bag", 6), tmp_path / "views"
-    args = ["--live", "--source", bag, "--intrinsics", tmp_path / "lens.json", "--capture", views]
-    assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
-    printed = capsys.readouterr()
-    assert "6 of 15: wrote pose06.png" in printed.err
-    assert "wrote " + str(views) + ": 6 images and views.csv" in printed.err
-    found = CameraFile.load(tmp_path / "camera.json")
-    error = np.abs(np.subtract(found.camera.pos, RGB_CAMERA.pos))
-    assert (error < 3.0 * np.array(found.pos_std)).all()
-    assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "other.json")]) == 2
-    assert "views' is not an empty folder" in capsys.readouterr().err
-
-
 class Robot(threading.Thread):
     """A camera and an arm on the network: it shows a pose until its image is there, then the next."""
 
@@ -168,3 +137,5 @@ def test_a_camera_on_the_network_is_calibrated_as_the_arm_moves(
     error = np.abs(np.subtract(found.camera.pos, RGB_CAMERA.pos))
     assert (error < 3.0 * np.array(found.pos_std)).all()
     assert len(list((tmp_path / "views").glob("*.png"))) == 8
+    assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "other.json")]) == 2
+    assert "views' is not an empty folder" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import degrees
 from pathlib import Path
@@ -24,7 +23,6 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
     from pixel2catch.camera.camera_file import CameraFile
-    from pixel2catch.camera.image import Image
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
 
@@ -57,71 +55,56 @@ class Calibrate:
     intrinsics: Path | None = None
     #: New file for the camera.
     out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
-    #: Take the images first, from the camera of --profile or from --source; Ctrl-C ends this part.
-    live: bool = False
-    source: Path | None = None  #: With --live: a rosbag2 with images and joint states, not the robot.
+    live: bool = False  #: Take the images first, from the camera of --profile; Ctrl-C ends this part.
     capture: NewFolder = Path("views")  #: With --live: new folder for images and views.csv.
     link: Network = field(default_factory=Network)  #: With --live: the network of the robot.
     #: Only write the board to print, a .png or .pdf of A4.
     print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = None
     square: Positive = 0.06  #: Edge of a square of the board, measured on paper [m].
     rectified: bool = False  #: The images are rectified (image_rect): the projection matrix is the lens.
-    #: Topic in a rosbag: of the images in --source, else of the CameraInfo. Default: the only one.
-    topic: str | None = None
+    topic: str | None = None  #: Topic of the CameraInfo in a rosbag. Default: the only one.
 
     def run(self) -> None:
         """Print the board, or find the camera and write it."""
         with needs_extra("perception"):
-            import pixel2catch.perception.calibration.extrinsics  # noqa: F401
+            from pixel2catch.perception.calibration.lens import sheet
         if self.print_marker is not None:
-            _print_board(self.print_marker)
+            page = io.BytesIO()
+            sheet().savefig(page, format=self.print_marker.suffix.lower().lstrip("."))
+            write_atomically({self.print_marker: page.getvalue()})
+            say(f"wrote {self.print_marker}: print it at 100 %, then measure a square for --square")
             return
-        if not self.live and (self.intrinsics is None or self.views is None):
+        table = self.capture / "views.csv" if self.live else self.views
+        if table is None or not (self.live or self.intrinsics):
             raise InvalidValueError(
                 "give a table of images and joint positions, and --intrinsics; or --live to take the images; "
                 "or --print-marker FILE.png to begin with."
             )
         lens = self._lens(self.intrinsics) if self.intrinsics else None
-        table = self._take() if self.live else self.views
-        assert table is not None
+        if self.live:
+            self._take()
         self._calibrate(table, lens or self._lens(self.capture))
 
-    def _take(self) -> Path:
-        """Take images until there are enough, or Ctrl-C; return their table."""
-        from pixel2catch.perception.calibration.capture import TABLE, Capture
+    def _take(self) -> None:
+        """Take images and write their table until there are enough, or Ctrl-C."""
+        from pixel2catch.perception.calibration.capture import Capture, topic_images
         from pixel2catch.perception.calibration.lens import CharucoBoard
         from pixel2catch.workcells import find_workcell
 
-        workcell = find_workcell(self.workcell)
+        workcell, profile, hear = find_workcell(self.workcell), self.link.robot.load(), saying_changes()
         joints = workcell.joint_names[workcell.palms[0].carriers]
-        notes: list[str] = []
-        hear = saying_changes()
-        with self._images(joints, notes) as images, StopRequest() as stop:
+        with (
+            needs_extra("deployment"),
+            self.link.join("pixel2catch_calibrate") as (transport, _),
+            StopRequest() as stop,
+        ):
             capture = Capture(self.capture, CharucoBoard(self.square), joints)
-            for image in images:
+            for image in topic_images(transport, profile, joints):
                 missing = "no image: does the camera's driver run, on this network?"
                 hear(missing if image is None else capture.look(image))
                 if capture.is_done or stop.is_set:
                     break
-        for note in notes:
-            say(note)
-        say(f"wrote {self.capture}: {len(capture.taken)} images and {TABLE}")
-        return self.capture / TABLE
-
-    @contextmanager
-    def _images(self, joints: tuple[str, ...], notes: list[str]) -> "Iterator[Iterator[Image | None]]":
-        """The images of the robot's camera or of the rosbag, with joint positions."""
-        from pixel2catch.perception.calibration.capture import topic_images
-        from pixel2catch.perception.sources import bag_images
-
-        profile = self.link.robot.load()
-        if self.source is None:
-            with needs_extra("deployment"), self.link.join("pixel2catch_calibrate") as (transport, _):
-                yield topic_images(transport, profile, joints)
-            return
-        theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
-        names = tuple(theirs.get(joint, joint) for joint in joints)
-        yield bag_images(self.source, notes, self.topic, names)
+        say(f"wrote {self.capture}: {len(capture.taken)} images and views.csv")
 
     def _calibrate(self, table: Path, lens: "CameraFile") -> None:
         from pixel2catch.mdp.throws import ThrowCfg, sample_paths
@@ -139,8 +122,7 @@ class Calibrate:
         """The lens; InvalidValueError if its images have another size than the policies'."""
         from pixel2catch.perception.calibration.lens import CharucoBoard, read_lens
 
-        topic = None if self.source else self.topic
-        lens = read_lens(path, CharucoBoard(self.square), topic, is_rectified=self.rectified)
+        lens = read_lens(path, CharucoBoard(self.square), self.topic, is_rectified=self.rectified)
         size = (lens.camera.width, lens.camera.height)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
         if size != wanted:
@@ -190,15 +172,6 @@ class Calibrate:
         if blank:
             say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
         return views
-
-
-def _print_board(path: Path) -> None:
-    from pixel2catch.perception.calibration.lens import sheet
-
-    page = io.BytesIO()
-    sheet().savefig(page, format=path.suffix.lower().lstrip("."))
-    write_atomically({path: page.getvalue()})
-    say(f"wrote {path}: print it at 100 %, then measure a square for --square")
 
 
 def _print_result(result: "Calibration", comparison: "Comparison") -> None:

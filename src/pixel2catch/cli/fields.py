@@ -73,7 +73,7 @@ def _option(field: StructFieldSpec, is_task: bool, hidden: Collection[str]) -> S
 
 
 PREFIX = "--env."  #: What options that are fields of the task begin with.
-HELP = "--env.help"
+HELP = "--env.help"  #: Like --help, with all fields of the task.
 
 OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
 
@@ -82,20 +82,6 @@ TaskFields = tyro.conf.FlagConversionOff[tyro.conf.AvoidSubcommands[Any]]
 
 Given = tyro.conf.Suppress[tyro.conf.Fixed[tuple[str, ...]]]
 """Names of the fields of the task that are given."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TaskHelp:
-    """All fields of the task, as options of commands that train or evaluate."""
-
-    env: TaskFields = None
-
-    @classmethod
-    def default_for(cls, _: Sequence[str]) -> "TaskHelp":
-        """Return it with the fields of the paper's task."""
-        from pixel2catch.envs.cfg import CatchEnvCfg
-
-        return cls(env=CatchEnvCfg())
 
 
 def given_fields(args: Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import tyro
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say_on_terminal
-from pixel2catch.cli.fields import HELP, HIDDEN, TaskHelp, default_of, option_rules
+from pixel2catch.cli.fields import HELP, HIDDEN, default_of, option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
@@ -33,38 +33,34 @@ REMOVED = {
 """Commands that are gone, and what to do instead."""
 
 REMOVED_OPTIONS = (
-    ("bench", "--json", "give --out FILE.json"),
-    ("bench", "--plot", "give --out FILE.json and draw its numbers"),
+    ("bench", "--json --plot", "give --out FILE.json"),
     ("bench", "--seconds", "give --updates"),
-    ("calibrate", "--board-pose", "leave it out; the board's pose is found from the images"),
+    ("calibrate", "--board-pose --num-views", "leave it out; the board's pose is found, 15 views are taken"),
     ("calibrate", "--chessboard", "give images of the printed board, or a .yaml of ROS's camera_calibration"),
-    ("calibrate", "--image-topic", "give --topic, with --source"),
-    ("calibrate", "--json", "read camera.json"),
-    ("calibrate", "--num-views", "leave it out; 15 views are taken, and Ctrl-C ends it earlier"),
+    ("calibrate", "--image-topic --source", "give --live for the robot's camera, or a table of images"),
     ("catch", "--seed", "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'"),
-    ("deploy", "--record-images", "leave it out; images are recorded as JPEG"),
     ("deploy", "--seconds", "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'"),
     ("deploy record operate calibrate", "--transport", "leave it out; give --network ros for rclpy"),
-    ("deploy replay", "--mask-robot --no-mask-robot", "leave it out; the robot's motion is always ignored"),
+    ("deploy replay", "--mask-robot --no-mask-robot --record-images", "leave it out; it is always done"),
     ("deploy replay track", "--point", "give --box, a box around the object"),
-    ("deploy replay track", "--saturation", "leave it out; grey pixels are left out"),
-    ("deploy replay track", "--value", "leave it out; dark pixels are left out"),
+    ("deploy replay track", "--saturation --value", "leave it out; grey and dark pixels are left out"),
     ("deploy replay track", "sam2+background", "give --segmenter sam2 or --segmenter background"),
     ("doctor", "--camera", "run 'pixel2catch track 0 --seconds 3'"),
     ("doctor", "--checkpoint", "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'"),
     ("evaluate", "--html", "give --out FILE.json; 'pixel2catch play' draws throws"),
-    ("evaluate stress transfer", "--physics-hz", "give --env.scene.physics-hz"),
     ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
     ("identify", "--hold-out", "leave it out; the last recording judges the fit"),
     ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),
     ("operate", "--hold --arm --stop", "give --keys HOLD ARM STOP"),
-    ("play", "--layout", "leave it out; several throws are side by side, and --throws 1 --seed S draws one"),
-    ("evaluate stress transfer play scene", "--robot-model", "run companions/makers_bodies/makers_bodies.py"),
-    ("play", "--meshes", "leave it out; companions/makers_bodies writes a work cell with makers' models"),
-    ("play", "--view", "leave it out; the robot's view is in a corner"),
+    (
+        "evaluate stress transfer play scene",
+        "--robot-model --surface",
+        "run companions/makers_bodies/makers_bodies.py",
+    ),
+    ("play", "--layout --meshes --view", "leave it out; every film has the robot's view in a corner"),
     ("play operate twin", "--host --port", "give --address HOST:PORT"),
     ("record", "--dry-run", "leave it out; a recording needs motion"),
-    ("rehearse replay", "--json", "read report.json in the folder of --out"),
+    ("calibrate rehearse replay stress transfer track", "--json", "read the .json file that it writes"),
     ("rehearse twin", "--domain", "set ROS_DOMAIN_ID"),
     ("replay", "--perception-ms", "leave it out; a replay takes 10 ms for an image"),
     ("replay", "--web --host --port", "open the recording with a viewer of MCAP files"),
@@ -73,23 +69,13 @@ REMOVED_OPTIONS = (
     ("reproduce", "--report-only", "leave it out; the same command writes the report again"),
     ("reproduce", "--transitions", "give --training transitions=NUMBER"),
     ("reproduce stress", "--launcher", "leave it out; --slurm alone selects the cluster"),
-    ("scene", "--surface", "give --visual to companions/makers_bodies/makers_bodies.py"),
-    ("stress transfer", "--json", "read table.json in the folder of the results"),
     ("track", "--joint-states", "leave it out; the topic is /joint_states"),
-    ("track", "--json", "read summary.json in the folder of --out"),
     ("track", "--workcell", "give --mask-robot NAME"),
     ("train", "--cone", "give --env.scene.cone"),
     ("train", "--latency-steps", "give --env.sensing.latency-steps"),
-    ("train", "--multiccd", "give --env.scene.multiccd True"),
-    ("train", "--no-multiccd", "give --env.scene.multiccd False"),
-    ("train", "--physics-hz", "give --env.scene.physics-hz for one rate, or --physics-stages for several"),
-    ("train", "--report-seconds", "leave it out; lines of progress have 10 s between them"),
-    (
-        "train",
-        "--schedule --kl-target --discount --gae-lambda --ratio-clip "
-        "--value-clip --value-loss-scale --entropy-scale --gradient-clip",
-        "set it in Python or by 'reproduce --training NAME=VALUE'",
-    ),
+    ("train", "--multiccd --no-multiccd", "give --env.scene.multiccd True or --env.scene.multiccd False"),
+    ("evaluate stress train transfer", "--physics-hz", "give --env.scene.physics-hz, or --physics-stages"),
+    ("train", " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN), "set it by 'reproduce --training'"),
     ("train", "--value-loss", "leave it out; the error of a value is clipped"),
     ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
     ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),
@@ -202,12 +188,10 @@ def parse(args: Sequence[str]):
 def parse_options(name: str, args: Sequence[str], hidden: Collection[str] = HIDDEN) -> Any:
     """Return a command with its options; `hidden` names fields that are none."""
     kind = load_command(name)
-    if HELP in args:
-        kind, args = TaskHelp, ["--help"]
     return tyro.cli(
         kind,
         prog=f"pixel2catch {name}",
-        args=args,
+        args=["--help"] if HELP in args else args,
         default=default_of(kind, args),
         config=(tyro.conf.DisallowNone,),
         registry=option_rules(hidden),
