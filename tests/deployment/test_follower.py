@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from loop_lab import HOME, badly_recorded, command, surroundings
 
-from pixel2catch.cli.record import in_words
 from pixel2catch.deployment.follower import TrajectoryFollower
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.link import Fault, JointTargets, Mode
+from pixel2catch.servo.status_words import sentence
 
 RAMP = 0.05
 
@@ -52,7 +52,7 @@ def test_an_incomplete_recording_is_reported_while_it_follows(tmp_path: Path):
     with badly_recorded(tmp_path) as around:
         follower, lines = TrajectoryFollower(ramp, 0.15, RAMP, around.connection), list[str]()
         around.servo.send(command(Mode.RUN, time=around.clock.now()))
-        follower.run(lambda: bool(lines), lambda status: lines.append(in_words(status)))
+        follower.run(lambda: bool(lines), lambda status: lines.append(sentence(status)))
     assert re.match(r"running: .* the recording lacks \d+ messages", lines[0])
 
 

@@ -52,7 +52,7 @@ def test_every_fault_mode_and_verdict_has_words():
             "waiting: the switch is held; press arm. "
             "Arming was refused: the dead-man's switch is not held. Hold the switch.",
         ),
-        (status("run", message="the camera is off"), "running: follows the policy. the camera is off"),
+        (status("run", message="the camera is off"), "running: follows its targets. the camera is off"),
     ],
 )
 def test_a_status_as_one_line(given: dict[str, Any], expected: str):

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from pixel2catch.checks import AtMostFull, DynamicsPath, NewFolder, OutputFile, Positive, Seed, Within
 from pixel2catch.cli.console import results_console, say, working
+from pixel2catch.cli.identify import print_checks
 from pixel2catch.files import require_free_file
 
 if TYPE_CHECKING:
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.identification.rehearsal import Assessment
-    from pixel2catch.robots.joint_dynamics import JointDynamics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +43,18 @@ class Excite:
 
     def run(self) -> None:
         """Draw, try, print and write."""
+        from numpy.random import default_rng
+
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
         from pixel2catch.identification.recording import joints_of
+        from pixel2catch.identification.rehearsal import rehearse, unlike_nominal
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.workcells import find_workcell
 
-        outs = self._numbered()
+        numbers = range(1, self.recordings + 1)
+        outs = [self.out.with_stem(f"{self.out.stem}-{i}") for i in numbers] if self.out else []
+        outs = [self.out] if self.out and self.recordings == 1 else outs
         for path in outs:
             require_free_file(path)
         workcell, found = find_workcell(self.workcell), []
@@ -66,52 +71,18 @@ class Excite:
                 trajectory.save(path)
             if self.rehearse:
                 report("simulating the recordings")
-                self._rehearse(self.rehearse, [trajectory for trajectory, _ in found], dynamics)
+                truth = dynamics if self.dynamics else unlike_nominal(default_rng(self.seed), dynamics)
+                rehearse(self.rehearse, [trajectory for trajectory, _ in found], truth, self.seed)
         for trajectory, assessment in found:
             _print(trajectory, assessment)
         written = [*outs, *([self.rehearse] if self.rehearse else [])]
         say(f"wrote {', '.join(map(str, written)) or 'nothing: no --out, no --rehearse'}")
 
-    def _rehearse(self, folder: Path, trajectories: "list[Trajectory]", dynamics: "JointDynamics") -> None:
-        from numpy.random import default_rng
-
-        from pixel2catch.identification.rehearsal import rehearse, unlike_nominal
-
-        truth = dynamics if self.dynamics else unlike_nominal(default_rng(self.seed), dynamics)
-        rehearse(folder, trajectories, truth, self.seed)
-
-    def _numbered(self) -> list[Path]:
-        """Return the files, one for each trajectory; none without --out."""
-        if self.out is None:
-            return []
-        numbers = range(1, self.recordings + 1)
-        if self.recordings == 1:
-            return [self.out]
-        return [self.out.with_stem(f"{self.out.stem}-{i}") for i in numbers]
-
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
-    """Print the motion of the simulated robot, one line per joint, and its distances."""
-    import numpy as np
-    from rich.table import Table
-
-    from pixel2catch.identification.checks import num_reversals, smoothed
-
-    console, q = results_console(), assessment.recording.q
-    speed, acceleration = smoothed(assessment.recording.t_meas, q)
-    columns = ("joint", "verdict", "from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals")
-    table = Table(*columns, title=f"seed {trajectory.header['seed']}, simulated")
-    for j, check in enumerate(assessment.checks):
-        table.add_row(
-            check.joint or "",
-            check.verdict,
-            f"{q[:, j].min():.2f}",
-            f"{q[:, j].max():.2f}",
-            f"{np.abs(speed[:, j]).max():.2f}",
-            f"{np.abs(acceleration[:, j]).max():.1f}",
-            f"{num_reversals(speed[:, j])}",
-        )
-    console.print(table)
+    """Print the checks of the simulated robot's motion, and its distances."""
+    console = results_console()
+    print_checks(f"seed {trajectory.header['seed']}, simulated", assessment.checks)
     for clearance in assessment.clearances:
         console.print(clearance.sentence())
     if weak := sum(not check.is_good for check in assessment.checks):

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from pixel2catch.identification.checks import DataCheck
     from pixel2catch.identification.identify import Identification
-    from pixel2catch.identification.importers import RecordedNames
     from pixel2catch.identification.recording import Recording
     from pixel2catch.robots.workcell import WorkcellSpec
 
@@ -57,6 +56,7 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
+        from pixel2catch.identification.checks import check_recording
         from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
@@ -64,7 +64,12 @@ class Identify:
 
         workcell = find_workcell(self.workcell)
         if self.check:
-            self._check(workcell)
+            with working() as report:
+                found = [(each, check_recording(each)) for each in self._read(workcell, report)]
+            for recording, checks in found:
+                print_checks(recording.name, checks)
+            if any(check.forbids_fit for _, checks in found for check in checks):
+                raise SystemExit(EXIT_UNFIT)
             return
         if self.robot is None or self.out is None:
             raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
@@ -76,7 +81,7 @@ class Identify:
             report("checking the data")
             sources = checked(recordings)
         for source in sources:
-            _print_checks(source.recording.name, source.checks)
+            print_checks(source.recording.name, source.checks)
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
@@ -84,24 +89,25 @@ class Identify:
         _print_result(result)
         say(f"wrote {self.out / DYNAMICS} and the report {self.out / REPORT}")
 
-    def _check(self, workcell: "WorkcellSpec") -> None:
-        """Print the data checks; exit with a status if one forbids a fit."""
-        from pixel2catch.identification.checks import check_recording
-
-        with working() as report:
-            found = [(each, check_recording(each)) for each in self._read(workcell, report)]
-        for recording, checks in found:
-            _print_checks(recording.name, checks)
-        if any(check.forbids_fit for _, checks in found for check in checks):
-            raise SystemExit(EXIT_UNFIT)
-
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
         from pixel2catch.identification.recording import Recording, joints_of
 
         if not self.recordings:
             raise InvalidValueError("there is no recording; give at least one.")
         joints, found = joints_of(workcell, self.robot), []
-        names = self._names(joints) if self.profile or self.command_topic else None
+        if self.profile and self.command_topic:
+            raise InvalidValueError("--profile has the topics of the commands; leave out --command-topic.")
+        names = None
+        if self.profile or self.command_topic:
+            from pixel2catch.identification.importers import RecordedNames
+            from pixel2catch.ros2.profile import Profile
+
+            topics = {self.command_topic or "": tuple[str, ...]()}
+            names = (
+                RecordedNames.of(Profile.load(self.profile), joints)
+                if self.profile
+                else RecordedNames(command_topics=topics)
+            )
         for path in self.recordings:
             report(f"reading {path}")
             if path.suffix == ".npz":
@@ -113,19 +119,9 @@ class Identify:
                 found.append(read_rosbag(path, joints, names, workcell, is_partial=self.check))
         return found
 
-    def _names(self, joints: tuple[str, ...]) -> "RecordedNames":
-        """Return the recordings' names of topics and joints."""
-        from pixel2catch.identification.importers import RecordedNames
-        from pixel2catch.ros2.profile import Profile
 
-        if self.profile is None:
-            return RecordedNames(command_topics={str(self.command_topic): ()})
-        if self.command_topic:
-            raise InvalidValueError("--profile has the topics of the commands; leave out --command-topic.")
-        return RecordedNames.of(Profile.load(self.profile), joints)
-
-
-def _print_checks(name: str, checks: "Sequence[DataCheck]") -> None:
+def print_checks(name: str, checks: "Sequence[DataCheck]") -> None:
+    """Print the data checks of a recording as a table."""
     from pixel2catch.identification.report import check_rows, check_title
 
     results_console().print(terminal_table(check_title(name, checks), check_rows(checks)))

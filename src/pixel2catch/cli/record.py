@@ -3,7 +3,7 @@
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
@@ -22,13 +22,6 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.control_loop import Connection
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.ros2.profile import Profile, RobotPart
-
-FOLLOWING = {
-    "armed": "armed: moves to the start pose.",
-    "ramp": "armed: moves to the start pose.",
-    "run": "running: follows the trajectory.",
-}
-"""Words for the modes in which a deployment follows a policy."""
 
 PATIENCE = 10.0  #: Time for arming a twin in this process, on top of the trajectory [s]. Source: ours.
 
@@ -58,6 +51,7 @@ class Record:
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import TrajectoryFollower
             from pixel2catch.servo.limits import ServoLimits
+            from pixel2catch.servo.status_words import sentence
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
         profile = self._profile(trajectory)
@@ -72,7 +66,7 @@ class Record:
             with StopRequest() as stop:
                 follower.run(
                     lambda: stop.is_set or (self.lockstep is not None and connection.clock.now() > limit),
-                    lambda status: hear(in_words(status)),
+                    lambda status: hear(sentence(status)),
                 )
         if connection.recording:
             connection.recording.require_whole()
@@ -106,14 +100,6 @@ class Record:
 
         limits = self.link.limits(profile)
         return stack.enter_context(recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out))
-
-
-def in_words(status: dict[str, Any]) -> str:
-    """Return a status as one line, with the state of the recording."""
-    from pixel2catch.servo.status_words import sentence
-
-    words = FOLLOWING.get(status["mode"])
-    return " ".join(filter(None, (words, status["message"]))) if words else sentence(status)
 
 
 def whole_robot(trajectory: "Trajectory") -> "Callable[[float], np.ndarray]":

@@ -146,9 +146,9 @@ MODES = {
         ("End all but one; a program that was killed counts for 10 s.",),
     ),
     "starting": StatusWords("waiting", "starting: the servo process starts"),
-    "armed": StatusWords("armed", "armed: holds its pose until the object is seen", ("Point at it.",)),
-    "ramp": StatusWords("moving", "beginning: moves to the policy's first target"),
-    "run": StatusWords("moving", "running: follows the policy"),
+    "armed": StatusWords("armed", "armed: holds its pose until there is a target", ("Point at the object.",)),
+    "ramp": StatusWords("moving", "beginning: moves to the first target"),
+    "run": StatusWords("moving", "running: follows its targets"),
 }
 """Words of the modes that need no reason; "" without a status, "several" with more than one publisher."""
 
