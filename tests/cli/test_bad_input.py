@@ -82,6 +82,8 @@ BAD = [
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
     ("export --objects cube_s", "need --format lerobot"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
+    ("rehearse --plain --out {new}", "--plain needs --lockstep"),
+    ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),
     ("track {text} --topic /images --out {new}", "--topic needs a rosbag"),
     ("transfer --engines", "engines is empty"),
     # places

@@ -115,11 +115,6 @@ class Node:
         self._subscriptions.append(Subscription(self.memory, callback, msg_type, topic, qos_profile))
         return self._subscriptions[-1]
 
-    def count_publishers(self, topic_name: str) -> int:
-        with self._network.broker.lock:
-            publishers = (each for node in self._network.broker.nodes for each in node.publishers)
-            return sum(publisher.topic.name == topic_name for publisher in publishers)
-
     def get_name(self) -> str:
         return self._name
 

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from paper_robot import JOINTS
+from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
@@ -54,7 +55,7 @@ def test_every_other_work_cell_with_a_policy_has_a_profile_that_moves_all_its_jo
 
 
 def command(part: RobotPart, joint_pos: np.ndarray) -> bytes:
-    return part.layout.encode(joint_pos, part.held_angles)
+    return part.command(joint_pos, part.held_angles)
 
 
 def positions_of(data: bytes) -> np.ndarray:
@@ -94,10 +95,11 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
 
 
 def test_images_of_another_size_are_refused():
+    camera = Profile.load("ur5e_allegro_v4").camera
+    wide, right = (Image(pixels=np.zeros((480, width, 3), np.uint8), stamp=0.0, encoding="rgb8") for width in (848, 640))
     with pytest.raises(DeploymentError, match="sends 848 x 480 rgb8, the profile says 640 x 480 rgb8"):
-        Profile.load("ur5e_allegro_v4").camera.require(
-            messages.read_image(messages.image(np.zeros((480, 848, 3), np.uint8), 0.0))
-        )
+        camera.require(wide)
+    camera.require(right)
 
 
 def changed(tmp_path: Path, change) -> Path:

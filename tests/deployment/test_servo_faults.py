@@ -50,7 +50,7 @@ def add_publisher(stage: Stage) -> None:
 
 def remove_subscriber(stage: Stage) -> None:
     node = stage.laboratory
-    node.listeners = [each for each in node.listeners if not each.topic.name.endswith("commands")]
+    node.queues[:] = [each for each in node.queues if not each.topic.name.endswith("commands")]
 
 
 def add_subscriber(stage: Stage) -> None:

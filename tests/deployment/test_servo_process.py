@@ -227,7 +227,7 @@ def test_a_second_operator_stops_the_robot(stage: Stage):
 
 def test_an_old_request_to_arm_does_not_count(stage: Stage):
     topic = stage.lab.profile.operator.arm
-    (requests,) = [each.queue for each in stage.node.listeners if each.topic == topic]
+    (requests,) = [each for each in stage.node.queues if each.topic == topic]
 
     def script() -> Iterator[None]:
         yield from wait(11)
@@ -244,7 +244,7 @@ def test_an_old_request_to_arm_does_not_count(stage: Stage):
 
 def test_an_old_message_of_the_switch_does_not_count(stage: Stage):
     lab, topic = stage.lab, stage.lab.profile.operator.dead_man
-    (switch,) = [each.queue for each in stage.node.listeners if each.topic == topic]
+    (switch,) = [each for each in stage.node.queues if each.topic == topic]
 
     def script() -> Iterator[None]:
         yield from stage.armed(80)

@@ -205,7 +205,7 @@ def test_a_profile_has_topics_and_names(tmp_path: Path):
     for time, row in zip(part.t_cmd, part.q_cmd, strict=True):
         target = np.array([row[part.joints.index(joint)] for joint in order])
         for robot in profile.robots:
-            sent = read_float_array(robot.layout.encode(target, robot.held_angles))
+            sent = read_float_array(robot.command(target, robot.held_angles))
             messages.append((robot.command_topic.name, nanoseconds(time), array(sent)))
     path = write_bag(tmp_path / "bag", messages)
     assert_same(read_rosbag(path, ALL, RecordedNames.of(profile, order)), part, 1e-6)

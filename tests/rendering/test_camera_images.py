@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
@@ -17,13 +18,12 @@ from pixel2catch.rendering.renderer import Renderer
 from pixel2catch.rendering.room import Bystanders, build_room
 from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.twin.simulated_lab import ThrowerMotion
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())
-THROWER = ThrowerMotion(bystanders=Bystanders(release_pos=RELEASE, phase=0.3))
+THROWER = Bystanders(release_pos=RELEASE, phase=0.3, release=inf)
 STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
 
 

@@ -42,9 +42,9 @@ def test_an_image_passes_few_files_on_its_way_to_a_command(monkeypatch: pytest.M
     monkeypatch.setattr(SteppedServo, "tick", counted(SteppedServo.tick, on=True))
     monkeypatch.setattr(StepClock, "sleep_until", counted(StepClock.sleep_until, on=False))
     cfg = RehearsalCfg(throws=1, seed=3)
-    with in_step(cfg, task_of(policy, physics_hz=120.0), policy) as rehearsal:
-        operators.append(rehearsal.operator)
-        outcome = run_trial(rehearsal.operator, cfg.seed)
+    with in_step(cfg, task_of(policy, physics_hz=120.0), policy) as (twin, _):
+        operators.append(twin.operator)
+        outcome = run_trial(twin.operator, cfg.seed)
     files = counter.files()
     assert outcome.is_success
     assert len(looks) == NUM_LOOKS

@@ -1,6 +1,7 @@
 """Checks of `doctor --robot` on the twin in stepped time, and without a laboratory."""
 
 import json
+import re
 from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import replace
@@ -18,7 +19,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.installation import Absent, Broken, Check
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.profile import DriverJoint, Profile
+from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.twin.drivers import CameraDriver
@@ -26,7 +27,7 @@ from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
 
 PROFILE = Profile.load("ur5e_allegro_v4")
-IMAGE = PROFILE.camera.image
+IMAGE, (ARM, HAND) = PROFILE.camera.image, PROFILE.robots
 CYCLES = 300  #: 0.6 s: 18 images.
 GREY = np.full((480, 640, 3), 120, dtype=np.uint8)
 OF_MACHINE = {"real-time priority", "receive buffers"}
@@ -101,49 +102,50 @@ def test_images_of_another_size_are_named(laboratory: Laboratory):
     assert "320 x 240 rgb8, the profile says 640 x 480" in checks["images"].found
 
 
-def test_a_missing_camera_is_named_and_what_there_is(laboratory: Laboratory):
-    other = replace(PROFILE.camera, image=replace(IMAGE, name="/camera/color/image_raw"))
-    checks = laboratory.examine(replace(PROFILE, camera=other))
-    assert bad(checks) == {"images"}
-    assert "nobody publishes /camera/color/image_raw" in checks["images"].found
-    assert f"somebody publishes {IMAGE.type} on {IMAGE.name}" in checks["images"].found
-
-
 def test_other_publishers_and_drivers_are_named(laboratory: Laboratory):
-    arm, hand = PROFILE.robots
     with laboratory.broker.node(laboratory.clock) as node:
-        node.publisher(arm.command_topic)
-        node.subscription(hand.command_topic)
+        node.publisher(ARM.command_topic)
+        node.subscription(HAND.command_topic)
         checks = laboratory.examine(cycles=CYCLES)
     assert bad(checks) == {"commands to arm", "commands to hand"}
     assert "1 other publishers of /forward_position_controller/commands" in checks["commands to arm"].found
     assert checks["commands to hand"].found.startswith("2 subscribers")
 
 
-def test_a_driver_that_takes_no_commands_is_named(laboratory: Laboratory):
-    arm, hand = PROFILE.robots
-    elsewhere = replace(hand, command_topic=replace(hand.command_topic, name="/hand/commands"))
-    checks = laboratory.examine(replace(PROFILE, robots=(arm, elsewhere)))
-    assert bad(checks) == {"commands to hand"}
-    assert "nobody receives /hand/commands" in checks["commands to hand"].found
-    assert "/allegro_hand_position_controller/commands" in checks["commands to hand"].found
+def with_parts(arm: RobotPart = ARM, hand: RobotPart = HAND) -> Profile:
+    return replace(PROFILE, robots=(arm, hand))
 
 
-def test_joints_that_are_called_otherwise_are_named(laboratory: Laboratory):
-    arm, hand = PROFILE.robots
-    elbow = DriverJoint(name_in_state="left_elbow_joint", index_in_command=2)
-    prefixed = replace(arm, joints={**arm.joints, "elbow_joint": elbow})
-    found = laboratory.examine(replace(PROFILE, robots=(prefixed, hand)))["joints of arm"].found
-    assert "lacks left_elbow_joint; it has " in found
-    assert ", elbow_joint" in found
+CAMERA = replace(PROFILE.camera, image=replace(IMAGE, name="/camera/color/image_raw"))
+ELBOW = DriverJoint(name_in_state="left_elbow_joint", index_in_command=2)
+
+OTHER_PROFILES = [
+    (
+        replace(PROFILE, camera=CAMERA),
+        "images",
+        f"nobody publishes {CAMERA.image.name}.*publishes {IMAGE.type} on {IMAGE.name}",
+    ),
+    (
+        with_parts(hand=replace(HAND, command_topic=replace(HAND.command_topic, name="/hand/commands"))),
+        "commands to hand",
+        "nobody receives /hand/commands.*/allegro_hand_position_controller/commands",
+    ),
+    (
+        with_parts(arm=replace(ARM, joints={**ARM.joints, "elbow_joint": ELBOW})),
+        "joints of arm",
+        "lacks left_elbow_joint; it has .*, elbow_joint",
+    ),
+    (with_parts(hand=replace(HAND, rate_hz=333.0)), "joints of hand", "100.0 Hz.*333 Hz are needed"),
+]
 
 
-def test_a_driver_that_is_too_slow_is_named(laboratory: Laboratory):
-    arm, hand = PROFILE.robots
-    checks = laboratory.examine(replace(PROFILE, robots=(arm, replace(hand, rate_hz=333.0))))
-    assert bad(checks) == {"joints of hand"}
-    assert "100.0 Hz" in checks["joints of hand"].found
-    assert "333 Hz are needed" in checks["joints of hand"].found
+@pytest.mark.parametrize(("profile", "name", "words"), OTHER_PROFILES)
+def test_what_differs_from_the_profile_is_named(
+    laboratory: Laboratory, profile: Profile, name: str, words: str
+):
+    checks = laboratory.examine(profile)
+    assert name in bad(checks) <= {name, "pose of arm"}
+    assert re.search(words, checks[name].found)
 
 
 def test_a_clock_that_is_off_is_named(laboratory: Laboratory):

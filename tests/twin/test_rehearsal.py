@@ -38,22 +38,6 @@ def test_a_throw_is_rehearsed_and_reported(
         assert report["deploy"]["stops"]
 
 
-@pytest.mark.parametrize(
-    ("args", "words"),
-    [
-        (["--plain"], "--plain needs --lockstep"),
-        (["--lockstep", "--clock", "0.5"], "--clock is for real time"),
-        (["--clock-error-ms", "-5"], "--clock-error-ms needs --lockstep"),
-    ],
-)
-def test_nonsense_is_refused_before_anything_starts(
-    args: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    assert main(["rehearse", *args, "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 PARENT = """
 import time
 from multiprocessing import get_context

@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,10 @@ import torch
 
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import GRACE, SHIFT
-from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
 from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
-from pixel2catch.perception.segmenter import ColorThreshold
-from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
@@ -27,11 +23,11 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.shipped import policy_folder
-from pixel2catch.twin import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg, stepped
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.rehearsal import run_trial
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
-from pixel2catch.twin.stepped import HOP, RED_HUES, SteppedRehearsal, plain_image, rehearse_stepped
+from pixel2catch.twin.stepped import HOP, in_step, plain_image, rehearse_stepped
 from pixel2catch.workcells import find_workcell
 
 POLICY = Policy.load(policy_folder(Path("proposed")))
@@ -168,7 +164,7 @@ def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
 
 
 @pytest.mark.slow
-def test_an_image_that_freezes_in_the_flight_stops_the_robot():
+def test_an_image_that_freezes_in_the_flight_stops_the_robot(monkeypatch: pytest.MonkeyPatch):
     frozen = list[np.ndarray]()
 
     def draw(lab: SimulatedLab, exposure: Exposure) -> np.ndarray:
@@ -176,9 +172,7 @@ def test_an_image_that_freezes_in_the_flight_stops_the_robot():
             frozen[:] = [plain_image(lab, exposure)]
         return frozen[0]
 
-    workcell, camera = find_workcell(TASK.scene.workcell), TASK.scene.camera
-    controller = PolicyController(POLICY, workcell, camera)
-    pipeline = make_pipeline(controller, ColorThreshold(RED_HUES), Prompter(), camera, None)
-    with closing(SteppedRehearsal(ONE, TASK, draw, pipeline, None)) as rehearsal:
-        outcome = run_trial(rehearsal.operator, 3)
+    monkeypatch.setattr(stepped, "plain_image", draw)
+    with in_step(ONE, TASK, POLICY) as (twin, _):
+        outcome = run_trial(twin.operator, 3)
     assert (outcome.stops, outcome.is_success) == (["perception unsound"], False)

@@ -45,17 +45,17 @@ def shown() -> Iterator[Shown]:
 def test_buttons_prepare_and_throw(shown: Shown):
     shown.go_on()
     assert shown.twin["throw"] == "the room is empty"
-    shown.page.request("prepare")
+    shown.page._handle({"do": "prepare"})
     shown.go_on(300)
     assert shown.bench.lab.phase is Phase.HELD
     assert shown.twin["seed"] == 1
-    shown.page.request("throw")
+    shown.page._handle({"do": "throw"})
     shown.go_on(30)
     assert shown.twin["throw"] == f"{shown.bench.lab.object_name} flies"
-    shown.page.request("throw")
+    shown.page._handle({"do": "throw"})
     shown.go_on(30)
     assert "prepare one" in shown.twin["trouble"]
-    shown.page.request("protective_stop")
+    shown.page._handle({"do": "protective_stop"})
     shown.go_on(30)
     assert "press resume" in shown.twin["trouble"]
 
@@ -64,17 +64,16 @@ def test_buttons_prepare_and_throw(shown: Shown):
 def test_one_button_throws_and_catches():
     policy, _ = load_policy(None)
     task = task_of(policy, physics_hz=120.0)
-    with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as rehearsal:
-        node = rehearsal.broker.node(rehearsal.clock)
-        page = TwinPage(PageCfg(port=free_port()), PROFILE, node, rehearsal.clock)
+    with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as (twin, _):
+        node = twin.broker.node(twin.clock)
+        page = TwinPage(PageCfg(port=free_port()), PROFILE, node, twin.clock)
         page.seed = 3
         page.catch()
         assert page.trial is not None
         page.trial.join()
         page.update()
         page.close()
-        assert rehearsal.lab.outcome == "caught"
+        assert twin.lab.outcome == "caught"
         assert page.seed == 4
         assert page.page.state["tone"] == "stopped"
-        twin = page.page.state["twin"]
-        assert twin["result"] == "caught; 1 of 1 caught"
+        assert page.page.state["twin"]["result"] == "caught; 1 of 1 caught"

@@ -54,7 +54,7 @@ class Bench:
 
     def command(self, joint_pos: np.ndarray) -> None:
         for part, publisher in zip(PROFILE.robots, (self._arm, self._hand), strict=True):
-            publisher.publish(part.layout.encode(joint_pos, part.held_angles))
+            publisher.publish(part.command(joint_pos, part.held_angles))
 
     def cycle(self, num: int = 1) -> None:
         for _ in range(num):

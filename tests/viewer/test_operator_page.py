@@ -179,6 +179,21 @@ def test_the_switch_falls_with_the_connection(desk: Desk):
     assert desk.taken("dead_man")[-1] is False
 
 
+def test_operating_ends_with_a_released_switch(desk: Desk):
+    with desk.visitor() as visitor:
+        ask(visitor, "press")
+        desk.page.operate(lambda: desk.console.holds, lambda _: None)
+        assert desk.taken("dead_man") == [True, False]
+
+
+def test_beside_a_pedal_the_page_has_no_switch():
+    desk = Desk(has_switch=False)
+    with closing(desk.page), desk.visitor() as visitor:
+        ask(visitor, "press")
+        assert "no request" in error_of(visitor)
+        assert not desk.go_on()["has_switch"]
+
+
 def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
     for said in ("[]", "1" * 2000, b"\x00"):
         with desk.visitor() as visitor:

@@ -1,5 +1,9 @@
 """Who may ask a page: its owner's browser, from the page itself."""
 
+import re
+import signal
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -11,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
-from domains import PATIENCE, free_port
+from domains import PATIENCE, free_port, own_domain
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.server import PageServer, open_server
@@ -135,3 +139,19 @@ def test_a_taken_port_leads_to_the_next(own: PageServer):
 def test_an_address_that_is_not_this_machines_is_refused(cfg: PageCfg, words: str):
     with pytest.raises(InvalidValueError, match=words):
         open_server(cfg, "nowhere")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("opengl")
+@pytest.mark.parametrize("args", ["twin --web --clock 0.2", "operate --web"])
+def test_a_command_serves_its_page(args: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    command = [sys.executable, "-m", "pixel2catch", *args.split(), "--address", f"127.0.0.1:{free_port()}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        lines = iter(process.stdout)
+        address = next(found[0] for line in lines if (found := re.search(r"http://[\d.]+:\d+", line)))
+        assert status(address) == 200
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0

@@ -58,6 +58,4 @@ class Twin:
                     from pixel2catch.viewer.twin import twin_page
                 profile = twin_profile(find_workcell(task.scene.workcell))
                 stack.enter_context(twin_page(self.page.cfg, profile, self.clock))
-            counts = serve(task, self.seed, self.clock, on_cycle)
-        late = f"{counts.num_late:,} of them late, the worst by {1000 * counts.worst:.0f} ms"
-        say(f"{counts.num_cycles:,} cycles, {late}")
+            say(serve(task, self.seed, self.clock, on_cycle))

@@ -238,7 +238,7 @@ def lens(survey: Survey, profile: Profile, expected: CameraSpec) -> str:
     camera = profile.camera
     if camera.info is None:
         raise Absent("the profile has no topic for it")
-    found = survey.messages_of(camera.info)[-1][1].camera
+    found = survey.messages_of(camera.info)[-1][1]
     if (found.width, found.height) != (camera.width, camera.height):
         raise Broken(
             f"{camera.info.name} is of {found.width} x {found.height}, the profile has {camera.width} x "

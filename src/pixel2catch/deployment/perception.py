@@ -194,9 +194,7 @@ class ImageSubscriber:
     def _check_lens(self) -> None:
         for message in self._lens.take() if self._lens else ():
             try:
-                self._wrong_lens = lens_difference(
-                    messages.read_camera_info(message.data).camera, self._camera
-                )
+                self._wrong_lens = lens_difference(messages.read_camera_info(message.data), self._camera)
             except DeploymentError as error:
                 self._wrong_lens = str(error)
 

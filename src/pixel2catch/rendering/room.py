@@ -55,13 +55,15 @@ class Bystanders:
     """Motion of thrower and hanging ball during one throw."""
 
     release_pos: Float[np.ndarray, "3"]  #: Position of the object before the throw [m].
-    phase: float  #: Phase of their swinging at the release [rad].
+    phase: float  #: Phase of their swinging at time 0 [rad].
+    release: float = 0.0  #: Time of the release [s]; infinite without one.
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
-        """Return the positions of `BYSTANDER_JOINTS` [m, rad] at a time since the release [s]."""
+        """Return the positions of `BYSTANDER_JOINTS` [m, rad] at a time [s]."""
         sway = SWAY * sin(2 * pi * time / SWAY_PERIOD + self.phase)
         swing = BALL_SWING * sin(2 * pi * time / BALL_PERIOD + 3.0 * self.phase)
-        arm = FOLLOW_THROUGH * (1.0 - exp(-time / SWING_TIME)) if time > 0.0 else 0.0
+        swung = max(time - self.release, 0.0)
+        arm = FOLLOW_THROUGH * (1.0 - exp(-swung / SWING_TIME))
         return np.array((*self.release_pos, sway, arm, swing))
 
 

@@ -113,15 +113,16 @@ def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMe
     Raises:
         DeploymentError: A message is damaged.
     """
-    from pixel2catch.ros2.messages import decode, nanoseconds
+    from pixel2catch.ros2.messages import decode
 
     for connection, received, data in reader.messages(connections):
         content = decode(data, connection.msgtype)
+        sent = getattr(content, "header", None)
         yield BagMessage(
             topic=connection.topic,
             type=connection.msgtype,
             received=received,
-            stamp=nanoseconds(content.header) if hasattr(content, "header") else 0,
+            stamp=sent.stamp.sec * 10**9 + sent.stamp.nanosec if sent else 0,
             content=content,
         )
 

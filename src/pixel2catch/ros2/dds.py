@@ -187,7 +187,6 @@ class DdsTransport(Transport):
         self._news = WaitSet(self._participant)
         self._kept: list[Publisher | Subscription] = []  # the library removes endpoints without references
         self._watchers: dict[Topic, DataReader] = {}
-        self._names: dict[Topic, dict[int, str]] = {}
 
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
@@ -210,15 +209,15 @@ class DdsTransport(Transport):
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
         """See `Transport.other_publishers`."""
-        handles = self._watcher(topic).get_matched_publications()
-        known = self._names.get(topic, {})  # a description is read once
-        self._names[topic] = {each: known.get(each) or self._name_of(topic, each) for each in handles}
-        return {each % HANDLES: name for each, name in self._names[topic].items()}
-
-    def _name_of(self, topic: Topic, publisher: int) -> str:
-        found = self._watcher(topic).get_matched_publication_data(publisher)
+        watcher = self._watcher(topic)
         participants = {each.key: each.qos for each in self._listed(builtin.BuiltinTopicDcpsParticipant)}
-        return _description(participants.get(found.participant_key, ()) if found else ())
+        found = {
+            each: watcher.get_matched_publication_data(each) for each in watcher.get_matched_publications()
+        }
+        return {
+            each % HANDLES: _description(participants.get(data.participant_key, ()) if data else ())
+            for each, data in found.items()
+        }
 
     def endpoints(self) -> list[Endpoint]:
         """See `Transport.endpoints`."""

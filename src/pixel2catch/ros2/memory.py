@@ -1,10 +1,9 @@
 """Nodes of one process that exchange messages in memory, by the rules of DDS: for rehearsals and tests."""
 
 from collections import deque
-from collections.abc import Iterator
 from itertools import count
 from threading import Condition, RLock
-from typing import NamedTuple, final
+from typing import final
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subscription, Topic, Transport
@@ -14,9 +13,12 @@ from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subs
 class MessageQueue(Subscription):
     """The messages of one subscription; `MessageQueues` makes it. Any thread may use it."""
 
-    def __init__(self, clock: Clock, arrived: Condition, depth: int) -> None:
+    def __init__(
+        self, clock: Clock, arrived: Condition, topic: Topic, depth: int, only_watches: bool
+    ) -> None:
         """Begin empty."""
         self._clock, self._arrived = clock, arrived
+        self.topic, self.only_watches = topic, only_watches
         self._waiting: deque[Message] = deque(maxlen=depth)
 
     def put(self, data: bytes, age: float = 0.0, sender: int = 0) -> None:
@@ -32,30 +34,28 @@ class MessageQueue(Subscription):
             self._waiting.clear()
         return received
 
-    def __bool__(self) -> bool:
-        """Return whether there is a message."""
-        return bool(self._waiting)
+    def ends_wait(self) -> bool:
+        """Return whether there is a message for which a node waits."""
+        return bool(self._waiting) and not self.only_watches
 
 
-class MessageQueues:
+class MessageQueues(list[MessageQueue]):
     """The queues of a node; the clock gives the arrival of messages."""
 
     def __init__(self, clock: Clock) -> None:
         """Begin without queues."""
+        super().__init__()
         self._clock, self._arrived = clock, Condition()
-        self._queues: list[MessageQueue] = []
 
-    def add(self, depth: int, *, only_watches: bool = False) -> MessageQueue:
+    def add(self, topic: Topic, depth: int, *, only_watches: bool) -> MessageQueue:
         """Make a queue; see `Transport.subscription`."""
-        queue = MessageQueue(self._clock, self._arrived, depth)
-        if not only_watches:
-            self._queues.append(queue)
-        return queue
+        self.append(MessageQueue(self._clock, self._arrived, topic, depth, only_watches))
+        return self[-1]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: any(self._queues), timeout=seconds)
+            return self._arrived.wait_for(lambda: any(each.ends_wait() for each in self), timeout=seconds)
 
 
 class Broker:
@@ -74,42 +74,29 @@ class Broker:
         return node
 
 
-class _Listener(NamedTuple):
-    topic: Topic
-    queue: MessageQueue
-    only_watches: bool
-
-
 @final
 class MemoryTransport(Transport):
     """A node of a broker; `Broker.node` makes it."""
 
     def __init__(self, broker: Broker, clock: Clock) -> None:
         """Begin without publishers and subscriptions."""
-        self.broker, self._queues = broker, MessageQueues(clock)
+        self.broker, self.queues = broker, MessageQueues(clock)
         self.publishers: list[_MemoryPublisher] = []
-        self.listeners: list[_Listener] = []
 
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
-        publisher = _MemoryPublisher(self, topic)
         with self.broker.lock:
-            self.publishers.append(publisher)
+            self.publishers.append(publisher := _MemoryPublisher(self, topic))
         return publisher
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
-        queue = self._queues.add(depth, only_watches=only_watches)
         with self.broker.lock:
-            self.listeners.append(_Listener(topic, queue, only_watches))
+            queue = self.queues.add(topic, depth, only_watches=only_watches)
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
                 if publisher.last is not None and topic.is_latched and _fits(publisher.topic, topic):
                     queue.put(publisher.last, sender=publisher.number)
         return queue
-
-    def num_other_publishers(self, topic: Topic) -> int:
-        """See `Transport.num_other_publishers`."""
-        return len(self.other_publishers(topic))
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
         """See `Transport.other_publishers`."""
@@ -122,13 +109,12 @@ class MemoryTransport(Transport):
         with self.broker.lock:
             others = [node for node in self.broker.nodes if node is not self]
             found = [(each.topic, True) for node in others for each in node.publishers]
-            listeners = (each for node in others for each in node.listeners if not each.only_watches)
-            found += [(each.topic, False) for each in listeners]
+            found += [(each.topic, False) for node in others for each in node.queues if not each.only_watches]
         return [Endpoint(topic=topic.name, type=topic.type, is_publisher=sends) for topic, sends in found]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
-        return self._queues.wait(seconds)
+        return self.queues.wait(seconds)
 
     def close(self) -> None:
         """See `Transport.close`."""
@@ -149,16 +135,16 @@ class _MemoryPublisher(Publisher):
             if self._node not in broker.nodes:
                 raise DeploymentError(f"{self.topic.name} cannot be sent: its node is closed.")
             self.last = data
-            for listener in self._listeners():
-                listener.queue.put(data, sender=self.number)
+            for queue in self._queues():
+                queue.put(data, sender=self.number)
 
     def num_subscribers(self) -> int:
         with self._node.broker.lock:
-            return sum(not listener.only_watches for listener in self._listeners())
+            return sum(not queue.only_watches for queue in self._queues())
 
-    def _listeners(self) -> Iterator[_Listener]:
-        listeners = (each for node in self._node.broker.nodes for each in node.listeners)
-        return (each for each in listeners if _fits(self.topic, each.topic))
+    def _queues(self) -> list[MessageQueue]:
+        queues = (each for node in self._node.broker.nodes for each in node.queues)
+        return [each for each in queues if _fits(self.topic, each.topic)]
 
 
 def _is_same(one: Topic, other: Topic) -> bool:

@@ -8,7 +8,7 @@ from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -83,11 +83,6 @@ def header(stamp: float, frame_id: str = "") -> Any:
     return STORE.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
-def nanoseconds(header: Any) -> int:
-    """Return the time of a header since the epoch [ns]."""
-    return header.stamp.sec * 10**9 + header.stamp.nanosec
-
-
 def seconds(header: Any) -> float:
     """Return the time of a header since the epoch [s]."""
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
@@ -115,14 +110,6 @@ class JointReading:
     names: tuple[str, ...]  #: The driver's names of the joints, in its order.
     position: Float[np.ndarray, " num_joints"]  #: Their positions [rad].
     stamp: float  #: Time of their measurement [s].
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraReading:
-    """The lens of a camera."""
-
-    camera: CameraSpec  #: Size and lens, in the camera's own frame.
-    distortion: tuple[float, ...]  #: As in OpenCV; empty if all numbers are 0.
 
 
 def joint_state(
@@ -159,27 +146,6 @@ _LAYOUT = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
 def float_array(values: Iterable[float]) -> bytes:
     """Encode numbers without names, such as the commands of a forward position controller."""
     return encode(FLOAT_ARRAY, _LAYOUT, float64(values))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CommandLayout:
-    """Order of the joints in the commands of a driver."""
-
-    type: str  #: `FLOAT_ARRAY` or `JOINT_STATE`.
-    ids: Int[np.ndarray, " part_joints"]  #: Indices of the driver's joints in joint order.
-    places: Int[np.ndarray, " part_joints"]  #: Their indices in a command.
-    held_places: Int[np.ndarray, " num_held"]  #: Indices of the held joints in a command.
-
-    def encode(
-        self,
-        joint_pos: Float[np.ndarray, " num_joints"],
-        held: Float[np.ndarray, " num_held"],
-        stamp: float = 0.0,
-    ) -> bytes:
-        """Encode positions in joint order, and those of the held joints [rad]; joint states have no names."""
-        values = np.empty(len(self.places) + len(self.held_places))
-        values[self.places], values[self.held_places] = joint_pos[self.ids], held
-        return joint_state((), values, stamp) if self.type == JOINT_STATE else float_array(values)
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
@@ -235,8 +201,8 @@ def camera_info(camera: CameraSpec, stamp: float) -> bytes:
     return encode(CAMERA_INFO, header(stamp, OPTICAL_FRAME), camera.height, camera.width, *lens, 0, 0, whole)
 
 
-def read_camera_info(data: bytes) -> CameraReading:
-    """Decode the lens of a camera.
+def read_camera_info(data: bytes) -> CameraSpec:
+    """Decode size and lens of a camera, in its own frame, without its distortion.
 
     Raises:
         DeploymentError: It is damaged, or the camera is not calibrated.
@@ -245,7 +211,7 @@ def read_camera_info(data: bytes) -> CameraReading:
     fx, _, cx, _, fy, cy, *_ = map(float, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
-    camera = CameraSpec(
+    return CameraSpec(
         width=message.width,
         height=message.height,
         fx=fx,
@@ -255,7 +221,6 @@ def read_camera_info(data: bytes) -> CameraReading:
         pos=(0.0, 0.0, 0.0),
         quat=IDENTITY,
     )
-    return CameraReading(camera=camera, distortion=tuple(map(float, message.d)) if np.any(message.d) else ())
 
 
 Value = TypeVar("Value", bool, int, float, str)

@@ -4,45 +4,42 @@ It is a YAML file, whose schema are the dataclasses here. Errors name file, key 
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, pi
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
+from msgspec import Meta
 
 from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import CommandLayout, JointReading
+from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.transport import Topic
 
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
 COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of messages that drivers take as commands.
 
-LATCHED = {
-    "activity": messages.ACTIVITY,
-    "safety_mode": messages.SAFETY_MODE,
-    "robot_mode": messages.ROBOT_MODE,
-    "program_running": messages.BOOLEAN,
+TOPICS = {
+    "activity": (messages.ACTIVITY, True),
+    "safety_mode": (messages.SAFETY_MODE, True),
+    "robot_mode": (messages.ROBOT_MODE, True),
+    "program_running": (messages.BOOLEAN, True),
+    "speed_scaling": (messages.NUMBER, False),
+    "state_topic": (messages.JOINT_STATE, False),
+    "image": (messages.IMAGE, False),
+    "info": (messages.CAMERA_INFO, False),
+    "arm": (messages.BOOLEAN, False),
+    "dead_man": (messages.BOOLEAN, False),
+    "stop": (messages.BOOLEAN, False),
+    "prompt": (messages.TEXT, False),
+    "status": (messages.TEXT, False),
 }
-"""Types of latched topics, by field."""
-
-TOPICS = LATCHED | {
-    "state_topic": messages.JOINT_STATE,
-    "image": messages.IMAGE,
-    "info": messages.CAMERA_INFO,
-    "speed_scaling": messages.NUMBER,
-    "arm": messages.BOOLEAN,
-    "dead_man": messages.BOOLEAN,
-    "stop": messages.BOOLEAN,
-    "prompt": messages.TEXT,
-    "status": messages.TEXT,
-}
-"""Types of the topics that have only a name in the file, by field."""
+"""Type of the topics that have only a name in the file, and whether they are latched, by field."""
 
 
 def _with_topics(content: Any, field: str = "") -> Any:
@@ -57,7 +54,8 @@ def _with_topics(content: Any, field: str = "") -> Any:
         raise InvalidValueError(
             f"field '{field}': {shown(content)} is no topic; write its full name, such as '/joint_states'"
         )
-    return {"name": content, "type": TOPICS[field], "is_latched": field in LATCHED}
+    kind, is_latched = TOPICS[field]
+    return {"name": content, "type": kind, "is_latched": is_latched}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,26 +66,25 @@ class DriverJoint:
     index_in_command: int  #: Its index in a command.
 
 
+Limit = Annotated[float, Meta(gt=0.0)]
+
+FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no joint turns further.
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionBudget:
     """A laboratory's limits of a part's motion, in addition to those of the servo."""
 
-    speed: float = inf  #: Largest speed of a joint [rad/s].
-    acceleration: float = inf  #: Largest acceleration of a command [rad/s²].
-    jerk: float = inf  #: Largest jerk of a command [rad/s³].
-
-    def __post_init__(self) -> None:
-        """Refuse limits that are not positive."""
-        for entry in fields(self):
-            if not (value := getattr(self, entry.name)) > 0.0:
-                raise InvalidValueError(f"{entry.name} is {value:g}; it must be more than 0")
+    speed: Limit = inf  #: Largest speed of a joint [rad/s].
+    acceleration: Limit = inf  #: Largest acceleration of a command [rad/s²].
+    jerk: Limit = inf  #: Largest jerk of a command [rad/s³].
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldJoint:
     """A driver joint that the work cell does not control. It is held at its angle."""
 
-    angle: float  #: [rad].
+    angle: Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]  #: [rad].
     #: Its name in joint states. Without it, the joint is not moved to its angle evenly, but at once.
     name_in_state: str | None = None
 
@@ -102,8 +99,6 @@ class Controller:
 
 Columns = Int[np.ndarray, " num_found"]
 
-FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no joint turns further.
-
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPart:
@@ -115,7 +110,7 @@ class RobotPart:
     command_topic: Topic  #: Commands, of a type in `COMMANDS`.
     command_size: int  #: Number of values in a command.
     held: dict[int, HeldJoint] = field(default_factory=dict)  #: Held joints, by their index in a command.
-    rate_hz: float  #: Rate at which the driver takes commands [Hz].
+    rate_hz: Limit  #: Rate at which the driver takes commands [Hz].
     limits: MotionBudget = MotionBudget()
     controller: Controller | None = None  #: Not checked if absent.
     joint_order: tuple[str, ...] = ()  #: All joints of the work cell; the profile fills it in.
@@ -137,14 +132,6 @@ class RobotPart:
                 f"a command has places 0 to {self.command_size - 1}, joints and held have {sorted(places)}: "
                 "give each place one joint or one held angle"
             )
-        if not 0.0 < self.rate_hz < inf:
-            raise InvalidValueError(f"rate_hz is {self.rate_hz:g}; it must be positive")
-        for place, joint in self.held.items():
-            if not abs(joint.angle) <= FARTHEST:
-                raise InvalidValueError(
-                    f"held.{place}: angle is {joint.angle:g} rad; it must be from {-FARTHEST:.4g} to "
-                    f"{FARTHEST:.4g}"
-                )
 
     @cached_property
     def ids(self) -> Int[np.ndarray, " part_joints"]:
@@ -157,14 +144,23 @@ class RobotPart:
         return np.array([joint.angle for joint in self.held.values()])
 
     @cached_property
-    def layout(self) -> CommandLayout:
-        """Order and type of its commands."""
-        return CommandLayout(
-            type=self.command_topic.type,
-            ids=self.ids,
-            places=np.array([joint.index_in_command for joint in self.joints.values()], dtype=np.int64),
-            held_places=np.array([*self.held], dtype=np.int64),
-        )
+    def _places(self) -> tuple[Int[np.ndarray, " part_joints"], Int[np.ndarray, " num_held"]]:
+        """Indices of its joints and of the held joints in a command."""
+        places = [joint.index_in_command for joint in self.joints.values()]
+        return np.array(places, dtype=np.int64), np.array([*self.held], dtype=np.int64)
+
+    def command(
+        self,
+        joint_pos: Float[np.ndarray, " num_joints"],
+        held: Float[np.ndarray, " num_held"],
+        stamp: float = 0.0,
+    ) -> bytes:
+        """Encode positions in joint order, and those of the held joints [rad]; joint states have no names."""
+        values, (places, held_places) = np.empty(self.command_size), self._places
+        values[places], values[held_places] = joint_pos[self.ids], held
+        if self.command_topic.type == messages.JOINT_STATE:
+            return messages.joint_state((), values, stamp)
+        return messages.float_array(values)
 
     def merge(
         self, reading: JointReading, joint_pos: Float[np.ndarray, " num_joints"]
@@ -218,17 +214,13 @@ class CameraProfile:
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
 
-    @cached_property
-    def format(self) -> str:
-        """Return width, height and encoding, as `Image.format`."""
-        return f"{self.width} x {self.height} {self.encoding}"
-
     def wrong_format(self, image: Image) -> str:
-        """Return the error of an image with another format."""
-        return (
-            f"{self.image.name} sends {image.format}, the profile says {self.format}: set the camera's "
-            "driver to that."
+        """Return the error of an image of another size or encoding; empty if it has the profile's."""
+        expected = f"{self.width} x {self.height} {self.encoding}"
+        wrong = (
+            f"{self.image.name} sends {image.format}, the profile says {expected}: set the camera's driver"
         )
+        return "" if image.format == expected else f"{wrong} to that."
 
     def require(self, image: Image) -> None:
         """Refuse an image of another size or encoding.
@@ -236,8 +228,8 @@ class CameraProfile:
         Raises:
             DeploymentError: The driver must be set differently.
         """
-        if image.format != self.format:
-            raise DeploymentError(self.wrong_format(image))
+        if wrong := self.wrong_format(image):
+            raise DeploymentError(wrong)
 
 
 @dataclass(frozen=True, kw_only=True)

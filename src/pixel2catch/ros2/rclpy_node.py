@@ -47,7 +47,6 @@ class RosTransport(Transport):
                 "count: use ROS 2 Iron or newer, or another --network."
             )
         self._clock, self._queues = clock, MessageQueues(clock)
-        self._num_own: dict[str, int] = {}
         self._context = Context()
         try:
             rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
@@ -68,22 +67,17 @@ class RosTransport(Transport):
 
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
-        self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
         qos = _qos(topic, 1, is_reader=False)
         publisher = self._node.create_publisher(_type(topic), topic.name, qos)
         return _RosPublisher(topic, self._node, publisher)
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`; others recognise one that only watches by the name of its node."""
-        queue = self._queues.add(depth, only_watches=only_watches)
+        queue = self._queues.add(topic, depth, only_watches=only_watches)
         qos = _qos(topic, depth, is_reader=True)
         keep = partial(_keep, queue, self._clock)
         self._node.create_subscription(_type(topic), topic.name, keep, qos, raw=True)
         return queue
-
-    def num_other_publishers(self, topic: Topic) -> int:
-        """See `Transport.num_other_publishers`."""
-        return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
         """See `Transport.other_publishers`; messages do not name their sender."""

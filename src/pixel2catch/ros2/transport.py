@@ -137,9 +137,9 @@ class Transport(ABC):
             only_watches: Not counted as a subscriber, and does not end a `wait`, as for a recording.
         """
 
-    @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
         """Return the number of publishers of a topic, without those of this node."""
+        return len(self.other_publishers(topic))
 
     @abstractmethod
     def other_publishers(self, topic: Topic) -> dict[int, str]:

@@ -249,7 +249,7 @@ class CommandPublisher:
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
         for part in parts:
-            part.layout.encode(np.zeros(setup.limits.num_joints), part.held_angles)
+            part.command(np.zeros(setup.limits.num_joints), part.held_angles)
 
     def send(self, command: Command, held: Sequence[np.ndarray]) -> None:
         """Send a command, if it has positions. Held joints go from their positions [rad] to their angles."""
@@ -263,7 +263,7 @@ class CommandPublisher:
             self._held[number] = self._held[number] + left.clip(-self._held_step, self._held_step)
             if self._tick % period == 0:
                 positions, stamp = command.joint_pos_command, self._clock.stamp()
-                publisher.publish(part.layout.encode(positions, self._held[number], stamp))
+                publisher.publish(part.command(positions, self._held[number], stamp))
         self._tick += 1
 
 

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from typing import Any, final
 
@@ -317,25 +317,19 @@ def _draw(exposure: Exposure) -> Pixels:
     return _CAMERAS[0].image(exposure)
 
 
-@dataclass(kw_only=True)
-class CycleCounts:
-    """How many cycles ran, and how late they began."""
-
-    num_cycles: int = 0
-    num_late: int = 0  #: Cycles that began more than `LATE` after their time; none is left out.
-    worst: float = 0.0  #: Largest lateness [s].
-
-
-def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode], bool]) -> CycleCounts:
+def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode], bool]) -> str:
     """Run the laboratory of a task on this machine's DDS network until `on_cycle` returns false.
 
     Late cycles are made up for. The seed is of room and noise; the rate is that of the clock, at most 1.
+
+    Returns:
+        How many cycles ran, how many of them began more than `LATE` after their time, and the largest delay.
 
     Raises:
         DeviceUnavailableError: No OpenGL back end works.
         DeploymentError: DDS cannot be started.
     """
-    clock, counts = RealClock(rate), CycleCounts()
+    clock, num_late, worst, is_over = RealClock(rate), 0, 0.0, False
     profile = twin_profile(find_workcell(task.scene.workcell))
     set_niceness(FIRST)
     with (
@@ -347,13 +341,10 @@ def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode
         gc.collect()
         gc.freeze()  # objects that exist now are not collected later
         begin, start = clock.now(), clock.stamp()
-        is_over = False
         while not is_over:
             clock.sleep_until(begin + node.time)
             lateness = clock.now() - begin - node.time
             node.cycle(start, int(lateness / CYCLE))
-            counts.num_cycles += 1
-            counts.num_late += lateness > LATE
-            counts.worst = max(counts.worst, lateness)
+            num_late, worst = num_late + (lateness > LATE), max(worst, lateness)
             is_over = not on_cycle(node)
-    return counts
+    return f"{node.num_cycles:,} cycles, {num_late:,} of them late, the worst by {1000 * worst:.0f} ms"

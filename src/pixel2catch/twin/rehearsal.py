@@ -39,21 +39,16 @@ TWIN_SUMMARY = ("joint_speed", "halts", "ignored", "late_images", "lost_images")
 """Entries of the twin's last state in a report."""
 
 
-class RehearsalOperator:
+class RehearsalOperator(OperatorConsole):
     """An operator of twin and deployment, over the network."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
         """Create all publishers and subscriptions."""
-        self._clock, self.console = clock, OperatorConsole(transport, topics, clock)
+        super().__init__(transport, topics, clock)
         self._request = transport.publisher(COMMAND)
         self._states = transport.subscription(STATE, DEPTH)
         self.truth: dict[str, Any] = {}  #: Newest state of the twin.
         self.stops: list[str] = []  #: Reasons of the stops that the deployment reported, newest last.
-
-    @property
-    def mode(self) -> str:
-        """Mode of the servo."""
-        return self.console.mode
 
     @property
     def phase(self) -> str:
@@ -68,9 +63,9 @@ class RehearsalOperator:
         """Take what arrived, and repeat that the switch is held, if it is."""
         self.truth = newest(self._states.take(), self.truth)
         before = self.mode
-        self.console.watch()
+        super().watch()
         if self.mode == "stopped" and before != "stopped":
-            self.stops.append(", ".join(self.console.status["stopped_by"]))
+            self.stops.append(", ".join(self.status["stopped_by"]))
 
     def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = STEP_TIME) -> None:
         """Watch until a condition holds, at most so long [s].
@@ -81,7 +76,7 @@ class RehearsalOperator:
         end = self._clock.now() + seconds
         while not condition():
             if self._clock.now() > end:
-                status = {name: self.console.status.get(name) for name in STATUS}
+                status = {name: self.status.get(name) for name in STATUS}
                 truth = {name: self.truth.get(name) for name in TRUTH}
                 raise DeploymentError(
                     f"{what} did not come within {seconds:g} s: "
@@ -137,19 +132,19 @@ def _start_policy(operator: RehearsalOperator, seed: int) -> None:
     operator.wait_until(lambda: operator.phase == "empty", "the empty room")
     operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
     operator.wait_until(lambda: operator.mode == "idle", "an idle servo")
-    operator.console.holds = True
-    operator.wait_until(lambda: "dead man" not in operator.console.status["found"], "a held switch")
-    operator.console.arm()
+    operator.holds = True
+    operator.wait_until(lambda: "dead man" not in operator.status["found"], "a held switch")
+    operator.arm()
     operator.wait_until(lambda: operator.mode == "armed", "an armed servo")
-    operator.console.point(operator.truth["box"])
+    operator.point(operator.truth["box"])
     operator.wait_until(lambda: operator.mode == "run", "the policy's run")
 
 
 def _stop_robot(operator: RehearsalOperator) -> None:
     if operator.mode in ("armed", "ramp", "run"):
-        operator.console.stop()
+        operator.stop()
         operator.wait_until(lambda: operator.mode not in ("armed", "ramp", "run"), "the stop")
-    operator.console.holds = False
+    operator.holds = False
     operator.wait(STOP_TIME)
 
 
@@ -201,7 +196,7 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
 
         def is_ready() -> bool:
             _require_running(processes, logs)
-            has_image = operator.console.status.get("verdict") != "no image"
+            has_image = operator.status.get("verdict") != "no image"
             return bool(operator.truth) and operator.mode == "idle" and has_image
 
         def after_throw(outcome: Outcome) -> None:

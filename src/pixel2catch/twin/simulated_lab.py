@@ -15,12 +15,12 @@ from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
-from pixel2catch.mdp.control_step import Privileged, Transition
+from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.terminations import is_lost, is_near
 from pixel2catch.rendering.camera import Exposure, Moment
-from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
+from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.servo.limits import steady_lag
@@ -43,8 +43,6 @@ the last bit at rest; hand: its maker's driver, 333.3° in 65,536 counts.
 
 ENCODER_NOISE = 0.3  #: Standard deviation of a position before it is rounded [steps]. Source: ours.
 
-ARM = BYSTANDER_JOINTS.index("thrower_arm")
-
 Joints = Float[np.ndarray, " num_joints"]
 
 _YES = torch.ones(1, dtype=torch.bool)
@@ -56,55 +54,6 @@ class JointState:
 
     position: Float[np.ndarray, " num_joints"]  #: [rad]
     velocity: Float[np.ndarray, " num_joints"]  #: [rad/s]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ThrowerMotion:
-    """Motion of the thrower and of the hanging ball over the twin's time."""
-
-    bystanders: Bystanders  #: Where they stand.
-    release: float = inf  #: Time of the release [s]; infinite before it.
-
-    def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
-        """Return the positions of their joints [m, rad] at a time of the twin [s]."""
-        pos = self.bystanders.joint_pos(-time)  # swaying, with the arm at rest
-        if time > self.release:
-            pos[ARM] = self.bystanders.joint_pos(time - self.release)[ARM]
-        return pos
-
-
-@final
-class ThrowScorer:
-    """Scores one throw at the control rate, until it is decided.
-
-    The time limit of a success includes the control steps for which the object hovers in an episode. Waiting
-    of the operator does not count.
-    """
-
-    def __init__(self, episode: Episode, world: CatchWorld, now: Privileged) -> None:
-        """Begin with the state at the release."""
-        self._world, self._before = world, now
-        self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
-        self.is_over = False  #: Whether the object was caught or dropped, or the time is over.
-
-    def advance(self, now: Privileged, log: StepExtremes) -> None:
-        """Count one control step, by the state at its end and the extremes within it."""
-        if self.is_over:
-            return
-        transition = Transition(
-            before=self._before,
-            now=now,
-            action=torch.zeros(1, 0),
-            joint_pos_target=torch.zeros(1, 0),
-            held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
-            was_success=self.record.is_success,
-            episode_steps=self.record.steps + 1,
-            geometry=self._world.geometry,
-        )
-        self.record = self.record.advanced(transition, log, self._world.arms, self._world.palms)
-        self._before = now
-        is_late = int(self.record.steps) >= TRIAL_STEPS
-        self.is_over = is_late or bool(self.record.is_success | is_lost(now))
 
 
 class Phase(StrEnum):
@@ -123,6 +72,10 @@ class SimulatedLab:
     Throws, dynamics and encoder offsets are those of the task. Its noise of encoders, errors of actions and
     delays are not applied: encoders round as those of real drivers, and delays come from the network.
     Drives and drivers read the same encoders: an offset moves the joint, and no reading.
+
+    A throw is scored at the control rate, from its release until it is decided. The time limit of a success
+    includes the control steps for which the object hovers in an episode; waiting of the operator does not
+    count.
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
@@ -143,7 +96,7 @@ class SimulatedLab:
             for arm in workcell.of_role("arm"):
                 self._world.simulation.expand(field)[:, arm] += BEYOND_LIMITS
         self._log: StepExtremes | None = None
-        self._steps, self._is_thrown, self._scorer = 0, False, None
+        self._steps, self._is_thrown = 0, False
         self._decimation = task.scene.decimation
         self.physics_dt = task.scene.physics_dt  #: Time of a physics step [s].
         self.num_throws = 0
@@ -173,18 +126,12 @@ class SimulatedLab:
         return self._world.objects.names[int(self.episode.parameters.object_id)]
 
     @property
-    def record(self) -> EpisodeRecord | None:
-        """Record of the throw since its release; none before."""
-        return None if self._scorer is None else self._scorer.record
-
-    @property
     def outcome(self) -> str:
         """Outcome of the throw in a word; its phase until it is over."""
-        if self._scorer is None or not self._scorer.is_over:
+        if self.phase is not Phase.OVER:
             return self.phase.value
-        record = self._scorer.record
-        reached = "reached, not caught" if record.is_tracked else "missed"
-        return "caught" if record.is_success else reached
+        reached = "reached, not caught" if self.record.is_tracked else "missed"
+        return "caught" if self.record.is_success else reached
 
     @property
     def joints(self) -> JointState:
@@ -216,8 +163,9 @@ class SimulatedLab:
         self._velocity_before = self._qvel[self._robot].copy()
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
-        self._thrower = ThrowerMotion(bystanders=Bystanders(release_pos=release_pos, phase=phase))
-        self.phase, self._is_thrown, self._scorer = Phase.EMPTY, False, None
+        self._thrower = Bystanders(release_pos=release_pos, phase=phase, release=inf)
+        self.phase, self._is_thrown = Phase.EMPTY, False
+        self.record: EpisodeRecord = self.episode.record  #: Record of the throw, which begins at its release.
         self._held_from = self.time + EMPTY_TIME
 
     def throw(self) -> None:
@@ -255,14 +203,13 @@ class SimulatedLab:
 
     def truth(self) -> dict[str, Any]:
         """Return the true state of the throw, for the operator and the report, not for the robot."""
-        record = self.record
         return {
             "phase": self.phase.value,
             "throw": self.num_throws,
             "object": None if self.phase is Phase.EMPTY else self.object_name,
             "box": self._visible_box(),
-            "is_tracked": record is not None and bool(record.is_tracked),
-            "is_success": record is not None and bool(record.is_success),
+            "is_tracked": bool(self.record.is_tracked),
+            "is_success": bool(self.record.is_success),
             "joint_speed": self.max_joint_speed,
         }
 
@@ -272,19 +219,36 @@ class SimulatedLab:
 
     def _end_control_step(self, log: StepExtremes) -> None:
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
-        if self._scorer is not None:
-            self._scorer.advance(self._world.privileged(log), log)
-            if self._scorer.is_over:
-                self.phase = Phase.OVER
+        if self.phase is Phase.FLYING:
+            self._score(log)
         elif self.phase is Phase.EMPTY and self.time >= self._held_from:
             self.phase = Phase.HELD
-        elif self._is_thrown:
+        elif self._is_thrown and self.phase is Phase.HELD:
             self._release(log)
+
+    def _score(self, log: StepExtremes) -> None:
+        """Count one control step, by the state at its end and the extremes within it."""
+        now = self._world.privileged(log)
+        transition = Transition(
+            before=self._before,
+            now=now,
+            action=torch.zeros(1, 0),
+            joint_pos_target=torch.zeros(1, 0),
+            held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
+            was_success=self.record.is_success,
+            episode_steps=self.record.steps + 1,
+            geometry=self._world.geometry,
+        )
+        self.record = self.record.advanced(transition, log, self._world.arms, self._world.palms)
+        self._before = now
+        if int(self.record.steps) >= TRIAL_STEPS or self.record.is_success or is_lost(now):
+            self.phase = Phase.OVER
 
     def _release(self, log: StepExtremes) -> None:
         self._world.release(_YES, self.episode.throw)
         self._world.simulation.forward(_YES)
-        self._scorer = ThrowScorer(self.episode, self._world, self._world.privileged(log))
+        self._before = self._world.privileged(log)
+        self.record = replace(self.episode.record, steps=self.episode.throw.hover_steps)
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
 

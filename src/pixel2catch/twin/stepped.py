@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, final
@@ -18,8 +18,9 @@ from pixel2catch.deployment.control_loop import (
     perception_times,
 )
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
+from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.regions import RobotMask
@@ -58,18 +59,38 @@ Draw = Callable[[SimulatedLab, Exposure], Pixels]  #: Draws an image of the came
 
 
 @final
-class SteppedTwin:
-    """The twin on a network in memory, whose time advances, cycle by cycle, while somebody waits."""
+class SteppedTwin(AbstractContextManager["SteppedTwin"]):
+    """Twin and servo on a network in memory, whose time advances, cycle by cycle, while somebody waits."""
 
-    def __init__(self, task: CatchEnvCfg, seed: int, draw: Draw, clock_error: float = 0.0) -> None:
-        """Put it in place; stamps of images are too early by the clock error [s]."""
-        self.clock, self.broker = StepClock(self._wait), Broker()
-        self.profile, self._num_cycles = twin_profile(find_workcell(task.scene.workcell)), 0
-        self.lab = SimulatedLab(task, seed)
-        camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), clock_error)
+    def __init__(
+        self,
+        cfg: RehearsalCfg,
+        task: CatchEnvCfg,
+        draw: Draw,
+        limits: ServoLimits | None = None,
+        images: ImageStorage = "jpeg",
+    ) -> None:
+        """Put them in place, with the work cell's limits of the servo unless others are given."""
+        self.clock, self.broker, self._open = StepClock(self._wait), Broker(), ExitStack()
+        workcell = find_workcell(task.scene.workcell)
+        self.profile, self._num_cycles = twin_profile(workcell), 0
+        self.lab = SimulatedLab(task, cfg.seed)
+        camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), 1e-3 * cfg.clock_error_ms)
         self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
+        node, self._recording = self.broker.node(self.clock), None
+        if cfg.record:
+            recorder = self._open.enter_context(BagRecorder(cfg.record))
+            self._recording = DeploymentRecorder(recorder, node, self.profile, self.clock, images)
+        setup = ServoSetup(profile=self.profile, limits=limits or ServoLimits.of(workcell))
+        nodes = self.broker.node(self.clock), node
+        self.servo = SteppedServo(setup, nodes, self.clock, self._recording)
         #: Called after every cycle of the drivers, each `HOP` later than the one before.
-        self.followers: tuple[Callable[[], object], ...] = ()
+        self.followers: tuple[Callable[[], object], ...] = (self.servo.tick,)
+
+    @cached_property
+    def operator(self) -> RehearsalOperator:
+        """The operator; created on first use, because the servo obeys only one."""
+        return RehearsalOperator(self.broker.node(self.clock), self.profile.operator, self.clock)
 
     def _wait(self, moment: float) -> None:
         """Run cycles until a moment [s], or shortly after."""
@@ -82,48 +103,7 @@ class SteppedTwin:
                 self.clock.time = begin + number * HOP
                 follow()
 
-
-def _done(image: Pixels) -> "Future[Pixels]":
-    future: Future[Pixels] = Future()
-    future.set_result(image)
-    return future
-
-
-class SteppedRehearsal:
-    """The twin, a deployment, and an operator in simulated time."""
-
-    def __init__(
-        self,
-        cfg: RehearsalCfg,
-        task: CatchEnvCfg,
-        draw: Draw,
-        pipeline: PolicyPipeline,
-        limits: ServoLimits | None = None,
-    ) -> None:
-        """Put them in place, with the work cell's limits of the servo unless others are given."""
-        twin = SteppedTwin(task, cfg.seed, draw, 1e-3 * cfg.clock_error_ms)
-        clock, broker = twin.clock, twin.broker
-        self.clock, self.broker, self.lab = clock, broker, twin.lab
-        self._open, self._recording = ExitStack(), None
-        node = broker.node(clock)
-        if cfg.record:
-            recorder = self._open.enter_context(BagRecorder(cfg.record))
-            self._recording = DeploymentRecorder(recorder, node, twin.profile, clock, "jpeg")
-        limits = limits or ServoLimits.of(find_workcell(task.scene.workcell))
-        setup = ServoSetup(profile=twin.profile, limits=limits)
-        times = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
-        self._servo = SteppedServo(setup, (broker.node(clock), node), clock, self._recording)
-        connection, profile = self._servo.connection, twin.profile
-        loop = ControlLoop(pipeline, self.lab.camera, connection, profile, perception_time=times)
-        self.statistics, self._topics = loop.statistics, twin.profile.operator
-        twin.followers = (self._servo.tick, loop.poll)
-
-    @cached_property
-    def operator(self) -> RehearsalOperator:
-        """The operator; created on first use, because the servo obeys only one."""
-        return RehearsalOperator(self.broker.node(self.clock), self._topics, self.clock)
-
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Free the simulation, and end the recording.
 
         Raises:
@@ -131,17 +111,19 @@ class SteppedRehearsal:
         """
         self._open.close()
         self.lab.close()
-        self._servo.close()
-        if self._recording:
+        self.servo.close()
+        if self._recording and exception[0] is None:
             self._recording.require_whole()
 
 
+def _done(image: Pixels) -> "Future[Pixels]":
+    future: Future[Pixels] = Future()
+    future.set_result(image)
+    return future
+
+
 def rehearse_stepped(
-    cfg: RehearsalCfg,
-    task: CatchEnvCfg,
-    policy: Policy,
-    on_throw: OnThrow,
-    limits: ServoLimits | None = None,
+    cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy, on_throw: OnThrow
 ) -> dict[str, Any]:
     """Run throws in simulated time; return the report.
 
@@ -149,21 +131,21 @@ def rehearse_stepped(
         DeviceUnavailableError: Images are rendered, and no OpenGL back end works.
         PolicyMismatchError: The policy cannot be deployed.
     """
-    with in_step(cfg, task, policy, limits) as rehearsal:
+    with in_step(cfg, task, policy) as (twin, statistics):
         return {
-            **run_throws(cfg, rehearsal.operator, on_throw),
+            **run_throws(cfg, twin.operator, on_throw),
             "perception_time": 1e-3 * cfg.perception_ms,
             "perception_jitter": 1e-3 * cfg.perception_jitter_ms,
             "clock_error": 1e-3 * cfg.clock_error_ms,
-            "deploy": rehearsal.statistics.summary(),
+            "deploy": statistics.summary(),
         }
 
 
 @contextmanager
 def in_step(
-    cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy, limits: ServoLimits | None = None
-) -> Iterator[SteppedRehearsal]:
-    """Yield a rehearsal before its first throw.
+    cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy
+) -> Iterator[tuple[SteppedTwin, RunStatistics]]:
+    """Yield a rehearsal before its first throw, and the statistics of the deployment.
 
     Images and perception are those of `pixel2catch twin` and `pixel2catch deploy`. Plain images show a red
     box instead, which perception finds by its colour.
@@ -179,7 +161,12 @@ def in_step(
             robot = RobotMask(workcell, scene.camera)
         controller = PolicyController(policy, workcell, scene.camera)
         pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
-        yield stack.enter_context(closing(SteppedRehearsal(cfg, task, draw, pipeline, limits)))
+        twin = stack.enter_context(SteppedTwin(cfg, task, draw))
+        times = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
+        connection, profile = twin.servo.connection, twin.profile
+        loop = ControlLoop(pipeline, scene.camera, connection, profile, perception_time=times)
+        twin.followers = (twin.servo.tick, loop.poll)
+        yield twin, loop.statistics
 
 
 def plain_image(lab: SimulatedLab, _: Exposure) -> Pixels:
@@ -208,22 +195,17 @@ def recorded_in_step(
     The recording is written into a new folder.
     """
     scene = SceneCfg(workcell=workcell.name, physics_hz=PHYSICS_HZ)
-    twin = SteppedTwin(CatchEnvCfg(scene=scene).with_files(dynamics, None), 0, plain_image)
-    clock, node = twin.clock, twin.broker.node(twin.clock)
-    operator = OperatorConsole(twin.broker.node(clock), twin.profile.operator, clock)
-    with closing(twin.lab), BagRecorder(out) as recorder:
-        recording = DeploymentRecorder(recorder, node, twin.profile, clock, "none")
-        setup = ServoSetup(profile=twin.profile, limits=limits)
-        servo, is_armed = SteppedServo(setup, (twin.broker.node(clock), node), clock, recording), False
+    task, is_armed = CatchEnvCfg(scene=scene).with_files(dynamics, None), False
+    with SteppedTwin(RehearsalCfg(record=out), task, plain_image, limits, "none") as twin:
+        operator = OperatorConsole(twin.broker.node(twin.clock), twin.profile.operator, twin.clock)
 
         def operate() -> None:
             nonlocal is_armed
-            operator.holds = clock.now() > ARMING / 2
+            operator.holds = twin.clock.now() > ARMING / 2
             operator.watch()
-            if clock.now() > ARMING and not is_armed:
+            if twin.clock.now() > ARMING and not is_armed:
                 operator.arm()
                 is_armed = True
 
-        twin.followers = (servo.tick, operate)
-        with closing(servo):
-            yield servo.connection
+        twin.followers = (twin.servo.tick, operate)
+        yield twin.servo.connection

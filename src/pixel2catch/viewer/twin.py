@@ -14,7 +14,6 @@ from typing import Any, final
 
 import torch
 
-from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.ros2.profile import Profile
@@ -26,7 +25,7 @@ from pixel2catch.viewer.operator_page import OperatorPage
 from pixel2catch.viewer.server import require_address
 from pixel2catch.viewer.visitors import HeldButton
 
-REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: Requests to the twin, one button each.
+REQUESTS = "catch, seed, show, prepare, throw, protective_stop, resume"  #: Requests of the twin's page.
 
 PHASES: dict[str, str] = {
     Phase.EMPTY: "the room is empty",
@@ -50,42 +49,32 @@ class TwinPage:
         button: HeldButton | None = None,
     ) -> None:
         """Serve the page, with the clock of twin and deployment."""
-        self._operator = RehearsalOperator(transport, profile.operator, clock)
+        #: One operator for page and throws, because the servo obeys only one.
+        self.operator = RehearsalOperator(transport, profile.operator, clock)
         self.trial: Thread | None = None  #: Thread of the newest automatic throw.
         self.seed = 0  #: Seed of the next throw.
         self.outcomes: dict[str, str] = {}  #: Outcomes of throws by number.
         self._problem = ""
-        title, console = "Pixel2Catch twin", self._operator.console
         self.page = OperatorPage(
             cfg,
-            title,
+            "Pixel2Catch twin",
             profile,
             transport,
             clock,
-            console,
+            self.operator,
             button=button or HeldButton(),
             more=self._handle,
         )  #: The operator's page.
 
-    @property
-    def console(self) -> OperatorConsole:
-        """The operator's console, one for page and throws, because the servo obeys only one."""
-        return self._operator.console
-
     def update(self) -> None:
         """Show new messages, and pass on the state of the switch."""
         if not self._is_in_trial:
-            self.console.holds = self.page.is_held
-            self._operator.watch()
-        truth = self._operator.truth
+            self.operator.holds = self.page.is_held
+            self.operator.watch()
+        truth = self.operator.truth
         if truth.get("phase") == Phase.OVER:
             self.outcomes[str(truth.get("throw"))] = str(truth.get("outcome"))
         self.page.update(self._words(truth))
-
-    def request(self, name: str) -> None:
-        """Send one of `REQUESTS` to the twin."""
-        more = {"seed": self._next_seed()} if name == "prepare" else {}
-        self._operator.request(do=name, **more)
 
     def catch(self) -> None:
         """Run a whole throw in a thread, unless one is running."""
@@ -95,7 +84,7 @@ class TwinPage:
 
     def _run_throw(self, seed: int) -> None:
         self._problem = ""
-        self._problem = run_trial(self._operator, seed).problem
+        self._problem = run_trial(self.operator, seed).problem
 
     @property
     def _is_in_trial(self) -> bool:
@@ -121,6 +110,7 @@ class TwinPage:
         }
 
     def _handle(self, request: dict[str, Any]) -> None:
+        """Do what a button requests."""
         match request:
             case {"do": "catch"}:
                 self.catch()
@@ -128,18 +118,18 @@ class TwinPage:
                 self.seed = seed
             case {"do": "show"}:
                 self._point()
-            case {"do": str(name)} if name in REQUESTS:
-                self.request(name)
+            case {"do": "prepare"}:
+                self.operator.request(do="prepare", seed=self._next_seed())
+            case {"do": "throw" | "protective_stop" | "resume" as name}:
+                self.operator.request(do=name)
             case _:
-                raise DeploymentError(
-                    f"{request} is no request; valid: catch, seed, show, {', '.join(REQUESTS)}"
-                )
+                raise DeploymentError(f"{request} is no request; valid: {REQUESTS}")
 
     def _point(self) -> None:
-        box = self._operator.truth.get("box")
+        box = self.operator.truth.get("box")
         if not box:
             raise DeploymentError("the camera sees no object: prepare a throw first")
-        self.console.point(box)
+        self.operator.point(box)
 
     def close(self) -> None:
         """End the page."""
