@@ -100,6 +100,8 @@ def test_images_of_another_size_are_named(laboratory: Laboratory):
     checks = laboratory.examine()
     assert bad(checks) == {"images"}
     assert "320 x 240 rgb8, the profile says 640 x 480" in checks["images"].found
+    laboratory.pixels = GREY
+    laboratory.examine(cycles=100)
 
 
 def test_other_publishers_and_drivers_are_named(laboratory: Laboratory):
