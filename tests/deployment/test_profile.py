@@ -96,7 +96,9 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
 
 def test_images_of_another_size_are_refused():
     camera = Profile.load("ur5e_allegro_v4").camera
-    wide, right = (Image(pixels=np.zeros((480, width, 3), np.uint8), stamp=0.0, encoding="rgb8") for width in (848, 640))
+    wide, right = (
+        Image(pixels=np.zeros((480, width, 3), np.uint8), stamp=0.0, encoding="rgb8") for width in (848, 640)
+    )
     with pytest.raises(DeploymentError, match="sends 848 x 480 rgb8, the profile says 640 x 480 rgb8"):
         camera.require(wide)
     camera.require(right)
