@@ -21,7 +21,6 @@ from export import LIBRARIES, main, write_web_demo
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.episode import Episode
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
@@ -197,21 +196,6 @@ def test_javascript_and_python_agree(demo: Path, tmp_path: Path, policy: str | N
     assert max(result["forced"].values()) < 1e-4
     assert max(result["free"].values()) < 1e-4
     assert result["num_steps_free"] > 20 * NUM_THROWS
-
-
-@needs_packages
-@pytest.mark.slow
-def test_the_page_catches_as_often_as_the_cpu_back_end(demo: Path):
-    policy, method = load_policy(None)
-    cfg = EvaluationCfg(objects=SEEN, num_envs=50, trials=2, seed=0, task=task_of(policy))
-    expected = float(evaluate(policy, method, cfg).record.is_success.float().mean())
-    with open_page(demo) as page:
-        page.wait_for_function("window.pixel2catch")
-        results = page.evaluate("window.pixel2catch.measure(50, 0)")
-        counter = page.inner_text("#automatics")
-    found = sum(each["isSuccess"] for each in results) / 50
-    assert abs(found - expected) <= 0.05, f"{found:.2f} in the browser, {expected:.2f} on the CPU"
-    assert counter.split() == ["automatic", "50", str(round(50 * found)), str(round(100 * found)), "%"]
 
 
 @needs_packages

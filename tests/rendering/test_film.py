@@ -20,7 +20,6 @@ from pixel2catch.rendering.film import (
     SLOW,
     FilmRenderer,
     storyboard,
-    tiled,
     write_throws,
 )
 from pixel2catch.rendering.video import draw_box, write_film
@@ -91,11 +90,6 @@ def test_a_film_has_its_pictures_in_order(ending: str, tmp_path: Path):
     assert [picture.mean() for picture in shown] == pytest.approx([0, 100, 200], abs=4)
 
 
-def test_pictures_in_rows_by_hand():
-    pictures = [np.full((1, 2, 3), level, dtype=np.uint8) for level in (1, 2, 3)]
-    assert tiled(pictures, 2)[..., 0].tolist() == [[1, 1, 2, 2], [3, 3, 0, 0]]
-
-
 def falling(num_steps: int, catch: int) -> RecordedThrow:
     """A throw by hand: it rests, flies from step 10 on, and is in the palm from a step on."""
     workcell = find_workcell("ur5e_allegro")
@@ -136,10 +130,6 @@ def test_the_film_is_slow_about_the_catch():
     assert board.closeness[0] == 0.0
     assert (board.closeness[board.steps >= board.catch] == 1.0).all()
     assert board.decision == 59
-    keys = board.stills(6).steps
-    assert keys[0] == 10.0
-    assert keys[3] == board.catch
-    assert keys[-1] == 69.0
 
 
 def test_the_view_stays_on_the_palm_that_rises_and_is_shaken():

@@ -40,16 +40,6 @@ def test_a_mesh_has_the_mass_properties_of_the_same_solid(tmp_path: Path):
     assert volume == pytest.approx((70 + 40) * 30 * 50 * 1e-9, rel=0.05)
 
 
-def test_without_coacd_a_mesh_is_its_hull(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "coacd", None)
-    with pytest.warns(UserWarning, match=r"CoACD.*meshes"):
-        block = mesh_object("mesh", l_mesh(tmp_path / "l.obj"), scale=1e-3)
-    (part,) = block.parts
-    hull = (70 * 70 - 40 * 40 / 2) * 50 * 1e-9
-    assert shapes.moments(part)[0, 0] == pytest.approx(hull)
-    np.testing.assert_allclose(sorted(block.inertia), sorted(OBJECTS["l_block"].inertia), rtol=1e-6)
-
-
 def test_a_fine_mesh_keeps_its_outline_within_a_millimetre(tmp_path: Path):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.icosphere(subdivisions=4, radius=0.04).export(tmp_path / "ball.stl")
@@ -62,7 +52,7 @@ def test_a_fine_mesh_keeps_its_outline_within_a_millimetre(tmp_path: Path):
     assert surface_points(ball, 64).shape == (64, 3)
 
 
-def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path):
+def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(InvalidValueError, match=r"'.*absent\.stl' cannot be read as a mesh"):
         mesh_object("mesh", tmp_path / "absent.stl")
     (tmp_path / "text.obj").write_text("nothing\n")
@@ -76,6 +66,9 @@ def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path):
         make_object("cube", shapes.box(0.05, 0.05, 0.05), mass=-0.1)
     with pytest.raises(InvalidValueError, match="has no parts"):
         make_object("nothing")
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(InvalidValueError, match=r"needs trimesh and CoACD.*\[meshes\]"):
+        mesh_object("mesh", l_mesh(tmp_path / "l.obj"))
 
 
 def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch):

@@ -61,13 +61,6 @@ def test_restitution_is_the_ratio_of_speeds(hz, restitution):
 
 
 @needs_physx
-def test_a_ball_bounces_as_in_mujoco():
-    """A polyhedron of 64 corners meets the floor with a few of them."""
-    found, home = (rebound(each, "sphere_l", 4.0, 0.5)[0] for each in (physx(), Engine(name="mujoco")))
-    assert found == pytest.approx(home, abs=0.05)
-
-
-@needs_physx
 def test_friction_of_an_impact_is_coulombs():
     """A ball rolls away, a cube that lands flat rises as from a straight impact, at any phase of a step."""
     mean, deviation = roll(physx(hz=600.0), 0.0)

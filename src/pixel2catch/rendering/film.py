@@ -13,7 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import uniform_filter1d
@@ -63,7 +63,6 @@ largest number shown after the catch."""
 
 ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
 FOLLOWED_STEPS = 15  #: Control steps over which the hand's motion is averaged for the view.
-STILL_CLOSENESS = 0.8  #: Largest closeness of a still.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,19 +75,6 @@ class Storyboard:
     decision: int  #: Control step in which the outcome is known.
     catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
     focus: Float[ndarray, "num_pictures 3"]  #: Position of the hand; before the catch, that at the catch [m].
-
-    def stills(self, num_pictures: int) -> "Storyboard":
-        """Return the plan of a strip: the flight, the catch in the middle, the end."""
-        middle = num_pictures // 2
-        flight = np.linspace(self.steps[0] + BEFORE_RELEASE, self.catch, middle, endpoint=False)
-        steps = np.concatenate((flight, np.linspace(self.catch, self.steps[-1], num_pictures - middle)))
-        return replace(
-            self,
-            steps=steps,
-            is_slow=np.zeros(num_pictures, dtype=bool),
-            closeness=STILL_CLOSENESS * np.interp(steps, self.steps, self.closeness),
-            focus=_between(steps, self.steps, self.focus),
-        )
 
 
 def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
@@ -195,8 +181,12 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
 
     def strip(self, throw: RecordedThrow) -> Pixels:
         """Return stills of a throw, from left to right."""
-        board = self._begin(throw).stills(STILLS)
-        return np.concatenate([self._picture(throw, board, i) for i in range(STILLS)], axis=1)
+        board = self._begin(throw)
+        flight = np.linspace(board.steps[0] + BEFORE_RELEASE, board.catch, STILLS // 2, endpoint=False)
+        steps = np.append(flight, np.linspace(board.catch, board.steps[-1], STILLS - len(flight)))
+        board = replace(board, is_slow=np.zeros(len(board.steps), dtype=bool))
+        chosen = np.searchsorted(board.steps, steps).tolist()
+        return np.concatenate([self._picture(throw, board, i) for i in chosen], axis=1)
 
     def _begin(self, throw: RecordedThrow) -> Storyboard:
         """Put the object of a throw into the room."""
@@ -276,22 +266,17 @@ def write_throws(
 def _grids(
     throws: Sequence[RecordedThrow], scene: SceneCfg, on_throw: Callable[[int], None]
 ) -> Iterator[Pixels]:
-    """Yield pictures of all throws side by side; shorter films repeat their last picture."""
+    """Yield pictures of all throws in rows; shorter films repeat their last picture."""
     columns, films = ceil(sqrt(len(throws))), []
     with FilmRenderer(scene, WIDTHS[min(columns, len(WIDTHS)) - 1]) as renderer:
         for number, throw in enumerate(throws):
             on_throw(number)
             films.append([*renderer.film(throw)])
     for i in range(max(map(len, films))):
-        yield tiled([film[min(i, len(film) - 1)] for film in films], columns)
-
-
-def tiled(pictures: Sequence[Pixels], columns: int) -> UInt8[ndarray, "all_rows all_columns 3"]:
-    """Return pictures of one size in rows of so many; the rest of the last row is black."""
-    missing = -len(pictures) % columns
-    cells = [*pictures, *[np.zeros_like(pictures[0])] * missing]
-    rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
-    return np.concatenate(rows)
+        cells = [film[min(i, len(film) - 1)] for film in films]
+        cells += [np.zeros_like(cells[0])] * (-len(cells) % columns)
+        rows = [np.concatenate(cells[j : j + columns], axis=1) for j in range(0, len(cells), columns)]
+        yield np.concatenate(rows)
 
 
 def _add_inset(image: Image.Image, other: Pixels) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from mujoco.rendering.classic import gl_context
 
-from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.robots.workcell import COLLISION_GROUP, VISUAL_GROUP
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -29,9 +29,6 @@ DRAWN_GROUPS = (0, 1, 2, 3)
 visual ones."""
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
-
-MUJOCO_GL = ("", *GL_BACKENDS, "glfw", "on", "off", "enable", "disable", "true", "false", "1", "0")
-"""Valid values of that variable. Source: MuJoCo; only those of `GL_BACKENDS` have an effect here."""
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -73,13 +70,9 @@ def find_gl_backend() -> str:
 
     Raises:
         DeviceUnavailableError: None works; the message names the Debian packages to install.
-        InvalidValueError: MUJOCO_GL has no valid value.
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    named = os.environ.get("MUJOCO_GL", "").lower()
-    if named not in MUJOCO_GL:
-        raise InvalidValueError(f"MUJOCO_GL is '{named}'; unset it, or set it to {' or '.join(GL_BACKENDS)}.")
-    preferred = bound or named
+    preferred = bound or os.environ.get("MUJOCO_GL", "").lower()
     candidates = sorted(GL_BACKENDS, key=lambda name: name != preferred)
     for name in candidates[:1] if bound in GL_BACKENDS else candidates:
         if _draws(name):
@@ -113,7 +106,7 @@ class Renderer(AbstractContextManager["Renderer"]):
 
         Raises:
             DeviceUnavailableError: No OpenGL back end works.
-            InvalidValueError: The model has no such camera.
+            KeyError: The model has no such camera; the message has the names of all.
         """
         # `mujoco.Renderer` opens its context with this class, which MUJOCO_GL would choose.
         gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
@@ -201,8 +194,5 @@ def _camera(model: mujoco.MjModel, view: Viewpoint) -> mujoco.MjvCamera:
         camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
         return camera
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-    camera.fixedcamid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA.value, view.camera)
-    if camera.fixedcamid < 0:
-        names = [model.camera(i).name for i in range(model.ncam)]
-        raise InvalidValueError(f"the model has no camera '{view.camera}'. Valid: {', '.join(names)}.")
+    camera.fixedcamid = model.camera(view.camera).id
     return camera

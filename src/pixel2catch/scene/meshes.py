@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import read_bytes
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import sphere_points
 from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
 from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
@@ -42,8 +42,6 @@ def mesh_object(
 ) -> ObjectSpec:
     """Return an object of uniform density from a mesh; it collides as at most `max_parts` convex parts.
 
-    Without CoACD each surface collides as its convex hull, with a warning.
-
     Args:
         name: Name in the catalogue.
         file: The mesh: closed surfaces that do not overlap.
@@ -52,7 +50,8 @@ def mesh_object(
         max_parts: Largest number of convex parts.
 
     Raises:
-        InvalidValueError: The file cannot be read or has no volume, or a value is out of range.
+        InvalidValueError: trimesh or CoACD is missing, the file cannot be read or has no volume, or a value
+            is out of range.
     """
     if not 0.0 < scale < np.inf or max_parts < 1:
         raise InvalidValueError(f"scale is {scale}, max_parts {max_parts}; both must be greater than 0.")
@@ -68,9 +67,8 @@ def mesh_object(
 
 def _read(file: Path) -> Any:
     """Read a mesh that is not flat, its faces counter-clockwise seen from outside."""
-    trimesh = _package("trimesh")
-    if trimesh is None:
-        raise InvalidValueError(f"reading a mesh needs trimesh: {install_command('meshes')}.")
+    with needs_extra("meshes", "an object of a mesh needs trimesh and CoACD", InvalidValueError):
+        trimesh, _ = importlib.import_module("trimesh"), importlib.import_module("coacd")
     try:
         if file.suffix.lower() not in FORMATS:
             raise InvalidValueError(f"it must end in {', '.join(FORMATS)}")
@@ -96,16 +94,11 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
     bodies = list(bodies) if 0 < len(bodies) <= max_parts else [mesh]
     convex = [np.asarray(body.vertices) for body in bodies if body.is_convex]
     others = [body for body in bodies if not body.is_convex]
-    coacd = _package("coacd")
-    if others and coacd is None:
-        warnings.warn(
-            f"CoACD is missing, so surfaces collide as their convex hulls: {install_command('meshes')}",
-            stacklevel=3,
-        )
-    if coacd is None or len(bodies) == max_parts:
+    if not others or len(bodies) == max_parts:
         return convex + [np.asarray(body.vertices) for body in others]
+    coacd = importlib.import_module("coacd")
     coacd.set_log_level("error")
-    most = (max_parts - len(convex)) // max(len(others), 1)
+    most = (max_parts - len(convex)) // len(others)
     cut = [
         coacd.run_coacd(
             coacd.Mesh(body.vertices, body.faces), threshold=CONCAVITY, max_convex_hull=most, seed=0, **SEARCH
@@ -133,10 +126,3 @@ def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"
         return corners
     directions = sphere_points(most)
     return corners[np.unique((corners @ directions.T).argmax(axis=0))]
-
-
-def _package(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        return None
