@@ -12,7 +12,6 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image
 
-from pixel2catch.checks import OutputFile
 from pixel2catch.errors import InvalidValueError
 
 WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100, and of 6.
@@ -22,12 +21,7 @@ FORMATS = (".mp4", ".webp", ".gif", ".png")  #: Endings of the files of a film; 
 
 
 def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:
-    """Write pictures as a video or a repeating animation, by the file's ending; return their number.
-
-    Raises:
-        InvalidValueError: The file cannot be written, or has another ending.
-    """
-    OutputFile(FORMATS).require("the film", path)
+    """Write pictures as a video or a repeating animation, by the file's ending; return their number."""
     if path.suffix.lower() == ".mp4":
         with VideoWriter(path, fps=fps) as video:
             return sum(1 for _ in map(video.write, pictures))
