@@ -71,7 +71,7 @@ def measure(folder: Path, setting: str, device: str, size: int, count: int) -> d
         "seconds_to_ready": round(ready, 1),
         "images": count,
         **{"p50": p50, "p95": p95, "p99": p99, "max": round(float(np.nanmax(times)), 3)},
-        "late": round(float((times > LIMIT).mean()), 3),
+        "late": round(float((times[np.isfinite(times)] > LIMIT).mean()), 3),
     }
 
 

@@ -74,47 +74,35 @@ def poses(num: int, seed: int = 0) -> Iterator[np.ndarray]:
 
 
 def hand_views(
-    num: int, *, noise: float = 0.3, seed: int = 0, distortion=(), offsets: np.ndarray | None = None
-) -> list[HandView]:
-    """The corners in images at several joint positions, with Gaussian noise of this deviation [px].
-
-    Where offsets are given, a row of them is how far the joints are from what is said of them [rad].
-    """
-    offsets = np.zeros((num, len(HOME))) if offsets is None else offsets
-    rng = np.random.default_rng(seed + 1)
-    views = []
-    for i, joint_pos in enumerate(poses(num, seed)):
-        pixels = pixels_of(board_in_camera(joint_pos), CORNERS, lens(distortion))
-        view = BoardView(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
-        views.append(HandView(name=f"view{i}", view=view, palm=palm(joint_pos + offsets[i])))
-    return views
-
-
-def troubled_views(
     num: int,
-    seed: int,
     *,
-    noise: float = 0.15,
+    seed: int = 0,
+    noise: float = 0.3,
+    distortion: tuple[float, ...] = (),
     shift: float = 0.0,
     shaking: float = 0.0,
     offset: float = 0.0,
     square: float = 0.0,
     focal: float = 0.0,
     true_size: float = 1.0,
+    offsets: np.ndarray | None = None,
 ) -> list[HandView]:
     """Corners as a laboratory has them, with standard deviations of what is wrong.
 
     Of each corner [px]; of all corners of an image together [px]; of the joints anew in each image, and of
-    their constant offsets [rad]; of the squares' size and of the focal length, relative.
+    their constant offsets [rad]; of the squares' size and of the focal length, relative. A row of `offsets`
+    is how far the joints are from what is said of them in an image [rad].
     """
     rng = np.random.default_rng(1000 + seed)
-    offsets, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)
-    corners, center = true_size * (1.0 + rng.normal(0, square)) * CORNERS, np.array(RGB_CAMERA.matrix)[:2, 2]
+    constant, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)
+    corners = true_size * (1.0 + rng.normal(0, square)) * CORNERS
+    center = np.array((RGB_CAMERA.cx, RGB_CAMERA.cy))
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
-        pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, lens()) - center)
+        pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, lens(distortion)) - center)
         pixels += rng.normal(0, noise, pixels.shape) + rng.normal(0, shift, 2)
-        said = joint_pos + offsets + rng.normal(0, shaking, len(HOME))
+        said = joint_pos + constant + rng.normal(0, shaking, len(HOME))
+        said = said if offsets is None else said + offsets[i]
         steps = 1e-4 * np.eye(len(HOME))
         rates = np.stack([(palm(said + step) - palm(said - step)) / 2e-4 for step in steps])
         view = BoardView(points=CORNERS, pixels=pixels)

@@ -12,7 +12,6 @@ from calibration_views import (
     lens,
     palm,
     pixels_of,
-    troubled_views,
 )
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +36,7 @@ def normalised(num: int, seeds: range, **errors: float) -> np.ndarray:
     truth = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
     rows = []
     for seed in seeds:
-        file = calibrate(troubled_views(num, seed, **errors), lens()).file
+        file = calibrate(hand_views(num, seed=seed, noise=0.15, **errors), lens()).file
         turn = Rotation.from_quat(file.camera.quat, scalar_first=True) * truth.inv()
         pos = np.subtract(file.camera.pos, RGB_CAMERA.pos)
         rows.append(np.concatenate((pos / file.pos_std, turn.as_rotvec() / file.turn_std)))
@@ -71,14 +70,14 @@ def test_a_few_stated_deviations_cover_the_truth():
 
 
 def test_squares_of_another_size_are_refused():
-    views = troubled_views(12, 0, true_size=1.06)
+    views = hand_views(12, true_size=1.06)
     with pytest.raises(PerceptionError, match=r"the squares are 1\.06.* measure one on the paper"):
         calibrate(views, lens())
 
 
 def test_squares_that_a_ruler_mismeasured_are_found():
     """By 1 %: the arm's motion tells, and the camera is where it was without that."""
-    result = calibrate(troubled_views(15, 0, true_size=1.01), lens())
+    result = calibrate(hand_views(15, noise=0.15, true_size=1.01), lens())
     ratio, std = result.square_ratio
     assert ratio == pytest.approx(1.01, abs=3 * std)
     assert std < 3e-3

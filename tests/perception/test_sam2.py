@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam2
-from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
@@ -103,22 +102,6 @@ def test_compiled_modules_give_the_same_masks(folder: Path, device: str) -> None
         assert expected.mask is not None
         assert (result.mask != expected.mask).mean() < 0.001
         assert result.score == pytest.approx(expected.score, abs=1e-5)
-
-
-@pytest.mark.slow
-def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
-    """39 million random weights at full size: two boxes, and images with their memories."""
-    torch.manual_seed(0)
-    model = Sam2VideoModel(Sam2VideoConfig())
-    assert sum(weights.numel() for weights in model.parameters()) == pytest.approx(39e6, rel=0.01)
-    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, CERTAIN)
-    model.save_pretrained(tmp_path)
-    segmenter, images = Sam2Segmenter(tmp_path, "cpu"), random_images(3)
-    assert segmenter.image_size == 1024
-    for prompt in (BOX, OTHER):
-        for result in run(segmenter, images, prompt):
-            assert result.mask is not None
-            assert result.score > 0.99
 
 
 def test_prompts_reach_the_encoder_in_its_coordinates(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -154,13 +154,9 @@ def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Pa
 
 def test_one_of_several_topics_is_chosen_by_name(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [raw(0, PICTURE), compressed(0, jpeg(PICTURE))])
-    both = r"/camera/image_raw, /camera/image_raw/compressed"
-    with pytest.raises(
-        PerceptionError, match=rf"several topics have images; choose with --topic out of: {both}"
-    ):
-        read(path)
-    with pytest.raises(PerceptionError, match=rf"no images on a topic /wrist; .*: {both}"):
-        read(path, "/wrist")
+    for topic in (None, "/wrist"):
+        with pytest.raises(PerceptionError, match="is on /camera/image_raw, /camera/image_raw/compressed; "):
+            read(path, topic)
     assert len(read(path, "/camera/image_raw")) == 1
 
 
@@ -175,7 +171,7 @@ def test_encodings_without_colour_are_refused(tmp_path: Path):
 
 def test_a_bag_without_images_says_so(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [joint_state(stamp_of(0), NAMES, np.zeros(len(NAMES)))])
-    with pytest.raises(PerceptionError, match="no topic has images"):
+    with pytest.raises(PerceptionError, match="is on no topic; record the camera"):
         read(path)
 
 

@@ -96,7 +96,7 @@ def test_the_result_says_whether_it_is_fast_enough(
     [
         (["throw.mp4", "--truth", "nowhere.json"], "nowhere.json"),
         (["nothing.mp4"], "there is no file '"),
-        (["bag", "--topic", "/wrist"], "choose with --topic out of: /camera/image_raw/compressed"),
+        (["bag", "--topic", "/wrist"], "is on /camera/image_raw/compressed; "),
         (["throw.mp4", "--segmenter", "sam2", "--checkpoint", "nowhere"], "no SAM 2 checkpoint in nowhere"),
         (["throw.mp4", "--region", "0", "0", "999", "10"], "is not on the image"),
         (["throw.mp4", "--mask-robot", "ur10e"], "unknown work cell 'ur10e'"),

@@ -13,28 +13,17 @@ CERTAIN = 9.0
 HEIGHT, WIDTH = 48, 80
 
 
-def save_tiny_sam2(folder: Path, certainty: float = CERTAIN, *, finds_all: bool = False) -> Path:
-    """Write a checkpoint that always finds something or the whole image (certainty > 0), or nothing (< 0)."""
+def save_tiny_sam2(folder: Path) -> Path:
+    """Write a checkpoint that always finds something."""
     torch.manual_seed(0)
     model = Sam2VideoModel(tiny_config())
     # The usual initial weights are so small, or zero, that neither image nor memory would matter.
     for weights in model.parameters():
         if weights.ndim > 1:
             torch.nn.init.normal_(weights, std=weights[0].numel() ** -0.5)
-    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, certainty)
-    if finds_all:
-        take_the_whole_image(model)
+    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, CERTAIN)
     model.save_pretrained(folder)
     return folder
-
-
-def take_the_whole_image(model: Sam2VideoModel) -> None:
-    """Make every mask logit positive: embeddings of all pixels far above zero, summed with weights of one."""
-    for name, weights in model.mask_decoder.named_parameters():
-        if name == "upscale_conv2.bias":
-            torch.nn.init.constant_(weights, 50.0)
-        if name.startswith("output_hypernetworks_mlps") and ".proj_out." in name:
-            torch.nn.init.constant_(weights, float(name.endswith("bias")))
 
 
 def tiny_config() -> Sam2VideoConfig:

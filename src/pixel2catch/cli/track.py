@@ -25,7 +25,7 @@ from pixel2catch.scene.constants import OBJECT_RADIUS
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.perception.labels import Labels
-    from pixel2catch.perception.sightings import Sighting, Tally
+    from pixel2catch.perception.sightings import Sighting
     from pixel2catch.perception.sources import ImageFit
     from pixel2catch.perception.tracker import Prompter
     from pixel2catch.scene.constants import CameraSpec
@@ -62,9 +62,8 @@ class Track:
         """Follow the object, write what was found, and print how long it took."""
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
+            from pixel2catch.perception import sightings
             from pixel2catch.perception.labels import load_labels
-            from pixel2catch.perception.sightings import Tally
-            from pixel2catch.perception.sources import JOINT_STATES
             from pixel2catch.ros2.bags import is_bag
 
         if self.topic and not is_bag(Path(self.source)):
@@ -72,23 +71,19 @@ class Track:
         labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
         notes: list[str] = []
-        tally = Tally()
-        scores = self._record(tally, labels, notes)
-        if self.mask_robot and tally.num_without_joints:
-            notes.append(
-                f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
-                f"joints on {JOINT_STATES} before their images."
-            )
+        rows, scores = self._record(labels, notes)
         source = {"source": self.source, "segmenter": self.perception.segmenter}
         truth = {"truth": box_scores.summary(scores)} if labels else {}
-        summary = {**source, **tally.summary(), **truth, "notes": notes}
+        summary = {**source, **sightings.summary(rows), **truth, "notes": notes}
         text = json_text(summary | {"circumstances": circumstances()})
         write_atomically({self.out / SUMMARY: text.encode()})
         _print_result(summary)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
-    def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
-        """Follow the object, write video and table until the end or Ctrl-C, and return its scores."""
+    def _record(
+        self, labels: "Labels | None", notes: list[str]
+    ) -> "tuple[list[dict[str, Any]], list[Score]]":
+        """Follow the object, write video and table until the end or Ctrl-C; return table and scores."""
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
         from pixel2catch.perception.sightings import follow
@@ -100,7 +95,12 @@ class Track:
         joints = workcell.joint_names if workcell else ()
         fit, camera = self._fit(notes)
         if labels:
-            labels.require_size(*fit.own)
+            wide, high = fit.own
+            if (wide, high) != (labels.width, labels.height):
+                raise InvalidValueError(
+                    f"the labels are for images of {labels.width} by {labels.height} px ({labels.video}), "
+                    f"these have {wide} by {high}: give the labels of this video."
+                )
         tracker = ObjectTracker(
             self.perception.make_segmenter(is_live=is_camera(self.source), say=say),
             self._prompter(fit, camera),
@@ -120,12 +120,12 @@ class Track:
         with StopRequest() as stop:
             rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
             end = inf if self.seconds is None else self.seconds
-            self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
+            rows = self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, notes)
         if stop.is_set:
             notes.append("stopped by Ctrl-C.")
         if labels and not scores:
             notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
-        return scores
+        return rows, scores
 
     def _fit(self, notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
         """How images without a camera file are scaled, and the camera of the scaled images."""
@@ -153,13 +153,16 @@ class Track:
         box, region = args.box and fit.box(args.box), args.region and fit.box(args.region)
         return replace(args, box=box, region=region).make_prompter(camera)
 
-    def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
-        """Write a picture and a row for every sighting."""
+    def _write(
+        self, sightings: "Iterator[Sighting]", camera: "CameraSpec", notes: list[str]
+    ) -> list[dict[str, Any]]:
+        """Write a picture and a row for every sighting; return the rows."""
         from pixel2catch.perception.sightings import COLUMNS, annotated
+        from pixel2catch.perception.sources import JOINT_STATES
         from pixel2catch.rendering.video import VideoWriter
 
         self.out.mkdir(parents=True, exist_ok=True)
-        said = -inf
+        said, rows, num_without_joints = -inf, list[dict[str, Any]](), 0
         with (
             open(self.out / TABLE, "w", newline="", encoding="utf-8") as file,
             VideoWriter(self.out / VIDEO) as video,
@@ -167,12 +170,19 @@ class Track:
             table = csv.DictWriter(file, COLUMNS)
             table.writeheader()
             for sighting in sightings:
-                tally.add(sighting)
-                table.writerow(sighting.row())
+                rows.append(sighting.row())
+                num_without_joints += sighting.tick.image.joint_pos is None
+                table.writerow(rows[-1])
                 video.write(annotated(sighting, camera))
                 if time.monotonic() - said > REPORT_SECONDS:
                     said = time.monotonic()
                     say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
+        if self.mask_robot and num_without_joints:
+            notes.append(
+                f"the robot is not masked in {num_without_joints} control steps: no states of all its joints "
+                f"on {JOINT_STATES} before their images."
+            )
+        return rows
 
 
 def _print_result(summary: dict[str, Any]) -> None:

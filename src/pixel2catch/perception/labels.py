@@ -75,18 +75,6 @@ class Labels:
         """Return the label of the image with this stamp [s], if it has one."""
         return next((label for label in self.images if abs(label.time - time) < SAME_TIME), None)
 
-    def require_size(self, width: int, height: int) -> None:
-        """Refuse a video whose images have another size [px].
-
-        Raises:
-            InvalidValueError: They have.
-        """
-        if (width, height) != (self.width, self.height):
-            raise InvalidValueError(
-                f"the labels are for images of {self.width} by {self.height} px ({self.video}), these have "
-                f"{width} by {height}: give the labels of this video."
-            )
-
     @classmethod
     def load(cls, path: Path) -> "Labels":
         """Read a file of this package's own format.

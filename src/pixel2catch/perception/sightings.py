@@ -1,7 +1,7 @@
 """Following the object through a stream of images: a row, a picture and a summary of what was seen."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -96,59 +96,32 @@ def follow(
         before, newest = box, max(newest, stamp)
 
 
-class Tally:
-    """Counts sightings and measures how long they took."""
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the numbers of a table of sightings for programs.
 
-    def __init__(self) -> None:
-        """Start without sightings."""
-        self.num_steps = 0
-        self.num_without_joints = 0  #: Control steps whose image has no joint positions.
-        self._verdicts: Counter[Verdict] = Counter()
-        self._doubts: Counter[str] = Counter()
-        self._durations: dict[str, list[float]] = {}
-        self._num_valid = self._num_seen = self._num_skipped = 0
-        self._seconds = 0.0
-
-    def add(self, sighting: Sighting) -> None:
-        """Count one more."""
-        box = sighting.box
-        self.num_steps += 1
-        self.num_without_joints += sighting.tick.image.joint_pos is None
-        self._verdicts[box.verdict] += 1
-        if box.doubt:
-            self._doubts[box.doubt] += 1
-        self._seconds = sighting.time
-        self._num_skipped += sighting.num_skipped
-        if box.verdict is Verdict.REPEATED:
-            return
-        self._num_valid += box.is_valid
-        self._num_seen += box.verdict is Verdict.SEEN
-        if "segment" in sighting.durations:
-            for stage, took in sighting.durations.items():
-                self._durations.setdefault(stage, []).append(took)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the numbers for programs.
-
-        `stages_ms` has percentiles of the durations of the stages [ms], over the control steps whose image
-        was processed. It is fast enough if 99 % of these images took less than a control step.
-        """
-        stages = {}
-        for name in STAGES:
-            if durations := self._durations.get(name):
-                p50, p95, p99 = (1e3 * np.percentile(durations, (50, 95, 99))).tolist()
-                stages[name] = {"p50": p50, "p95": p95, "p99": p99, "count": len(durations)}
-        return {
-            "num_steps": self.num_steps,
-            "seconds": self._seconds,
-            "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
-            "doubts": dict(self._doubts.most_common()),
-            "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
-            "num_skipped": self._num_skipped,
-            "stages_ms": stages,
-            "limit_ms": 1e3 * CONTROL_DT,
-            "is_fast_enough": "total" in stages and stages["total"]["p99"] < 1e3 * CONTROL_DT,
-        }
+    `stages_ms` has percentiles of the durations of the stages [ms], over the control steps whose image was
+    processed. It is fast enough if 99 % of these images took less than a control step.
+    """
+    new = [row for row in rows if row["verdict"] is not Verdict.REPEATED]
+    stages = {}
+    for stage in STAGES:
+        durations = [float(row[f"{stage}_ms"]) for row in new if {"segment_ms", f"{stage}_ms"} <= row.keys()]
+        if durations:
+            p50, p95, p99 = np.percentile(durations, (50, 95, 99)).tolist()
+            stages[stage] = {"p50": p50, "p95": p95, "p99": p99, "count": len(durations)}
+    num_valid = sum(row["is_valid"] for row in new)
+    num_seen = sum(row["verdict"] is Verdict.SEEN for row in new)
+    return {
+        "num_steps": len(rows),
+        "seconds": float(rows[-1]["time"]) if rows else 0.0,
+        "verdicts": dict(Counter(str(row["verdict"]) for row in rows).most_common()),
+        "doubts": dict(Counter(row["doubt"] for row in rows if row["doubt"]).most_common()),
+        "seen_since_first": num_seen / num_valid if num_valid else None,
+        "num_skipped": sum(row["num_skipped"] for row in rows),
+        "stages_ms": stages,
+        "limit_ms": 1e3 * CONTROL_DT,
+        "is_fast_enough": "total" in stages and stages["total"]["p99"] < 1e3 * CONTROL_DT,
+    }
 
 
 Canvas = UInt8[np.ndarray, "rows columns 3"]

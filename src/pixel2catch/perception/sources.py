@@ -3,7 +3,7 @@
 import time
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -222,7 +222,7 @@ def bag_images(
         PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
     with opened_bag(path) as reader:
-        images = _image_connections(path, reader.connections, topic)
+        images = connections_of(path, reader.connections, IMAGE_TYPES, topic)
         wanted = (JOINT_STATES, JOINT_STATE)
         states = [each for each in reader.connections if (each.topic, each.msgtype) == wanted]
         positions, num_damaged, reason = _JointPositions(joints), 0, ""
@@ -241,21 +241,23 @@ def bag_images(
             notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
 
-def _image_connections(path: Path, connections: "list[Connection]", topic: str | None) -> "list[Connection]":
-    """The connections of the chosen topic, or of the only one with images."""
-    images = [each for each in connections if each.msgtype in IMAGE_TYPES and each.msgcount]
-    topics = sorted({connection.topic for connection in images})
-    if topic is None and len(topics) == 1:
-        return images
-    chosen = [connection for connection in images if connection.topic == topic]
-    if chosen:
-        return chosen
-    if not topics:
-        raise PerceptionError(
-            f"{path}: no topic has images ({', '.join(IMAGE_TYPES)}); record the camera, too."
-        )
-    wanted = "several topics have images" if topic is None else f"no images on a topic {topic}"
-    raise PerceptionError(f"{path}: {wanted}; choose with --topic out of: {', '.join(topics)}.")
+def connections_of(
+    path: Path, connections: "Collection[Connection]", types: Collection[str], topic: str | None
+) -> "list[Connection]":
+    """Return the connections of a topic with messages of some types; None for the only topic.
+
+    Raises:
+        PerceptionError: There is no such topic.
+    """
+    found = [each for each in connections if each.msgtype in types and each.msgcount]
+    topics = sorted({each.topic for each in found})
+    chosen = topics if topic is None else [topic]
+    if len(chosen) == 1 and chosen[0] in topics:
+        return [each for each in found if each.topic == chosen[0]]
+    raise PerceptionError(
+        f"{path}: {' or '.join(types)} is on {', '.join(topics) or 'no topic'}; record the camera, and "
+        "choose one of its topics with --topic."
+    )
 
 
 class _JointPositions:

@@ -18,7 +18,9 @@ from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_bytes, read_text, reading, shown
-from pixel2catch.ros2 import bags
+from pixel2catch.perception.sources import connections_of
+from pixel2catch.ros2.bags import decoded as bag_messages
+from pixel2catch.ros2.bags import is_bag, opened_bag
 from pixel2catch.ros2.messages import CAMERA_INFO, MOST_PIXELS, unpacked_image
 from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
 
@@ -142,8 +144,11 @@ def read_lens(
         return CameraFile.load(path)
     if path.suffix in (".yaml", ".yml"):
         return _of_camera_info(path, _of_yaml(path), is_rectified)
-    if bags.is_bag(path):
-        return _of_camera_info(path, _first_camera_info(path, topic), is_rectified)
+    if is_bag(path):
+        with opened_bag(path) as reader:
+            chosen = connections_of(path, reader.connections, [CAMERA_INFO], topic)
+            info = next(bag_messages(reader, chosen)).content
+        return _of_camera_info(path, info, is_rectified)
     if path.is_dir():
         return lens_of_images(path, board)
     raise PerceptionError(
@@ -192,24 +197,6 @@ def _lens(size: tuple[int, int], matrix: np.ndarray, distortion: Iterable[float]
     (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
     camera = replace(RGB_CAMERA, width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
     return CameraFile(camera=camera, distortion=tuple(map(float, distortion)))
-
-
-def _first_camera_info(path: Path, topic: str | None) -> Any:
-    """Return the first CameraInfo of a topic; None for the only topic.
-
-    Raises:
-        PerceptionError: The bag cannot be read, or has no such topic.
-    """
-    with bags.opened_bag(path) as reader:
-        infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
-        topics = sorted({each.topic for each in infos})
-        chosen = topics if topic is None else [topic]
-        if len(chosen) != 1 or chosen[0] not in topics:
-            raise PerceptionError(
-                f"{path}: CameraInfo is on {', '.join(topics) or 'no topic'}; record the camera's "
-                "camera_info, and choose one with --topic."
-            )
-        return next(bags.decoded(reader, [each for each in infos if each.topic == chosen[0]])).content
 
 
 def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
