@@ -5,17 +5,19 @@ from collections.abc import Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Within
 from pixel2catch.cli.console import say
+from pixel2catch.cli.evaluate import Evaluate
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
-    from pixel2catch.evaluation.grid import StudyCell, StudyGrid
+    from pixel2catch.evaluation.grid import StudyCell
     from pixel2catch.evaluation.slots import Slot
     from pixel2catch.learning.experiment import Experiment
 
@@ -61,24 +63,18 @@ class Reproduce:
 
     def run(self) -> None:
         """Compute what is missing, and write the report."""
-        from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
-
-        folder = ComparisonFolder(self.out)
-        grid = self._compute(folder)
-        rates = write_comparison(folder)
-        print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
-        say(f"wrote the report: {folder.path / 'report'}: table.md")
-        grid.require_whole()
-
-    def _compute(self, folder: "ComparisonFolder") -> "StudyGrid":
         from pixel2catch.cli.studies import run_grid
+        from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
         from pixel2catch.evaluation.grid import StudyGrid, held
         from pixel2catch.evaluation.slots import shared_gpus
+        from pixel2catch.sim.factory import require_cuda
 
-        experiment = self._experiment()
+        folder, experiment = ComparisonFolder(self.out), self._experiment()
         plan = self._plan(experiment)
         grid = StudyGrid([cell for run in plan.runs() for cell in self._cells(folder, run, experiment)])
-        self._require_devices({cell.kind for cell in grid.missing})
+        for device in {place for cell in grid.missing for place in self._places[cell.kind]}:
+            if device != "cpu" and not self.slurm:  # jobs of a cluster look for themselves
+                require_cuda(device)
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path), nullcontext({}) if self.slurm else shared_gpus() as shared:
             slots = self._slots(shared)
@@ -86,23 +82,18 @@ class Reproduce:
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
             detail = partial(_progress, logs, experiment.train.transitions)
             run_grid(grid, slots, "reproduce", folder.path / "logs", detail)
-        return grid
+        rates = write_comparison(folder)
+        print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
+        say(f"wrote the report: {folder.path / 'report'}: table.md")
+        grid.require_whole()
 
     @property
-    def _devices(self) -> tuple[str, ...]:
-        """Where to train."""
+    def _places(self) -> dict[str, tuple[str, ...]]:
+        """Where to train and where to evaluate."""
         import torch
 
-        return self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
-
-    def _require_devices(self, kinds: set[str]) -> None:
-        """Require the CUDA devices for kinds of cells; jobs of a cluster do so themselves."""
-        from pixel2catch.sim.factory import require_cuda
-
-        for kind, places in ((TRAINING, self._devices), (EVALUATION, self.evaluation_device)):
-            for device in places if kind in kinds and not self.slurm else ():
-                if device.startswith("cuda"):
-                    require_cuda(device)
+        default = "cuda" if torch.cuda.is_available() else "cpu"
+        return {TRAINING: self.device or (default,), EVALUATION: self.evaluation_device}
 
     def _slots(self, shared: Mapping[str, str]) -> "list[Slot]":
         """Return slots of trainings and evaluations, on all devices in turn.
@@ -113,23 +104,23 @@ class Reproduce:
         from pixel2catch.cli.studies import JOBS_ON_CLUSTER
         from pixel2catch.evaluation.slots import ClusterJob, Worker, cluster_executor
 
-        executor, slots = cluster_executor(self.slurm, self.out), []
-        for kind, places in ((TRAINING, self._devices), (EVALUATION, self.evaluation_device)):
-            counts = dict.fromkeys(places, self.jobs_per_device or JOBS_ON_CUDA)
-            for device in places:
+        executor, order = cluster_executor(self.slurm, self.out), list[tuple[int, str, str]]()
+        for kind, devices in self._places.items():
+            for device in devices:
+                number = self.jobs_per_device or (JOBS_ON_CUDA if device != "cpu" else 1)
                 if executor:
-                    counts[device] = self.jobs_per_device or JOBS_ON_CLUSTER
-                elif device == "cpu":
-                    counts[device] = (self.jobs_per_device or 1) if kind == TRAINING else 1
-            for turn in range(max(counts.values())):
-                for device in (each for each in places if turn < counts[each]):
-                    environment = {"OMP_NUM_THREADS": "1", **shared} if device != "cpu" else {}
-                    slots.append(
-                        ClusterJob(kind, device, executor)
-                        if executor
-                        else Worker(kind, device, environment, is_reused=kind == EVALUATION)
-                    )
-        return slots
+                    number = self.jobs_per_device or JOBS_ON_CLUSTER
+                elif device == "cpu" and kind == EVALUATION:
+                    number = 1
+                order += [(turn, kind, device) for turn in range(number)]
+        order.sort(key=itemgetter(0))
+        if executor:
+            return [ClusterJob(kind, device, executor) for _, kind, device in order]
+        on_cuda = {"OMP_NUM_THREADS": "1", **shared}
+        return [
+            Worker(kind, device, {} if device == "cpu" else on_cuda, is_reused=kind == EVALUATION)
+            for _, kind, device in order
+        ]
 
     def _experiment(self) -> "Experiment":
         """Return the configuration of all trainings; seed and device are replaced in each."""
@@ -151,7 +142,7 @@ class Reproduce:
     @property
     def _preset(self) -> str:
         """The preset; without one the device decides, which may be a cluster's."""
-        return self.preset or ("fast" if self._devices[0].startswith("cuda") else "cpu")
+        return self.preset or ("fast" if self._places[TRAINING][0].startswith("cuda") else "cpu")
 
     def _plan(self, experiment: "Experiment") -> "Plan":
         """Return methods and seeds, with everything that changes results."""
@@ -190,10 +181,8 @@ class Reproduce:
         from pixel2catch.evaluation.comparison import GROUPS
         from pixel2catch.evaluation.grid import StudyCell
 
-        def is_evaluated(group: str) -> bool:
-            return folder.result(run, group) is not None
-
         experiment = replace(experiment, train=replace(experiment.train, seed=run.seed))
+        evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials, seed=run.seed)
         return [
             StudyCell(
                 name=run.name,
@@ -205,38 +194,28 @@ class Reproduce:
                 StudyCell(
                     name=f"{run.name}-{group}",
                     kind=EVALUATION,
-                    work=partial(self._evaluate, folder, run, group),
-                    is_done=partial(is_evaluated, group),
+                    work=partial(
+                        evaluate_run, replace(evaluate, objects=(group,), out=folder.evaluation(run, group))
+                    ),
+                    is_done=lambda group=group: folder.result(run, group) is not None,
                     after=(run.name,),
                 )
                 for group in GROUPS
             ),
         ]
 
-    def _evaluate(self, folder: "ComparisonFolder", run: "Training", group: str, device: str) -> None:
-        """Evaluate the policy of a run on a set of objects, and write the metrics."""
-        from pixel2catch.cli.evaluate import Evaluate
 
-        Evaluate(
-            policy=folder.run(run),
-            objects=(group,),
-            num_envs=self.num_envs,
-            trials=self.trials,
-            seed=run.seed,
-            device=device,
-            out=folder.evaluation(run, group),
-        ).run()
+def evaluate_run(evaluate: Evaluate, device: str) -> None:
+    """Evaluate the policy of a run on a device."""
+    replace(evaluate, device=device).run()
 
 
 def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
     """Train a method on a device, from the checkpoint in its folder if there is one."""
     from pixel2catch.api.calls import run
     from pixel2catch.methods import find_method
-    from pixel2catch.sim.factory import require_cuda
     from pixel2catch.workcells import find_workcell
 
-    if device.startswith("cuda"):
-        require_cuda(device)
     has_checkpoint = (folder / "checkpoint.pt").exists()
     if not has_checkpoint:
         shutil.rmtree(folder, ignore_errors=True)

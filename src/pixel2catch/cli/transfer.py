@@ -12,7 +12,6 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.protocol import EvaluationCfg
     from pixel2catch.evaluation.stress.suite import Setting
 
 THROWS_AT_ONCE = 20
@@ -45,12 +44,25 @@ class Transfer:
         from pixel2catch.cli.studies import cpu_slots, evaluate_policies
         from pixel2catch.evaluation.policy_cells import transfer_settings
         from pixel2catch.evaluation.policy_report import transfer_sections
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.scene.objects import select_objects
         from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
             require_engine(engine)
-        cfg = self._evaluation()
-        settings = transfer_settings(self.engines, self.restitution)
+        at_once = min(self.throws, THROWS_AT_ONCE)
+        if self.throws % at_once:
+            raise InvalidValueError(
+                f"throws is {self.throws}; it must be at most {THROWS_AT_ONCE}, or a multiple of that"
+            )
+        cfg = EvaluationCfg(
+            objects=select_objects(self.objects),
+            num_envs=at_once,
+            trials=self.throws // at_once,
+            seed=self.seed,
+        )
+        engines, restitutions = (tuple(dict.fromkeys(each)) for each in (self.engines, self.restitution))
+        settings = transfer_settings(engines, restitutions)
         settings = tuple(self.task.beneath(each, "transfer") for each in settings)
         policies, slots = self.policies or (policy_folder(None),), cpu_slots(self.jobs, "cpu", (), self.out)
 
@@ -58,28 +70,3 @@ class Transfer:
             return replace(setting, axis=settings[0].axis).name
 
         evaluate_policies("Transfer", policies, settings, cfg, slots, self.out, home_of, transfer_sections)
-
-    def _evaluation(self) -> "EvaluationCfg":
-        """Return the evaluation, in rounds.
-
-        Raises:
-            InvalidValueError: If the throws do not fill the rounds, or something is named twice.
-        """
-        from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.scene.objects import select_objects
-
-        at_once = min(self.throws, THROWS_AT_ONCE)
-        if self.throws % at_once:
-            raise InvalidValueError(
-                f"throws is {self.throws}; it must be at most {THROWS_AT_ONCE}, or a multiple of that"
-            )
-        for name in ("engines", "restitution"):
-            values = getattr(self, name)
-            if len(set(values)) < len(values):
-                raise InvalidValueError(f"{name} is {' '.join(map(str, values))}; name each once")
-        return EvaluationCfg(
-            objects=select_objects(self.objects),
-            num_envs=at_once,
-            trials=self.throws // at_once,
-            seed=self.seed,
-        )
