@@ -100,8 +100,6 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "sensing.stamp_jitter": (0, 1),
     "sensing.unstamped": (0, 1),
     # table, episodes, variants
-    "shake.amplitude": (0, 0.2),
-    "shake.frequency": (0, 50),
     "episode.max_steps": (1, 100_000),
     "episode.rest_steps": (0, 100_000),
     "variants.share": (0, 1),

@@ -28,20 +28,15 @@ def make(num_envs: int, randomization: RandomizationCfg, scene: SceneCfg = FINE)
     return CatchEnv(cfg, METHODS["proposed"], num_envs=num_envs, seed=2)
 
 
-@pytest.mark.parametrize("is_shaken", [False, True])
-def test_one_physics_step_by_hand(is_shaken: bool):
-    """At 5 m/s along (3, 0, 4) and 0.02 /m an object loses 0.5 m/s²; while it hovers, that is all.
-
-    A base that shakes with 2 m/s² along y is that much of an acceleration the other way.
-    """
+def test_one_physics_step_by_hand():
+    """At 5 m/s along (3, 0, 4) and 0.02 /m an object loses 0.5 m/s²; while it hovers, that is all."""
     env = make(3, RandomizationCfg())
     velocity = env.world.simulation.bind("qvel")[:, VELOCITY]
     speeds = torch.tensor([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0], [-6.0, 0.0, -8.0]])
     velocity.copy_(speeds)
-    push = torch.tensor([0.0, 2.0, 0.0]).expand(1, 3, 3) if is_shaken else None
-    env.world.run(env.world.joint_pos, push, torch.tensor([0.02, 0.02, 0.01]), num_steps=1)
+    env.world.run(env.world.joint_pos, torch.tensor([0.02, 0.02, 0.01]), num_steps=1)
     slower = torch.tensor([[-0.3, 0.0, -0.4], [0.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
-    expected = speeds + (slower - torch.tensor([0.0, 2.0, 0.0]) * is_shaken) / 600.0
+    expected = speeds + slower / 600.0
     torch.testing.assert_close(velocity.float(), expected, atol=1e-6, rtol=0)
 
 

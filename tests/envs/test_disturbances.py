@@ -15,16 +15,14 @@ from pixel2catch.envs.tasks import find_task
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg, detect
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import ShakeCfg, ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0, latency_steps=(0, 0))
-SHAKE = ShakeCfg(amplitude=0.02, frequency=2.0)
-FINE = SceneCfg(physics_hz=600.0)
 ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=600.0, fy=601.0))
 MEASURED = replace(
     ELSEWHERE,
@@ -57,7 +55,6 @@ VANISHING: dict[str, Any] = {
         clock_error=1e-9,
         stamp_jitter=1e-9,
     ),
-    "shake": ShakeCfg(amplitude=1e-9, frequency=2.0),
     "throws": ThrowCfg(speed_deviation=1e-8, angle_deviation=1e-8),
     "randomization": RandomizationCfg(air_density=1e-9),
 }
@@ -119,18 +116,6 @@ def test_a_spinning_object_turns_as_fast_and_flies_as_before():
     assert spin.max() > 5.0
 
 
-def test_free_flight_in_the_shaken_frame_is_the_ballistic_path_minus_the_base():
-    env, plain = make(shake=SHAKE, throws=AT_ONCE, scene=FINE), make(throws=AT_ONCE, scene=FINE)
-    shake = env._episode.shake
-    assert shake is not None
-    path, still = object_path(env, 20), object_path(plain, 20)
-    times = CONTROL_DT * torch.arange(21)[:, None].expand(21, 4)
-    torch.testing.assert_close(path + shake.displacement(times), still, atol=5e-4, rtol=0)
-    assert (path - still).abs().max() > 0.01
-    drop = still[-1, :, 2] - still[2, :, 2]
-    assert (drop.abs() < 0.5 * GRAVITY).all()
-
-
 EVERYTHING = {
     "sensing": SensingCfg(
         camera=MEASURED, camera_offset=0.02, camera_turn=0.02, focal_error=0.02, box_bias=5.0, box_scale=1.1,
@@ -139,7 +124,6 @@ EVERYTHING = {
     ),
     "randomization": RandomizationCfg(command_delay=(0, 3), air_density=(0.0, 1.2)),
     "throws": ThrowCfg(hover_steps=(2, 5), spin=10.0, speed_deviation=0.05, angle_deviation=0.04),
-    "shake": ShakeCfg(amplitude=0.01, frequency=2.0),
     "scene": SceneCfg(object_scale=1.1),
     "dynamics": JointDynamics.nominal().with_values(latency=0.012, filter_gain=300.0, filter_lookahead=0.1),
 }  # fmt: skip

@@ -21,9 +21,11 @@ from pixel2catch.methods import METHODS
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 SPEED_LIMIT = 2.79253
-EFFORTS = [joint.effort_limit for joint in JOINTS]
-SPEEDS = [joint.velocity_limit for joint in JOINTS]
-SERVOS = ActuatorLimits.on(torch.device("cpu"), torch.float64, JointDynamics.nominal(), EFFORTS, SPEEDS)
+SERVOS = ActuatorLimits(
+    torch.tensor([joint.effort_limit for joint in JOINTS], dtype=torch.float64),
+    torch.tensor([joint.velocity_limit for joint in JOINTS], dtype=torch.float64),
+    torch.tensor(JointDynamics.nominal().frictionloss),
+)
 STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
 DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
 SEEDS = st.integers(0, 2**31)

@@ -105,7 +105,7 @@ def test_a_variant_of_what_is_not_drawn_is_refused():
 def test_a_task_without_variants_draws_what_it_drew_for_published_results():
     """Seed 0 of the task of the paper."""
     episode = draw(PLAIN, 6)
-    assert (episode.camera_errors, episode.shake, episode.drag) == (None, None, None)
+    assert (episode.camera_errors, episode.drag) == (None, None)
     assert not episode.command_delay.any()
     assert episode.parameters.object_id.tolist() == [2, 3, 2, 5, 5, 2]
     assert episode.parameters.latency.tolist() == [2.0, 1.0, 2.0, 1.0, 1.0, 1.0]

@@ -51,9 +51,8 @@ class JointActuators:
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
-        self._limits = ActuatorLimits.on(
-            simulation.device, simulation.dtype, dynamics, efforts, velocity_limits
-        )
+        numbers = (efforts, velocity_limits, dynamics.frictionloss)
+        self._limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         # Copies of the present gains; in MuJoCo's parameters they are ten numbers apart, which is slower.
@@ -152,19 +151,6 @@ class ActuatorLimits:
     effort_limit: Float[Tensor, " num_joints"]  #: Largest torque [N·m].
     velocity_limit: Float[Tensor, " num_joints"]  #: Largest speed [rad/s].
     frictionloss: Float[Tensor, " num_joints"]  #: Dry friction [N·m].
-
-    @classmethod
-    def on(
-        cls,
-        device: torch.device,
-        dtype: torch.dtype,
-        dynamics: JointDynamics,
-        efforts: Sequence[float],
-        speeds: Sequence[float],
-    ) -> "ActuatorLimits":
-        """Copy largest torques [N·m] and speeds [rad/s] of all joints, and their friction, to a device."""
-        values = (efforts, speeds, dynamics.frictionloss)
-        return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
 
     def led(
         self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState

@@ -29,7 +29,6 @@ from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
-from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
 
@@ -62,12 +61,8 @@ class Step:
     joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Commanded joint targets [rad].
 
 
-@dataclass(frozen=True, kw_only=True)
-class LastAction:
-    """The last action, and the joint targets that it led to."""
-
-    action: Float[Tensor, "num_envs num_joints"]  #: In joint order, in [-1, 1].
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: [rad].
+LastAction = tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]
+"""The last action in joint order, in [-1, 1], and the joint targets that it led to [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,9 +130,7 @@ class CatchEnv:
         self._action_noise = cfg.randomization.action_noise * noise
         self._action_bias = by_joint(self.workcell, "action_bias", self.device)
         reward_names = {agent.name: agent.reward_names for agent in method.agents}
-        self.statistics = EpisodeStatistics(
-            names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
-        )
+        self.statistics = EpisodeStatistics(names, reward_names, self.device)
         self.detector: Detector = ProjectedDetector(cfg.sensing, self.world, self._generator)
         self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
@@ -223,8 +216,8 @@ class CatchEnv:
         target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
         commands = self._commands.pushed(target)
         late = commands.interpolated(self._episode.command_delay)
-        log = self.world.run(late, self._base_acceleration(), self._episode.drag)
-        command = LastAction(action=action, joint_pos_target=target)
+        log = self.world.run(late, self._episode.drag)
+        command = (action, target)
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
@@ -249,7 +242,7 @@ class CatchEnv:
         now = self.world.privileged(log)
         image = self.detector.look(now, self._episode)
         detection = self.detector.disturbed(image, self._episode)
-        started = LastAction(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = (torch.zeros_like(joint_pos), joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
         sensors = SensorState(
             image=image,
@@ -264,21 +257,13 @@ class CatchEnv:
         """Return the delayed targets at the beginning of an episode: the joint positions."""
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
-    def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
-        """Return the acceleration of a shaking base in the middle of each physics step [m/s²]."""
-        shake, steps, scene = self._episode.shake, self._episode.record.steps, self.cfg.scene
-        if shake is None:
-            return None
-        middles = torch.arange(scene.decimation, device=self.device)[:, None] + 0.5
-        return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
-
     def _transition(self, command: LastAction, log: StepExtremes) -> Transition:
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
             before=self._sensors.now,
             now=now,
-            action=command.action,
-            joint_pos_target=command.joint_pos_target,
+            action=command[0],
+            joint_pos_target=command[1],
             held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
             was_success=record.is_success,
             episode_steps=record.steps + 1,
@@ -314,7 +299,7 @@ class CatchEnv:
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, sensors.detections.pushed(detection))
         joint_pos = self.world.joint_pos
-        started = LastAction(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = (torch.zeros_like(joint_pos), joint_pos)
         delivered = detections.delivered(latency)
         boxes = sensors.history.now.boxes.advanced(
             delivered.box, self._age(delivered), delivered.stale == 0.0
@@ -358,10 +343,10 @@ class CatchEnv:
             object_pos=detection.object_pos,
             initial_object_pos=initial_object_pos,
             joint_pos=joint_pos,
-            joint_pos_target=command.joint_pos_target,
+            joint_pos_target=command[1],
             palm_pos=palm_pos,
             palm_quat=palm_quat,
-            action=command.action,
+            action=command[0],
         )
 
     def _observe(self) -> Observation:

@@ -13,7 +13,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import ShakeCfg, ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import SEEN
@@ -54,7 +54,6 @@ class CatchEnvCfg:
     #: What is drawn for each episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
     sensing: SensingCfg = field(default_factory=SensingCfg)  #: Noise and delay of camera and encoders.
-    shake: ShakeCfg = field(default_factory=ShakeCfg)  #: How the table shakes.
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
     variants: tuple[TaskVariant, ...] = ()  #: Other ranges, each in a share of the episodes.
     value_sees_parameters: bool = False  #: Whether value networks also observe the drawn parameters.
@@ -122,13 +121,10 @@ class CatchEnvCfg:
 
     def with_longer_hovering(self, steps: int) -> "CatchEnvCfg":
         """Return the task with objects that hover up to this many control steps longer."""
-
-        def longer(throws: ThrowCfg) -> ThrowCfg:
-            first, last = throws.hover_steps
-            return replace(throws, hover_steps=(first, last + steps))
-
-        variants = tuple(replace(variant, throws=longer(variant.throws)) for variant in self.variants)
-        return replace(self, throws=longer(self.throws), variants=variants)
+        return self._with(
+            "throws",
+            lambda each: replace(each, hover_steps=(each.hover_steps[0], each.hover_steps[1] + steps)),
+        )
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
         """Return the task with the robot of a dynamics file and the camera of a camera file.
@@ -150,7 +146,7 @@ def current_fields(task: dict[str, Any]) -> dict[str, Any]:
     if not scene.get("robot_model"):
         names = ("robot_model", "robot_surface")
         task = task | {"scene": {name: value for name, value in scene.items() if name not in names}}
-    if "name" in task:
-        return task
-    renamed = {name: value for name, value in task.items() if name != "is_value_told"}
-    return renamed | {"name": "nominal", "value_sees_parameters": task.get("is_value_told", False)}
+    before = {"name": "nominal", "value_sees_parameters": task.get("is_value_told", False)}
+    is_shaken = task.get("shake", {}).get("amplitude")  # such a task cannot be read
+    gone = ("is_value_told",) if is_shaken else ("is_value_told", "shake")
+    return before | {name: value for name, value in task.items() if name not in gone}

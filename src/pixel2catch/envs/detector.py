@@ -12,7 +12,7 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.camera_errors import scaled_box, tracked_position
 from pixel2catch.mdp.control_step import Privileged
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 class Detector(ABC):
@@ -64,7 +64,7 @@ class ProjectedDetector(Detector):
             )
             age_error = wrong.age_error(episode.parameters.latency, self._generator)
         object_pos = detection.object_pos
-        if wrong is not None or episode.shake is not None or cfg.edge_noise:
+        if wrong is not None or cfg.edge_noise:
             camera = self._camera(episode)
             object_pos = tracked_position(camera, cfg.camera.camera, object_pos, shift)
         return replace(
@@ -77,7 +77,4 @@ class ProjectedDetector(Detector):
 
     def _camera(self, episode: Episode) -> Projection:
         nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
-        camera = nominal if episode.camera_errors is None else episode.camera_errors.camera
-        if episode.shake is None:
-            return camera
-        return camera.moved(-episode.shake.displacement(CONTROL_DT * episode.record.steps))
+        return nominal if episode.camera_errors is None else episode.camera_errors.camera

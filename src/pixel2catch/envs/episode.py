@@ -20,7 +20,7 @@ from pixel2catch.mdp.randomization import (
 )
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
-from pixel2catch.mdp.throws import Shake, Throw, drawn, sample_shake, sample_throws
+from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
@@ -170,9 +170,8 @@ class Episode:
     """The present episode of each environment."""
 
     parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
-    throw: Throw  #: The throw, in the frame of the robot's base.
+    throw: Throw  #: The throw.
     camera_errors: CameraErrors | None  #: None without camera errors in the task.
-    shake: Shake | None  #: How the table shakes; none if it stands still.
     #: Control steps between a command and its effect; not always whole.
     command_delay: Float[Tensor, " num_envs"]
     #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
@@ -206,12 +205,10 @@ def draw_episode(
             drag = density * by_object / parameters.mass_scale
         throw = sample_throws(task.throws, num_envs, generator, drag)
         camera_errors = None if is_exact else sample_camera_errors(task.sensing, throw, generator)
-        shake = sample_shake(task.shake, num_envs, generator)
         return Episode(
             parameters=parameters,
-            throw=throw if shake is None else shake.seen_from_base(throw),
+            throw=throw,
             camera_errors=camera_errors,
-            shake=shake,
             command_delay=_command_delay(ranges, num_envs, generator),
             drag=drag,
             record=EpisodeRecord.start(parameters.object_id, throw.aim),

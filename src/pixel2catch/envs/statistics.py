@@ -1,12 +1,11 @@
-"""Sums over ended episodes, by object and by landing point, on the device."""
+"""Sums over ended episodes, by object, on the device."""
 
 from collections.abc import Callable, Mapping
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.checks import Range
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
@@ -18,9 +17,6 @@ SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "hold_palms", "peak_decelerat
 """Sums over successes."""
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
-LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
-
-Row = list[float]
 
 
 def _of_one_process(values: Tensor) -> Tensor:
@@ -33,7 +29,6 @@ class EpisodeStatistics:
     def __init__(
         self,
         object_names: tuple[str, ...],
-        aim: tuple[Range, Range],
         reward_names: Mapping[str, tuple[str, ...]],
         device: torch.device,
     ) -> None:
@@ -41,17 +36,13 @@ class EpisodeStatistics:
 
         Args:
             object_names: Names of the objects by row of the object table.
-            aim: Ranges of the throws' aim along x and y [m].
             reward_names: Names of the reward terms of each agent.
             device: Where the records are.
         """
         self._object_names, self._reward_names = object_names, reward_names
-        self._aim_low = torch.tensor([low for low, _ in aim], device=device)
-        self._aim_width = torch.tensor([max(high - low, 1e-6) for low, high in aim], device=device)
         self._modes = torch.arange(len(FAILURES), device=device)
         num_columns = 1 + len(SHARES) + len(SUMS) + len(SUCCESS_SUMS) + len(FAILURES)
         self._by_object = torch.zeros(len(object_names), num_columns, device=device)
-        self._by_landing = torch.zeros(LANDING_BINS[0] * LANDING_BINS[1], num_columns, device=device)
         self._maxima = torch.zeros(len(MAXIMA), device=device)
         self._rewards = torch.zeros(1 + sum(map(len, reward_names.values())), device=device)
 
@@ -68,7 +59,6 @@ class EpisodeStatistics:
         rows = torch.cat((torch.ones_like(columns[0])[:, None], torch.stack(columns, dim=-1), modes), dim=-1)
         rows = torch.where(ended[:, None], rows, 0.0)
         self._by_object.index_add_(0, record.object_id, rows)
-        self._by_landing.index_add_(0, self._landing_bin(record.aim), rows)
         maxima = torch.stack([getattr(record, name) for name in MAXIMA], dim=-1)
         torch.maximum(self._maxima, torch.where(ended[:, None], maxima, 0.0).amax(dim=0), out=self._maxima)
         means = torch.cat([values.mean(dim=0) for values in reward_terms.values()])
@@ -83,10 +73,10 @@ class EpisodeStatistics:
 
         `total` adds the sums of all processes, `largest` takes the largest of their maxima.
         """
-        buffers = (self._by_object, self._by_landing, self._rewards, self._maxima)
+        buffers = (self._by_object, self._rewards, self._maxima)
         *sums, maxima = (buffer.flatten() for buffer in buffers)
         packed = torch.cat((total(torch.cat(sums)), largest(maxima.clone())))
-        objects, landings, rewards, maxima = (
+        objects, rewards, maxima = (
             part.view_as(buffer).tolist()
             for part, buffer in zip(packed.cpu().split([b.numel() for b in buffers]), buffers, strict=True)
         )
@@ -98,19 +88,13 @@ class EpisodeStatistics:
             f"success_rate/{n}": _means(row)["success_rate"]
             for n, row in zip(self._object_names, objects, strict=True)
         }
-        result |= {f"success_rate/landing_{i}": _means(row)["success_rate"] for i, row in enumerate(landings)}
         names = [f"reward_term/{name}" for names in self._reward_names.values() for name in names]
         return result | {
             name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[1:], strict=True)
         }
 
-    def _landing_bin(self, aim: Float[Tensor, "num_envs 3"]) -> Int[Tensor, " num_envs"]:
-        across_x, across_y = LANDING_BINS
-        share = ((aim[:, :2] - self._aim_low) / self._aim_width).clamp(0.0, 0.999)
-        return (share[:, 0] * across_x).long() * across_y + (share[:, 1] * across_y).long()
 
-
-def _means(row: Row) -> dict[str, float]:
+def _means(row: list[float]) -> dict[str, float]:
     episodes = row[0]
     values: dict[str, float] = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
     failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))

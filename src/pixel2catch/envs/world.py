@@ -1,7 +1,6 @@
 """Robot, object and camera in simulation."""
 
-import dataclasses
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import mujoco
@@ -44,20 +43,11 @@ MASS_POWER = {
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.
 
 
-@dataclass(frozen=True)
-class _Fields:
-    """Live tensors of the simulation, bound once."""
-
-    qpos: Tensor
-    qvel: Tensor
-    qacc_warmstart: Tensor
-    xfrc_applied: Tensor
-    qfrc_applied: Tensor
-    actuator_force: Tensor
-    sensordata: Tensor
-    site_xpos: Tensor
-    site_xmat: Tensor
-    geom_xpos: Tensor
+FIELDS = (
+    *("qpos", "qvel", "qacc_warmstart", "xfrc_applied", "qfrc_applied", "actuator_force"),
+    *("sensordata", "site_xpos", "site_xmat", "geom_xpos"),
+)
+"""Live tensors of the simulation that are bound once."""
 
 
 class ContactColumns(NamedTuple):
@@ -73,21 +63,13 @@ class ContactColumns(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
-        """Return the columns of sensors that follow each other, two numbers each.
-
-        Raises:
-            ValueError: The model's sensors have another order.
-        """
+        """Return the columns of sensors that follow each other, two numbers each."""
         names = [*contact_sensors(workcell)]
-        addresses = [int(model.sensor(name).adr[0]) for name in names]
-        first, last = addresses[0], addresses[-1] + 2
-        if addresses != list(range(first, last, 2)):
-            found = dict(zip(names, addresses, strict=True))
-            raise ValueError(f"contact sensors are not consecutive pairs: {found}")
+        first, last = (int(model.sensor(name).adr[0]) for name in (names[0], names[-1]))
         anything, num_robots = names.index("object_any"), len(workcell.robots)
         return cls(
-            found=slice(first, last, 2),
-            dist=slice(first + 1, last, 2),
+            found=slice(first, last + 2, 2),
+            dist=slice(first + 1, last + 2, 2),
             touching=slice(0, anything),
             anything=anything,
             table=slice(anything + 1, anything + 1 + num_robots),
@@ -171,9 +153,7 @@ class CatchWorld:
         starts = np.cumsum([0, *sizes[:-1]]).tolist()
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
         self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
-        self._fields = _Fields(
-            **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
-        )
+        self._fields = SimpleNamespace(**{name: self.simulation.bind(name) for name in FIELDS})
         speeds = [joint.velocity_limit for joint in workcell.joints]
         self._actuators = JointActuators(self.simulation, dynamics, nominal, speeds)
         self._home, self._lower, self._upper = (
@@ -215,8 +195,7 @@ class CatchWorld:
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         write(mask, start, fields.qpos)
         self._actuators.reset(mask, joint_pos, parameters)
-        start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
-        write(mask, start, fields.qvel)
+        fields.qvel.masked_fill_(mask[:, None], 0.0)
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self._model["body_mass"][:, self.objects.indices.body]
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
@@ -237,7 +216,6 @@ class CatchWorld:
     def run(
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
-        base_acceleration: Float[Tensor, "num_steps num_envs 3"] | None = None,
         drag: Float[Tensor, " num_envs"] | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
@@ -245,36 +223,28 @@ class CatchWorld:
 
         Args:
             joint_pos_target: Joint targets at its end [rad].
-            base_acceleration: Acceleration of a shaking base in the middle of each physics step [m/s²].
             drag: Deceleration of the object by air over the square of its speed [1/m].
             num_steps: Physics steps. Default: those of a control step.
         """
         num_steps = num_steps or self._decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)
         log = None
-        for i in range(num_steps):
-            if base_acceleration is not None or drag is not None:
-                self._push_object(None if base_acceleration is None else -base_acceleration[i], drag)
+        for _ in range(num_steps):
+            if drag is not None:
+                self._slow_object(drag)
             self._actuators.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
         return log
 
-    def _push_object(
-        self,
-        acceleration: Float[Tensor, "num_envs 3"] | None,
-        drag: Float[Tensor, " num_envs"] | None,
-    ) -> None:
-        """Apply the force of an acceleration [m/s²] and of the air to the object; tumbling is neglected."""
+    def _slow_object(self, drag: Float[Tensor, " num_envs"]) -> None:
+        """Apply the force of the air to the object; tumbling is neglected."""
         force = self._fields.qfrc_applied[:, self._linear]
-        total = torch.zeros_like(force) if acceleration is None else acceleration.to(force)
-        if drag is not None:
-            velocity = self._fields.qvel[:, self._linear]
-            speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
-            total = total - drag.to(force)[:, None] * speed * velocity
+        velocity = self._fields.qvel[:, self._linear]
+        speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
         mass = self._model["body_mass"][:, self.objects.indices.body]
-        force.copy_(mass[:, None] * total)
+        force.copy_(mass[:, None] * (-drag.to(force)[:, None] * speed * velocity))
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""

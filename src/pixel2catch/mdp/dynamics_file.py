@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 from pixel2catch.checks import Range, Within, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import json_text, read_json_object, reading, write_atomically
+from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -119,24 +119,14 @@ def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
 
 
 def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:
-    columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges().of(workcell)).items()}
-    for name, values in content.items():
-        if name not in columns:
-            raise InvalidValueError(f"gain_ranges has the unknown entry '{name}'")
+    gains = decoded(GainRanges, dict(content), "gain_ranges")
+    require_valid(gains, "gain_ranges")
+    whole = GainRanges().of(workcell)
+    for name in content:
+        columns, values = list(getattr(whole, name)), getattr(gains, name)
         if len(values) != len(rows):
             raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(rows)}")
         for row, value in zip(rows, values, strict=True):
-            columns[name][row] = _flag(value) if name == "is_damping_relative" else _range(*value)
-    gains = GainRanges(**{name: tuple(values) for name, values in columns.items()})
-    require_valid(gains, "gain_ranges")
-    return gains.of(workcell)
-
-
-def _range(low: Any, high: Any) -> Range:
-    return float(low), float(high)
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InvalidValueError(f"is_damping_relative has the entry {value}; it must be true or false")
-    return value
+            columns[row] = value
+        whole = dataclasses.replace(whole, **{name: tuple(columns)})
+    return whole

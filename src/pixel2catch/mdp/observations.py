@@ -147,13 +147,8 @@ class ObservationLayout:
 
     def inputs(self, before: Measurement, now: Measurement) -> ObservationInputs:
         """Return what the terms read of two consecutive measurements."""
-        return ObservationInputs(
-            before=before,
-            now=now,
-            joints=self.joints,
-            palms=self.palms,
-            pixel_columns=self.pixel_columns,
-        )
+        own = {"joints": self.joints, "palms": self.palms, "pixel_columns": self.pixel_columns}
+        return ObservationInputs(before=before, now=now, **own)
 
 
 def observe(

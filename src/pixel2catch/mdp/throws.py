@@ -1,10 +1,9 @@
-"""Throws: where the object hovers, and its flight, with or without air, also as seen from a shaking table.
+"""Throws: where the object hovers, and its flight, with or without air.
 
 Source: release, unless a line has another source.
 """
 
-from dataclasses import dataclass, replace
-from math import pi
+from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from pixel2catch.checks import IN_ORDER, Amount, Range, Within
 from pixel2catch.devices import constant
-from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 
 Depth = Annotated[Range, Within(0.05, 10.0)]  #: Along x [m].
 Width = Annotated[Range, Within(-5.0, 5.0)]  #: Along y [m].
@@ -48,7 +47,6 @@ class Throw:
 
     pos: Float[Tensor, "num_envs 3"]  #: Release position [m].
     quat: Float[Tensor, "num_envs 4"]  #: Orientation, uniform over all rotations, (w, x, y, z).
-    hover_vel: Float[Tensor, "num_envs 3"]  #: Velocity of a moving frame before the release [m/s].
     lin_vel: Float[Tensor, "num_envs 3"]  #: Velocity at release [m/s].
     ang_vel: Float[Tensor, "num_envs 3"]  #: Angular velocity at release, frame of the object [rad/s].
     aim: Float[Tensor, "num_envs 3"]  #: Intended point at the catch height [m].
@@ -77,15 +75,14 @@ def sample_throws(
     first, last = cfg.hover_steps
     hover_steps = torch.randint(first, last + 1, (num_envs,), generator=generator, device=device)
     peak = torch.maximum(peak, cfg.clearance + torch.maximum(pos[:, 2], aim[:, 2]))
-    lin_vel, still = launch_velocity(pos, aim, peak), torch.zeros_like(pos)
+    lin_vel = launch_velocity(pos, aim, peak)
     if drag is not None:
         lin_vel = velocity_through_air(pos, aim, lin_vel, drag)
     return Throw(
         pos=pos,
         quat=quat,
-        hover_vel=still,
         lin_vel=_released(cfg, lin_vel, generator),
-        ang_vel=_spin(cfg.spin, num_envs, generator) if cfg.spin else still,
+        ang_vel=_spin(cfg.spin, num_envs, generator) if cfg.spin else torch.zeros_like(pos),
         aim=aim,
         hover_steps=hover_steps,
     )
@@ -206,64 +203,3 @@ def _acceleration(lin_vel: Tensor, drag: Tensor) -> Tensor:
     acceleration = -drag * torch.linalg.vector_norm(lin_vel, dim=-1, keepdim=True) * lin_vel
     acceleration[:, 2] -= GRAVITY
     return acceleration
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShakeCfg:
-    """How the table shakes."""
-
-    #: Largest displacement [m]; 0 is a table that stands still, as in training.
-    amplitude: Annotated[float, Within(0.0, 0.2)] = 0.0
-    frequency: Annotated[float, Within(0.0, 50.0)] = 0.0  #: Frequency [Hz].
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shake:
-    """How the base of the robot moves in one episode of each environment; times are those of the episode [s].
-
-    It moves by b(t) = A d sin(2 pi f t + phase) with a random direction d. In the frame of the base, the
-    fictitious force -m b''(t) acts on the free object, and camera and thrower move by -b(t). The inertial
-    load of the robot is neglected. Source: ours, for tests of policies.
-    """
-
-    sine: Float[Tensor, "num_envs 3"]  #: A d cos(phase) [m].
-    cosine: Float[Tensor, "num_envs 3"]  #: A d sin(phase) [m].
-    rate: Float[Tensor, " num_envs"]  #: 2 pi f [rad/s].
-
-    def displacement(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """Return the displacement of the base [m]."""
-        angle = (self.rate * time).unsqueeze(-1)
-        return self.sine * torch.sin(angle) + self.cosine * torch.cos(angle)
-
-    def velocity(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """Return the velocity of the base [m/s]."""
-        angle = (self.rate * time).unsqueeze(-1)
-        return self.rate[:, None] * (self.sine * torch.cos(angle) - self.cosine * torch.sin(angle))
-
-    def acceleration(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
-        """Return the acceleration of the base [m/s²]."""
-        return -self.rate.square()[:, None] * self.displacement(time)
-
-    def seen_from_base(self, throw: Throw) -> Throw:
-        """Return a throw in the frame of the base; its aim stays in the laboratory's frame."""
-        start, release = torch.zeros_like(throw.pos[:, 0]), throw.hover_steps * CONTROL_DT
-        return replace(
-            throw,
-            pos=throw.pos - self.displacement(start),
-            hover_vel=throw.hover_vel - self.velocity(start),
-            lin_vel=throw.lin_vel - self.velocity(release),
-        )
-
-
-def sample_shake(cfg: ShakeCfg, num_envs: int, generator: torch.Generator) -> Shake | None:
-    """Draw direction and phase, on the generator's device; None if the table stands still."""
-    if not (cfg.amplitude and cfg.frequency):
-        return None
-    device = generator.device
-    vector = cfg.amplitude * random_directions(num_envs, generator)
-    phase = 2.0 * pi * torch.rand(num_envs, 1, generator=generator, device=device)
-    return Shake(
-        sine=vector * torch.cos(phase),
-        cosine=vector * torch.sin(phase),
-        rate=torch.full((num_envs,), 2.0 * pi * cfg.frequency, device=device),
-    )

@@ -71,7 +71,6 @@ SIZE_SOURCE = "ours: the two scales of the training objects differ by 1.12 to 1.
 LOW_SOURCE = "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training"
 HIGH_SOURCE = "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m"
 NEAR_SOURCE = "ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training"
-SHAKE_SOURCE = "ours: a laboratory table on legs under an arm's jerks; 1.6 to 1.8 m/s² at the base"
 TOGETHER_SOURCE = "levels of the axes above"
 
 
@@ -214,11 +213,6 @@ def _sensing(
     return _levels(values, lambda value: part("sensing", **{field: value * scale}), source, label)
 
 
-def _shake(millimetres: float, frequency: float) -> Level:
-    change = part("shake", amplitude=1e-3 * millimetres, frequency=frequency)
-    return _level(f"{millimetres:g} mm {frequency:g} Hz", change, SHAKE_SOURCE)
-
-
 _ALL = (
     _axis("nominal", "", _level("", together(), "the task of training, at a finer physics rate")),
     _axis("camera_position", "cm", _sensing(CAMERA_POSITION_SOURCE, "camera_offset", (1, 2, 4), 1e-2)),
@@ -279,7 +273,6 @@ _ALL = (
         _level("high", part("throws", peak_z=(1.9, 2.3)), HIGH_SOURCE),
         _level("human", HUMAN, HUMAN_SOURCE),
     ),
-    _axis("shake", "", _shake(5, 3), _shake(10, 2)),
     _axis(
         "together",
         "",

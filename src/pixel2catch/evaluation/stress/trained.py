@@ -11,7 +11,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.stress.suite import Change
 from pixel2catch.workcells import find_workcell
 
-PARTS = ("scene", "throws", "randomization", "sensing", "shake")
+PARTS = ("scene", "throws", "randomization", "sensing")
 """Parts of a task that are compared; a setting that changes another part is not trained on."""
 
 GRIDS = {"latency_steps": "latency_grid", "command_delay": "command_delay_grid"}
