@@ -11,46 +11,18 @@ from typing import Any
 import numpy as np
 import yaml
 
-HOSTILE: tuple[Any, ...] = (
-    None,
-    True,
-    0,
-    -1,
-    10**9,
-    2**63,
-    10**400,
-    0.5,
-    -0.0,
-    1e308,
-    float("nan"),
-    float("inf"),
-    "",
-    "a",
-    "/tmp/own.py",
-    "../..",
-    "\ud800",
-    "\x1b[2J\n",
-    "9" * 5000,
-    "x" * 70_000,
-    [],
-    {},
-    [None],
-    [[0.0] * 3] * 3,
-    {"a": 1},
-    list(range(1000)),
-)
+NUMBERS = (0, -1, 10**9, 2**63, 10**400, 0.5, -0.0, 1e308, float("nan"), float("inf"))
+TEXTS = ("", "a", "/tmp/own.py", "../..", "\ud800", "\x1b[2J\n", "9" * 5000, "x" * 70_000)
+LISTS = ([], {}, [None], [[0.0] * 3] * 3, {"a": 1}, list(range(1000)))
+HOSTILE: tuple[Any, ...] = (None, True, *NUMBERS, *TEXTS, *LISTS)
 """What stands in the place of an entry."""
 
-WORDS = (
-    b"\xff" * 4,
-    b"\xff" * 8,
-    b"\0" * 4,
-    b"\0\0\0\x80",
-    b"\x7f\xff\xff\xff",
-    b"\0\0\0\0\0\0\xf8\x7f",
-    b"\x01\0\0\0",
-)
+LARGE = (b"\xff" * 4, b"\xff" * 8, b"\0\0\0\x80", b"\x7f\xff\xff\xff")
+WORDS = (*LARGE, b"\0" * 4, b"\0\0\0\0\0\0\xf8\x7f", b"\x01\0\0\0")
 """Lengths, offsets and numbers that stand anywhere in a binary file."""
+
+CELLS = ("", "nan", "1e400", "-1", "x" * 10_000, "0x1p3", "1_0", "²", "\0", '"', "../../../dev/zero")
+"""What stands in the place of a cell of a table."""
 
 SHAPES = ("(1000000000000000,)", "(-1,)", "(0, 0)", "()", "(3, 6", "(2147483648, 2147483648)", "(7, 2)")
 TYPES = ("|O", "<c16", "<U4000000", "<f2", "|b1", "<M8[s]", "|V8", "<i8", "f8,i4", "|U0")
@@ -211,21 +183,7 @@ def changed_csv(data: bytes, rng: random.Random) -> bytes:
         return changed_bytes(data, rng)
     rows = [line.split(b",") for line in data.split(b"\n")]
     row = rng.choice(rows)
-    cell = rng.choice(
-        (
-            b"",
-            b"nan",
-            b"1e400",
-            b"-1",
-            b"x" * 10_000,
-            b"0x1p3",
-            b"1_0",
-            "²".encode(),
-            b"\0",
-            b'"',
-            b"../../../dev/zero",
-        )
-    )
+    cell = rng.choice(CELLS).encode()
     match rng.randrange(3):
         case 0:
             row[rng.randrange(len(row))] = cell
