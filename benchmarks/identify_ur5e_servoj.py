@@ -61,8 +61,8 @@ def main() -> None:
 
 def read(path: Path, joint: str) -> Recording:
     """A recording by the program's own time."""
-    table = read_table(path)
-    time, command, q, qd = (table.columns((name,)) for name in ("time", "q_des", "q_act", "dq_act"))
+    table, _ = read_table(path, ("time", "q_des", "q_act", "dq_act"))
+    time, command, q, qd = np.split(table, 4, axis=1)
     times = time[:, 0]
     return Recording(name=path.name, joints=(joint,), t_cmd=times, q_cmd=command, t_meas=times, q=q, qd=qd)
 

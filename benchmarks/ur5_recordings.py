@@ -60,8 +60,8 @@ def read_speed(folder: Path, time: np.ndarray) -> np.ndarray | None:
 
 def read_log(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of one file, which has no line of names."""
-    table = read_table(path, names=("time", *ARM))
-    time, values = table.columns(["time"])[:, 0], table.columns(ARM)
+    table, _ = read_table(path, ("time", *ARM), names=("time", *ARM))
+    time, values = table[:, 0], table[:, 1:]
     require_motion(str(path), ARM, time, values)
     return time, values
 

@@ -55,13 +55,17 @@ def played(path: Path, dt: float) -> Played:
         recording = read_ur5(path)
         t_cmd, q_cmd, t_meas, q = recording.t_cmd, recording.q_cmd, recording.t_meas, recording.q
     else:
-        table = read_table(path)
-        if "q_des" in table.cells:
-            t_cmd = t_meas = table.columns(["time"])[:, 0]
+        with path.open() as file:
+            is_of_one_joint = "q_des" in file.readline()
+        if is_of_one_joint:
+            numbers, _ = read_table(path, ("time", "q_des", "q_act"))
+            t_cmd = t_meas = numbers[:, 0]
             q_cmd, q = (np.zeros((len(t_cmd), NUM_JOINTS)) for _ in range(2))
-            q_cmd[:, 0], q[:, 0] = table.columns(["q_des", "q_act"]).T
+            q_cmd[:, 0], q[:, 0] = numbers[:, 1:].T
         else:
-            q_cmd, q = (table.columns([f"{name}_{i}" for i in range(NUM_JOINTS)]) for name in ("tq", "q"))
+            q_cmd, q = (
+                read_table(path, [f"{name}_{i}" for i in range(NUM_JOINTS)])[0] for name in ("tq", "q")
+            )
             t_cmd = t_meas = 0.008 * np.arange(len(q))
     time = np.arange(max(t_cmd[0], t_meas[0]), min(t_cmd[-1], t_meas[-1]), dt)
     newest = np.searchsorted(t_meas, time, side="right") - 1

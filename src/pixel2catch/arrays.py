@@ -1,14 +1,15 @@
 """Read arrays from npz archives and text tables; nothing larger than its limit is unpacked."""
 
+import re
 import zlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.lib import format as npy
 
 from pixel2catch.errors import InvalidValueError, RecordingError
@@ -36,13 +37,10 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     data = read_bytes(path, 8 * MOST_NUMBERS)
     try:
         with open_archive(data, 8 * MOST_NUMBERS) as archive:
-            members = {name: f"{name}.npy" for name in names}
             there = {*archive.namelist()}
-            arrays = {name: _array(archive.read(m)) for name, m in members.items() if m in there}
-    except InvalidValueError:
-        raise
+            arrays = {name: _array(archive.read(f"{name}.npy")) for name in names if f"{name}.npy" in there}
     except DAMAGED as error:
-        raise InvalidValueError(f"it is not a whole npz file ({error})") from error
+        raise InvalidValueError(f"it cannot be read as an npz file ({error})") from error
     if sum(array.size for array in arrays.values()) > MOST_NUMBERS:
         raise InvalidValueError(f"it has more than {MOST_NUMBERS:,} numbers; cut it")
     return arrays
@@ -84,50 +82,28 @@ def _array(data: bytes) -> np.ndarray:
     return array
 
 
-@dataclass(frozen=True, kw_only=True)
-class TextTable:
-    """A table of text cells; columns become numbers when they are read."""
+def read_table(
+    path: Path, columns: Sequence[str], text: str = "", names: Sequence[str] = ()
+) -> tuple[Float64[np.ndarray, "rows columns"], list[str]]:
+    """Return some columns of numbers of a table, and a column of text if it is named.
 
-    path: Path
-    cells: dict[str, list[str]]  #: Cells of each column.
-
-    def texts(self, name: str) -> list[str]:
-        """Return the cells of a column; raise RecordingError if there is no such column."""
-        if name not in self.cells:
-            raise RecordingError(
-                f"{self.path}: no column {name}; it has {shown(list(self.cells))}. Record this column, or "
-                "give it this name in the first line."
-            )
-        return self.cells[name]
-
-    def columns(self, names: Iterable[str]) -> np.ndarray:
-        """Return the numbers of columns, (rows, columns); raise RecordingError if one is missing or text."""
-        try:
-            return np.stack([np.array([float(cell) for cell in self.texts(name)]) for name in names], axis=-1)
-        except ValueError as error:
-            raise RecordingError(f"{self.path}: {shown(str(error))}; correct or cut this line.") from None
-
-
-def read_table(path: Path, names: tuple[str, ...] = ()) -> TextTable:
-    """Read cells between commas, or spaces where a line has no comma; line 1 has the names, unless given.
+    Cells are between commas, or spaces where a line has no comma. Line 1 has the names unless they are given.
 
     Raises:
-        RecordingError: The file cannot be read, is empty or too long, or a line has another number of cells.
+        RecordingError: The file cannot be read or is too long, or a line or a column is not as it must be.
     """
-    with reading("table", path, "Record again, or cut it.", RecordingError):
+    with reading("table", path, "Record again, or correct or cut the line.", RecordingError):
         lines = read_text(path, MOST_TABLE).strip().split("\n")
         if len(lines) > MOST_ROWS:
             raise RecordingError(f"it has more than {MOST_ROWS:,} lines")
-    rows = [
-        [cell.strip() for cell in line.split(",")] if "," in line else line.split()
-        for line in ([",".join(names)] if names else []) + lines
-    ]
-    if len(rows) == 1 or not rows[-1]:
-        raise RecordingError(f"{path}: there is no line of numbers; record again.")
-    for number, row in enumerate(rows, start=0 if names else 1):
-        if len(row) != len(rows[0]):
-            raise RecordingError(
-                f"{path}, line {number}: {len(row)} columns instead of {len(rows[0])}; correct or cut "
-                "this line (the last one may have been cut off while recording)."
-            )
-    return TextTable(path=path, cells=dict(zip(rows[0], map(list, zip(*rows[1:], strict=True)), strict=True)))
+        rows = [re.split(r"\s*,\s*", line.strip()) if "," in line else line.split() for line in lines]
+        names, first = (names, 1) if names else (rows.pop(0), 2)
+        for number, row in enumerate(rows or [[]], first):
+            if len(row) != len(names):
+                raise RecordingError(f"line {number}: {len(row)} columns instead of {len(names)}")
+        for name in (*columns, text or names[0]):
+            if name not in names:
+                raise RecordingError(f"no column {name}; it has {shown(list(names))}")
+        table = dict(zip(names, zip(*rows, strict=True), strict=True))
+        numbers = np.array([[float(cell) for cell in table[name]] for name in columns])
+    return numbers.T, list(table.get(text, ()))

@@ -1,4 +1,4 @@
-"""Read and write files: writing is all or nothing, reading is bounded in size, depth and memory."""
+"""Read and write files: writing is all or nothing, reading is bounded in size and memory."""
 
 import json
 import math
@@ -19,21 +19,10 @@ from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameE
 MOST_JSON = 2 * 2**20  #: Largest JSON file [bytes]; the largest that are written have some hundred thousand.
 MOST_YAML = 2**17  #: Largest YAML file [bytes]; profiles have some thousand.
 MOST_WEIGHTS = 2**28  #: Largest file of a policy's networks, or checkpoint [bytes]; ours have a few million.
-MOST_DEPTH = 32  #: Most lists and objects inside each other. Source: ours; four times what is written.
-LARGEST_INTEGER = 2**63  #: Integers are smaller, because readers use 64 bits.
 LONGEST_REASON = 1000  #: Most characters of a file's content that a message repeats.
 
-DAMAGE = (
-    OSError,
-    EOFError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    Pixel2CatchError,
-)
-"""Exceptions that wrong content of a file can cause."""
+DAMAGE = (AttributeError, EOFError, LookupError, OSError, OverflowError, TypeError, ValueError)
+"""Exceptions that wrong content of a file can cause, besides this package's."""
 
 
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
@@ -87,10 +76,10 @@ def as_json(value: Any) -> Any:
 def reading(
     what: str, path: Path | str, fix: str, error: type[Pixel2CatchError] = InvalidValueError
 ) -> Iterator[None]:
-    """Turn every exception of `DAMAGE` into one error that names the file, the reason and the fix."""
+    """Turn every exception of damage into one error that names the file, the reason and the fix."""
     try:
         yield
-    except DAMAGE as damage:
+    except (*DAMAGE, Pixel2CatchError) as damage:
         reason = f"there is no {damage}" if isinstance(damage, KeyError) else str(damage).rstrip(".")
         reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
         raise error(f"cannot read the {what} '{path}': {reason}. {fix}") from damage
@@ -132,11 +121,9 @@ def parse_json(text: str) -> Any:
     try:
         content = _bounded(json.loads(text, object_pairs_hook=_unique))
         json.dumps(content, ensure_ascii=False).encode()  # refuses half of a surrogate pair
-        return content
-    except InvalidValueError:
-        raise
     except (ValueError, RecursionError) as error:
-        raise InvalidValueError(f"it is not JSON ({error})") from error
+        raise InvalidValueError(f"it cannot be read as JSON ({error})") from error
+    return content
 
 
 def json_object(text: str) -> dict[str, Any]:
@@ -167,10 +154,8 @@ def parse_yaml(text: str) -> Any:
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
             raise InvalidValueError("it has an alias, such as '*name'; write out what it stands for")
         return _bounded(yaml.load(text, Loader))
-    except InvalidValueError:
-        raise
     except (yaml.YAMLError, RecursionError, *DAMAGE) as error:
-        raise InvalidValueError(f"it is not YAML ({' '.join(str(error).split())})") from error
+        raise InvalidValueError(f"it cannot be read as YAML ({' '.join(str(error).split())})") from error
 
 
 def _unique(pairs: Any) -> dict[Any, Any]:
@@ -182,20 +167,18 @@ def _unique(pairs: Any) -> dict[Any, Any]:
     return content
 
 
-def _bounded(content: Any, name: str = "it", depth: int = 0) -> Any:
-    """Return content of lists and mappings that is not too deep and has finite numbers of 64 bits."""
-    if depth > MOST_DEPTH:
-        raise InvalidValueError(f"its lists and entries are nested deeper than {MOST_DEPTH} times")
+def _bounded(content: Any, name: str = "it") -> Any:
+    """Return content of lists and mappings whose numbers are finite and of 64 bits, as readers need."""
     if isinstance(content, float) and not math.isfinite(content):
         raise InvalidValueError(f"{name} has the number {content}; it must be finite")
-    if isinstance(content, int) and not -LARGEST_INTEGER <= content < LARGEST_INTEGER:
+    if isinstance(content, int) and not -(2**63) <= content < 2**63:
         raise InvalidValueError(f"{name} has an integer of more than 64 bits; it must be smaller")
     if isinstance(content, dict):
         for key, value in content.items():
-            _bounded(value, shown(key), depth + 1)
+            _bounded(value, shown(key))
     elif isinstance(content, list):
         for value in content:
-            _bounded(value, name, depth + 1)
+            _bounded(value, name)
     return content
 
 

@@ -231,7 +231,7 @@ KINDS = {
     "labels": Kind(write=_labels, read=Labels.load, change=changed_json),
     "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
     "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
-    "table": Kind(write=_table, read=lambda file: read_table(file).columns(ARM), change=changed_csv),
+    "table": Kind(write=_table, read=lambda file: read_table(file, ARM), change=changed_csv),
     "mcap": Kind(write=_bag, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
     "png": Kind(write=_png, read=read_image),

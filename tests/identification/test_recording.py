@@ -98,7 +98,7 @@ def test_the_reach_is_that_of_an_arm_or_a_hand():
     ("arrays", "message"),
     [
         ({"q": np.zeros((3, 6))}, "no array t_cmd, q_cmd, t_meas; a recording has"),
-        (None, "it is not a whole npz file"),
+        (None, "cannot be read as an npz file"),
     ],
 )
 def test_a_broken_file_is_refused(arrays: dict | None, message: str, tmp_path: Path):

@@ -147,12 +147,10 @@ class Calibrate:
         from pixel2catch.robots.geometry import first_chain
         from pixel2catch.workcells import find_workcell
 
-        table = read_table(path)
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
-        joint_pos = table.columns(joints)
+        joint_pos, names = read_table(path, joints, text=IMAGE_COLUMN)
         require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos)
-        names = table.texts(IMAGE_COLUMN)
         board, views, blank = CharucoBoard(self.square), [], []
         chain = first_chain(workcell)
 
