@@ -27,7 +27,7 @@ from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.laws import interpolated, limited_speed, moving_mean, speed_to
-from pixel2catch.servo.limits import ServoLimits, records
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
@@ -206,7 +206,7 @@ def _by_step(flights: Flights, values: ndarray, steps: ndarray) -> ndarray:
 
 def servo() -> Figure:
     """From the policy's targets at 30 Hz to commands at 500 Hz: a throw, and a jump that is too large."""
-    limits = records(**ServoLimits.of(UR5E_ALLEGRO).motion.columns).view(np.recarray)[1]
+    limits = ServoLimits.of(UR5E_ALLEGRO).joint_records.view(np.recarray)[1]
     flight = fly(task(), seed=FEATURES_SEED)
     jump = np.repeat((-1.9, -1.4), (6, 24))
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")

@@ -42,7 +42,7 @@ def test_no_step_is_larger_than_ur_accepts():
     """UR ignores steps above 0.04 rad in 2 ms, at any rate at which commands are sent."""
     for dt in (0.002, 0.004, 0.01):
         limits = replace(ServoLimits.of(UR5E_ALLEGRO), dt=dt)
-        assert (limits.motion.speed[:6] * dt < 0.04).all()
+        assert (limits.joint_records["speed"][:6] * dt < 0.04).all()
 
 
 def test_invalid_limits_are_refused():

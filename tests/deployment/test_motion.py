@@ -1,7 +1,5 @@
 """Motion of commands: exact braking, limits, and arrival without overshoot."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import ruckig
@@ -16,17 +14,12 @@ from pixel2catch.servo.laws import (
     speed_to,
     stopping_speed,
 )
-from pixel2catch.servo.limits import MotionLimits, records
+from pixel2catch.servo.limits import motion_columns, records
 
-LIMITS = MotionLimits(
-    lower=np.array([-1.0, -0.5]),
-    upper=np.array([1.0, 2.0]),
-    speed=np.array([8.0, 2.0]),
-    acceleration=np.array([200.0, 50.0]),
-    jerk=np.array([40e3, 20e3]),
-    dt=0.002,
-)
-FAST, SLOW = BOTH = records(**LIMITS.columns).view(np.recarray)
+DT, ACCELERATION, JERK = 0.002, np.array([200.0, 50.0]), np.array([40e3, 20e3])
+MOTION = {"speed": [8.0, 2.0], **motion_columns(ACCELERATION, JERK, DT)}
+LIMITS = records(lower=[-1.0, -0.5], upper=[1.0, 2.0], acceleration=ACCELERATION, jerk=JERK, **MOTION)
+FAST, SLOW = BOTH = LIMITS.view(np.recarray)
 
 
 def test_braking_by_hand():
@@ -35,7 +28,7 @@ def test_braking_by_hand():
     np.testing.assert_allclose(path, 0.1 - 0.002 * np.array([0.6, 0.8, 0.8, 0.8]), atol=1e-15)
     for left in (0.6, 0.2, 0.0, 0.0):
         velocity = braked_speed(velocity, FAST)
-        position += velocity * LIMITS.dt
+        position += velocity * DT
         assert velocity == pytest.approx(-left, abs=1e-15)
     assert position == pytest.approx(path[-1], abs=1e-15)
 
@@ -44,13 +37,13 @@ def test_braking_by_hand():
 def test_the_stopping_speed_stops_exactly_at_the_distance(distance: float):
     for limits in BOTH:
         speed = stopping_speed(distance, limits)
-        assert braked_position(speed * LIMITS.dt, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
+        assert braked_position(speed * DT, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
 
 
 def test_a_command_is_the_mean_of_positions():
     """Accelerations of 200 and -200 rad/s² must be 10 ms apart at 40,000 rad/s³; of ±50 rad/s² 5 ms."""
-    assert LIMITS.window.tolist() == [5, 3]
-    np.testing.assert_allclose(LIMITS.delay, [0.004, 0.002])
+    assert LIMITS["window"].tolist() == [5, 3]
+    np.testing.assert_allclose(LIMITS["delay"], [0.004, 0.002])
     for limits, positions, mean in (
         (FAST, [0.0, 6.0, 2.0, 3.0, 4.0], 4.0),
         (SLOW, [6.0, 8.0, 1.0, 5.0], 5.0),
@@ -69,10 +62,10 @@ def test_no_request_exceeds_a_limit(joint: int):
         position, velocity, recent, commands = start, 0.0, np.full(5, start), [start] * 4
         for requested in random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], 300):
             velocity = limited_speed(position, velocity, requested, limits)
-            position += velocity * LIMITS.dt
+            position += velocity * DT
             commands.append(moving_mean(recent, position, limits))
         for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
-            reached = np.abs(np.diff(commands, n=order)).max() / LIMITS.dt**order / limits[name]
+            reached = np.abs(np.diff(commands, n=order)).max() / DT**order / limits[name]
             assert reached <= 1.0 + 1e-6, name
             assert order == 1 or reached >= 0.7, name
         assert limits.lower - 1e-12 <= min(commands)
@@ -86,8 +79,8 @@ def test_a_goal_is_reached_without_overshoot(joint: int):
         position = velocity = 0.0
         for _ in range(600):
             velocity = limited_speed(position, velocity, speed_to(position, goal, limits), limits)
-            assert (goal - position) * (goal - position - velocity * LIMITS.dt) >= -1e-15
-            position += velocity * LIMITS.dt
+            assert (goal - position) * (goal - position - velocity * DT) >= -1e-15
+            position += velocity * DT
         assert position == pytest.approx(goal, abs=1e-12)
         assert velocity == pytest.approx(0.0, abs=1e-9)
 
@@ -95,13 +88,14 @@ def test_a_goal_is_reached_without_overshoot(joint: int):
 @given(st.floats(0.02, 1.0), st.sampled_from([0, 1]))
 def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joint: int):
     """Compared with Ruckig in continuous time."""
-    wide = replace(LIMITS, lower=np.full(2, -2.0), upper=np.full(2, 2.0))
-    limits = records(**wide.columns).view(np.recarray)[joint]
+    limits = BOTH[joint : joint + 1].copy()
+    limits.lower, limits.upper = -2.0, 2.0
+    limits = limits[0]
     position = velocity = command = 0.0
     recent, ticks = np.zeros(limits.window), 0
     while abs(command - distance) > 1e-9:
         velocity = limited_speed(position, velocity, speed_to(position, distance, limits), limits)
-        position += velocity * LIMITS.dt
+        position += velocity * DT
         command, ticks = moving_mean(recent, position, limits), ticks + 1
     asked, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     asked.target_position = [distance]
@@ -112,4 +106,4 @@ def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joi
     ):
         setattr(asked, f"max_{name}", [limit])
     ruckig.Ruckig(1).calculate(asked, trajectory)
-    assert abs(ticks * LIMITS.dt - trajectory.duration) < 2.0 * LIMITS.dt
+    assert abs(ticks * DT - trajectory.duration) < 2.0 * DT

@@ -241,7 +241,7 @@ def test_a_stop_without_positions_slows_commands_evenly():
     for _ in range(STOP_TICKS):
         commands.append(lab.tick(given(joint_pos=np.full((1, len(JOINTS)), np.nan)))["sent"][0, 0])
     speed = np.diff(commands) / LIMITS.dt
-    stop_time, delay = LIMITS.joints.stop_time[0], LIMITS.motion.delay[0]
+    stop_time, delay = (LIMITS.joint_records[name][0] for name in ("stop_time", "delay"))
     even = speed[0] * (1.0 - (np.arange(1, STOP_TICKS) * LIMITS.dt - delay) / stop_time).clip(0.0, 1.0)
     np.testing.assert_allclose(speed[1:], even, atol=0.05 * abs(speed[0]))
     assert speed[0] < -2.0

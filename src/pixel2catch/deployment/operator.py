@@ -95,8 +95,7 @@ def read_prompt(data: bytes) -> BoxPrompt:
 SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of the servo's timeout."""
 
-FARTHEST = 1e6  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
-SHOWN_LATENCIES = ("p50", "p90", "p99")  #: Percentiles that a valid status has.
+FARTHEST = 1e9  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
 SEVERAL = {"mode": "several", "message": "", "stopped_by": [], "refused": [], "found": []}
 """The status while several programs publish one: either may be that of the robot."""
 
@@ -156,22 +155,19 @@ def newest(arrived: list[Message], default: dict[str, Any]) -> dict[str, Any]:
 
 def is_status(found: dict[str, Any]) -> bool:
     """Return whether a message has the entries of a status that operators and pages read."""
-    box, latency = found.get("box"), found.get("latency_ms")
-    if box is not None and not (isinstance(box, list) and len(box) == 4 and all(map(_is_shown, box))):
-        return False
-    if latency is not None and not (
-        isinstance(latency, dict) and all(_is_shown(latency.get(name)) for name in SHOWN_LATENCIES)
+    box, latency = found.get("box") or [0.0] * 4, found.get("latency_ms") or {}
+    lists = [found.get(name) for name in ("stopped_by", "refused", "found")]
+    if not (
+        isinstance(box, list) and isinstance(latency, dict) and all(isinstance(each, list) for each in lists)
     ):
         return False
-    lists = [found.get(name) for name in ("stopped_by", "refused", "found")]
-    if not all(isinstance(each, list) for each in lists):
-        return False
+    numbers = [*box, *latency.values()]
     texts = [found.get("mode"), found.get("message"), *(text for each in lists for text in each or ())]
-    return all(isinstance(text, str) for text in texts)
-
-
-def _is_shown(value: Any) -> bool:
-    return isinstance(value, int | float) and abs(value) < FARTHEST
+    return (
+        len(box) == 4
+        and all(isinstance(each, int | float) and abs(each) < FARTHEST for each in numbers)
+        and all(isinstance(each, str) for each in texts)
+    )
 
 
 EVENT = struct.Struct("@llHHi")

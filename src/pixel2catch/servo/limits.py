@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import partial
 from math import isclose, pi
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int, Int64
+from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from pixel2catch.errors import InvalidValueError
@@ -35,38 +36,17 @@ def records(**columns: ArrayLike) -> np.ndarray:
     return np.array([*zip(*arrays, strict=True)], np.dtype(types, align=True))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotionLimits:
-    """Limits of the motion of each joint's command."""
+def motion_columns(acceleration: Joints, jerk: Joints, dt: float) -> dict[str, Any]:
+    """Return what the laws of motion derive from acceleration [rad/s²], jerk [rad/s³] and tick [s].
 
-    lower: Joints  #: Lowest position [rad].
-    upper: Joints  #: Highest position [rad].
-    speed: Joints  #: Largest speed [rad/s].
-    acceleration: Joints  #: Largest acceleration [rad/s²].
-    jerk: Joints  #: Largest jerk [rad/s³].
-    dt: float  #: Length of a tick [s].
-
-    @property
-    def window(self) -> Int64[np.ndarray, " joints"]:
-        """Number of positions of which each joint's command is the mean."""
-        ticks = 2.0 * self.acceleration / (self.jerk * self.dt)
-        return np.maximum(np.ceil(ticks * (1.0 - 1e-12)), 1.0).astype(np.int64)
-
-    @property
-    def delay(self) -> Joints:
-        """Delay of the commands behind the positions [s]."""
-        return (self.window - 1) / 2.0 * self.dt
-
-    @property
-    def columns(self) -> dict[str, ArrayLike]:
-        """Numbers of each joint's motion for the compiled laws.
-
-        Besides fields and properties: `share` is the weight of a position in a command, `change` the largest
-        change of the speed in a tick [rad/s], `bend` that of the distance of a tick [rad].
-        """
-        change = self.acceleration * self.dt
-        more = {"share": 1.0 / self.window, "change": change, "bend": change * self.dt, "delay": self.delay}
-        return {**vars(self), "window": self.window, **more}
+    `window` is the number of positions of which each joint's command is the mean, `share` the weight of one,
+    `delay` the delay of the commands behind the positions [s]; `change` is the largest change of the speed in
+    a tick [rad/s], `bend` that of the distance of a tick [rad].
+    """
+    ticks, change = 2.0 * acceleration / (jerk * dt), acceleration * dt
+    window = np.maximum(np.ceil(ticks * (1.0 - 1e-12)), 1.0).astype(np.int64)
+    share, delay = 1.0 / window, (window - 1) / 2.0 * dt
+    return {"window": window, "share": share, "delay": delay, "change": change, "bend": change * dt, "dt": dt}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,21 +160,6 @@ class JointLimits:
             position_age=age,
         )
 
-    @property
-    def is_arm(self) -> Bool[np.ndarray, " joints"]:
-        """Arm joints, which must stay near their expected position."""
-        return np.isfinite(self.tracking_error)
-
-    @property
-    def is_finger(self) -> Bool[np.ndarray, " joints"]:
-        """Finger joints, which an object may hold."""
-        return np.isfinite(self.escape)
-
-    @property
-    def stop_time(self) -> Joints:
-        """Time in which a stop brings each joint to rest [s]."""
-        return self.lead / (self.lag * self.deceleration)
-
     def __post_init__(self) -> None:
         """Refuse limits that are not positive or not in order."""
         if not (self.lower < self.upper).all():
@@ -248,14 +213,14 @@ class ServoLimits:
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""
-        motion = self.motion
-        braking = float(np.max(motion.speed / motion.acceleration + motion.window * self.dt))
+        motion = self.joint_records
+        braking = float(np.max(motion["speed"] / motion["acceleration"] + motion["window"] * self.dt))
         if braking > STOP_TIME - RETURN_TIME:
             raise InvalidValueError(
                 f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until "
                 f"it takes {STOP_TIME - RETURN_TIME:.1f} s"
             )
-        if (slowest := float(np.max(self.joints.stop_time))) > RETURN_TIME + self.dt:
+        if (slowest := float(np.max(motion["stop_time"]))) > RETURN_TIME + self.dt:
             raise InvalidValueError(
                 f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed "
                 f"until it takes {RETURN_TIME:.1f} s"
@@ -263,31 +228,17 @@ class ServoLimits:
 
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
         """Describe the motion limits of some joints, by their places in joint order."""
-        motion, joints = self.motion, self.joints
-        own_speed = (joints.lead / (joints.lag * SPEED_MARGIN))[ids].max()
+        own = self.joint_records[ids]
         return (
-            f"joints up to {own_speed:.3g} rad/s; commands up to {motion.speed[ids].max():.3g} rad/s, "
-            f"{motion.acceleration[ids].max():.0f} rad/s², {motion.jerk[ids].max():.0f} rad/s³; "
-            f"a stop takes {joints.stop_time[ids].max():.2f} s"
+            f"joints up to {own['even_speed'].max() / SPEED_MARGIN:.3g} rad/s; "
+            f"commands up to {own['speed'].max():.3g} rad/s, {own['acceleration'].max():.0f} rad/s², "
+            f"{own['jerk'].max():.0f} rad/s³; a stop takes {own['stop_time'].max():.2f} s"
         )
 
     @property
     def num_joints(self) -> int:
         """Number of joints of all robots."""
         return len(self.joints.lower)
-
-    @property
-    def motion(self) -> MotionLimits:
-        """Limits of the commands' motion."""
-        joints = self.joints
-        return MotionLimits(
-            lower=joints.lower,
-            upper=joints.upper,
-            speed=np.minimum(joints.speed, joints.step / self.dt),
-            acceleration=joints.acceleration,
-            jerk=joints.jerk,
-            dt=self.dt,
-        )
 
     @property
     def robot_records(self) -> np.ndarray:
@@ -299,21 +250,28 @@ class ServoLimits:
     def joint_records(self) -> np.ndarray:
         """Limits of each joint for the compiled laws.
 
-        Besides fields and properties: `even_speed` is the speed of a command at which the joint is not too
-        fast, whatever its lag, and `unseen_speed` limits an arm to it until the lag is estimated [rad/s];
-        `time_ahead` is the time that a tick looks ahead [s]; `stop_reach` limits the return of a stop [rad].
+        `is_arm` are joints that must stay near their expected position, `is_finger` those that an object may
+        hold. `stop_time` is the time in which a stop brings the joint to rest [s]. `even_speed` is the speed
+        of a command at which the joint is not too fast, whatever its lag, and `unseen_speed` limits an arm to
+        it until the lag is estimated [rad/s]. `time_ahead` is the time that a tick looks ahead [s];
+        `stop_reach` limits the return of a stop [rad].
         """
-        joints, motion = self.joints, self.motion
-        even_speed = joints.lead / joints.lag
+        joints, even_speed = self.joints, self.joints.lead / self.joints.lag
+        motion = motion_columns(joints.acceleration, joints.jerk, self.dt)
+        is_arm, stop_time = (
+            np.isfinite(joints.tracking_error),
+            joints.lead / (joints.lag * joints.deceleration),
+        )
         return records(
-            **{**vars(joints), **motion.columns},
+            **{**vars(joints), "speed": np.minimum(joints.speed, joints.step / self.dt)},
+            **motion,
             ramp_time=self.ramp_time,
             control_dt=CONTROL_DT,
-            is_arm=joints.is_arm,
-            is_finger=joints.is_finger,
-            stop_time=joints.stop_time,
+            is_arm=is_arm,
+            is_finger=np.isfinite(joints.escape),
+            stop_time=stop_time,
             even_speed=even_speed,
-            unseen_speed=np.where(joints.is_arm, even_speed, np.inf),
-            time_ahead=self.dt + motion.delay,
-            stop_reach=joints.lead + 0.5 * even_speed * joints.stop_time,
+            unseen_speed=np.where(is_arm, even_speed, np.inf),
+            time_ahead=self.dt + motion["delay"],
+            stop_reach=joints.lead + 0.5 * even_speed * stop_time,
         )

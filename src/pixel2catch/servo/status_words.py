@@ -1,110 +1,92 @@
 """States, faults and verdicts in words, for operators: commands, pages and reports use this one file."""
 
 from collections.abc import Iterable, Sequence
-from math import inf
 from typing import Any, Literal, NamedTuple
 
 Tone = Literal["absent", "waiting", "armed", "moving", "stopped"]  #: Colour class of a state on a page.
 
 
-class FaultWords(NamedTuple):
-    """A fault in words."""
-
-    what: str  #: What is wrong: the end of "stopped: ...".
-    fix: str  #: What to do, in sentences; empty if nothing has to be done.
-
-
 FAULT_WORDS = {
-    "clock": FaultWords(
+    "clock": (
         "the servo process was delayed by 20 ms",
-        "End other programs on this machine, or give the servo its own core.",
+        "End other programs, or give the servo its own core.",
     ),
-    "joints stale": FaultWords(
+    "joints stale": (
         "no new position of a joint has arrived in time",
-        "Check the drivers of robot and hand, their cables, and the joint names in the profile.",
+        "Check drivers, cables and joint names.",
     ),
-    "joints not finite": FaultWords(
-        "a joint position is missing or not a number",
-        "Check that both drivers run, and the joint names in the profile.",
-    ),
-    "image stale": FaultWords(
-        "no image for 0.1 s", "Check the camera and its cable, and that its clock is synchronised."
-    ),
-    "policy late": FaultWords(
+    "joints not finite": ("a joint position is missing or not a number", "Check drivers and joint names."),
+    "image stale": ("no image for 0.1 s", "Check the camera, its cable and its clock."),
+    "policy late": (
         "no decision of the policy for 67 ms",
         "Point at the object. If that does not help, end other programs: perception is too slow.",
     ),
-    "target not finite": FaultWords(
-        "the policy gives a target that is not a number",
-        "Use another policy, and report this one to its author.",
+    "target not finite": ("the policy gives a target that is not a number", "Use another policy."),
+    "target far": (
+        "the first target of the policy is far from the robot",
+        "Move the robot to its start pose.",
     ),
-    "target far": FaultWords(
-        "the first target of the policy is far from the robot", "Move the robot to its start pose."
-    ),
-    "tracking error": FaultWords(
+    "tracking error": (
         "a joint does not follow its command",
         "Check whether something blocks the robot. If not, identify its dynamics.",
     ),
-    "safety mode": FaultWords(
+    "safety mode": (
         "the robot is not in its normal safety mode, or its program does not run",
         "Correct this on the robot's pendant.",
     ),
-    "speed scaling": FaultWords(
-        "the robot runs below its full speed", "Set the speed slider of the pendant to 100 %."
+    "speed scaling": ("the robot runs below its full speed", "Set the speed slider of the pendant to 100 %."),
+    "other publisher": (
+        "another program sends commands to the robot; this one is silent",
+        "End the other one.",
     ),
-    "other publisher": FaultWords(
-        "another program sends commands to the robot; this one has stopped sending", "End the other program."
-    ),
-    "dead man": FaultWords("the dead-man's switch is not held", "Hold the switch."),
-    "stop request": FaultWords("a stop was requested", ""),
-    "start pose": FaultWords(
-        "the robot is not at the start of its commands", "Move the robot to its start pose."
-    ),
-    "workspace": FaultWords("hand or elbow are outside the workspace", "Move the robot to its start pose."),
-    "still stopping": FaultWords("the robot is still stopping", "Wait until it stands."),
-    "joints implausible": FaultWords(
+    "dead man": ("the dead-man's switch is not held", "Hold the switch."),
+    "stop request": ("a stop was requested", ""),
+    "start pose": ("the robot is not at the start of its commands", "Move the robot to its start pose."),
+    "workspace": ("hand or elbow are outside the workspace", "Move the robot to its start pose."),
+    "still stopping": ("the robot is still stopping", "Wait until it stands."),
+    "joints implausible": (
         "a measured joint position is beyond the joint's range, or jumped too far",
         "Check encoders, cables and the joint names in the profile.",
     ),
-    "joint speed": FaultWords(
+    "joint speed": (
         "a joint was faster than its limit",
         "Check whether something else moves the robot, and its payload setting; or lower the speed.",
     ),
-    "other operator": FaultWords(
+    "other operator": (
         "two programs hold the switch or request arming",
         "End one of them; a program that was killed counts for 10 s.",
     ),
-    "switch not pressed": FaultWords(
-        "the switch was not released and pressed again since the last stop",
-        "Let go of the switch, and press it again.",
+    "switch not pressed": (
+        "the switch was not pressed again since the last stop",
+        "Let go of it, press it again.",
     ),
-    "object lost": FaultWords(
-        "the object was not seen for 3 s", "Show it to the camera, and point at it after arming."
+    "object lost": (
+        "the object was not seen for 3 s",
+        "Show it to the camera, and point at it after arming.",
     ),
-    "perception unsound": FaultWords(
+    "perception unsound": (
         "the images cannot come from one working camera",
         "Restart the camera's driver, or end the other camera or recording.",
     ),
-    "status unknown": FaultWords(
+    "status unknown": (
         "the state of the robot is published by no driver, or by several",
         "Check that the robot's driver runs, and that no recording is played.",
     ),
-    "no subscriber": FaultWords(
-        "no driver receives the commands of the robot or the hand",
-        "Start the driver, and check the command topics in the profile.",
+    "no subscriber": (
+        "no driver receives the commands",
+        "Start it; check the command topics in the profile.",
     ),
-    "other subscriber": FaultWords(
-        "several programs receive the commands of the robot or the hand", "End all except the driver."
+    "other subscriber": ("several programs receive the commands", "End all except the driver."),
+    "controller": (
+        "the controller that receives the commands is not active",
+        "Activate it with 'ros2 control'.",
     ),
-    "controller": FaultWords(
-        "the controller that receives the commands is not active", "Activate it with 'ros2 control'."
-    ),
-    "joints frozen": FaultWords(
+    "joints frozen": (
         "measured joint positions do not change while the joints are commanded to move",
         "Check the encoders and the driver: positions must not be repeated.",
     ),
 }
-"""By the names of `Fault`, as `flag_names` gives them."""
+"""What is wrong, which ends a sentence "stopped: ...", and what to do, in sentences; by names of `Fault`."""
 
 EXPECTED_WHEN_IDLE = {
     *("dead man", "image stale", "policy late", "target not finite", "target far"),
@@ -157,9 +139,9 @@ def status_words(status: dict[str, Any]) -> StatusWords:
     """Return the words of a status message; an empty one means that there is no deployment."""
     mode = str(status.get("mode", ""))
     if mode == "idle":
-        return _idle_words(_names(status, "found"), status.get("verdict"))
+        return _idle_words(status.get("found", []), status.get("verdict"))
     if mode == "stopped":
-        reasons = _names(status, "stopped_by")
+        reasons = status.get("stopped_by", [])
         fixes = _fixes(name for name in reasons if name != "dead man")
         return StatusWords("stopped", f"stopped: {_what(reasons)}", (*fixes, REARM))
     if mode == "run" and status.get("object") == "searching":
@@ -184,7 +166,7 @@ def verdict_words(status: dict[str, Any]) -> str:
 
 def refusal_words(status: dict[str, Any]) -> str:
     """Return why a request to arm was refused; empty if none was."""
-    refused = _names(status, "refused")
+    refused = status.get("refused", [])
     if "dead man" in refused:
         refused = [name for name in refused if name != "switch not pressed"]  # "hold the switch" is enough
     return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
@@ -192,12 +174,8 @@ def refusal_words(status: dict[str, Any]) -> str:
 
 def latencies(status: dict[str, Any]) -> dict[str, float]:
     """Return the percentiles of the time from image to command [ms] that a status has, such as "p50"."""
-    found = status.get("latency_ms")
-    return {
-        str(name): round(float(value), 1)
-        for name, value in (found.items() if isinstance(found, dict) else ())
-        if name != "count" and isinstance(value, int | float) and 0.0 <= value < inf
-    }
+    found = status.get("latency_ms") or {}
+    return {name: round(value, 1) for name, value in found.items() if name != "count"}
 
 
 def sentence(status: dict[str, Any]) -> str:
@@ -210,19 +188,14 @@ def sentence(status: dict[str, Any]) -> str:
     return " ".join(part for part in (*parts, status.get("message", "")) if part)
 
 
-def fault_words(name: str) -> FaultWords:
-    """Return the words of a fault; an unknown one keeps its name."""
-    return FAULT_WORDS.get(name, FaultWords(name, ""))
-
-
-def _names(status: dict[str, Any], key: str) -> list[str]:
-    found = status.get(key)
-    return [str(name) for name in found] if isinstance(found, list) else []
+def fault_words(name: str) -> tuple[str, str]:
+    """Return what is wrong and what to do; an unknown fault keeps its name."""
+    return FAULT_WORDS.get(name, (name, ""))
 
 
 def _what(names: Sequence[str]) -> str:
-    return "; ".join(fault_words(name).what for name in names) or "no reason was given"
+    return "; ".join(fault_words(name)[0] for name in names) or "no reason was given"
 
 
 def _fixes(names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(fix for name in names if (fix := fault_words(name).fix)))
+    return tuple(dict.fromkeys(fix for name in names if (fix := fault_words(name)[1])))

@@ -162,7 +162,7 @@ class ServoState:
         robots["now"] = joints["measured"] = joints["stamp"] = np.nan
         for name in ("arm_stamp", "used_press", "target_stamp"):
             robots[name] = -np.inf
-        recent = np.zeros((*joints.shape, limits.motion.window.max()))
+        recent = np.zeros((*joints.shape, limits.joint_records["window"].max()))
         return cls(robots=robots, joints=joints, recent=recent)
 
     def __getitem__(self, name: str) -> np.ndarray:

@@ -237,4 +237,4 @@ def listed(values: Any) -> str:
 
 
 def _what(names: Any) -> str:
-    return listed([fault_words(str(name)).what for name in names or ()])
+    return listed([fault_words(str(name))[0] for name in names or ()])
