@@ -13,7 +13,7 @@ from loop_lab import PROFILE, EverythingRed
 from servo_rows import LIMITS
 
 from mutation import changed_bytes
-from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo, perception_times
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.perception import NUM_EQUAL
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController, make_pipeline
 from pixel2catch.evaluation.loading import load_policy
@@ -47,8 +47,8 @@ class SteppedBench(Arming):
         pipeline = make_pipeline(controller, EverythingRed(), Prompter(), RGB_CAMERA, None)
         nodes = self.broker.node(self.clock), self.broker.node(self.clock)
         self.servo = SteppedServo(ServoSetup(profile=PROFILE, limits=LIMITS), nodes, self.clock, None)
-        times, connection = perception_times(0.01), self.servo.connection
-        self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=times)
+        connection = self.servo.connection
+        self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=lambda: 0.01)
         self.does_policy_hang = False
 
     def say(self, word: str) -> None:

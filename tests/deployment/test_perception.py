@@ -1,6 +1,6 @@
 """Images from the network to a box: arrival, checks of the camera, and one image at a time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from queue import SimpleQueue
@@ -12,7 +12,7 @@ from loop_lab import BOX, HOME, PROFILE, RED, Surroundings, new_pipeline, pictur
 
 from domains import PATIENCE
 from pixel2catch.camera.image import Image, Pixels, Verdict
-from pixel2catch.deployment.control_loop import StepClock, perception_times
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.perception import (
     DISTRUST_TIME,
     LONGEST_WAIT,
@@ -20,7 +20,7 @@ from pixel2catch.deployment.perception import (
     ImageSubscriber,
     PerceptionRunner,
 )
-from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.errors import PerceptionError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
@@ -218,10 +218,10 @@ PROMPT = BoxPrompt(box=BOX)
 TICK, LATENCY = 0.002, 0.015
 
 
-def processed(took: Callable[[], float], seconds: float) -> list[tuple[float, float]]:
+def processed(took: float, seconds: float) -> list[tuple[float, float]]:
     """Exposure and end of perception of the images of a camera of 30 Hz [s], by a loop of 500 Hz."""
     clock = StepClock(lambda _: pytest.fail("nobody waits"))
-    runner = PerceptionRunner(new_pipeline(controller=remembering()), clock, duration=took)
+    runner = PerceptionRunner(new_pipeline(controller=remembering()), clock, duration=lambda: took)
     runner.begin_throw(PROMPT)
     found: list[tuple[float, float]] = []
     num_images = 0
@@ -239,7 +239,7 @@ def processed(took: Callable[[], float], seconds: float) -> list[tuple[float, fl
 
 @pytest.mark.parametrize(("took", "every"), [(0.03, 1), (0.06, 2), (0.098, 3)])
 def test_slow_perception_skips_images_and_begins_with_a_fresh_one(took: float, every: int):
-    stamps, ends = np.transpose(processed(perception_times(took), 1.0))
+    stamps, ends = np.transpose(processed(took, 1.0))
     assert np.diff(stamps) == pytest.approx(every * CONTROL_DT)
     assert (ends - stamps).max() <= LATENCY + took + 2.0 * TICK
 
@@ -247,17 +247,8 @@ def test_slow_perception_skips_images_and_begins_with_a_fresh_one(took: float, e
 def test_an_image_that_waits_for_too_long_is_dropped():
     """A result after 40 ms comes in time for the image that waits, one after 56 ms does not."""
     for took, most in ((0.04, LONGEST_WAIT), (0.056, 2.0 * TICK)):
-        stamps, ends = np.transpose(processed(perception_times(took), 1.0))
+        stamps, ends = np.transpose(processed(took, 1.0))
         assert (ends - stamps - took - LATENCY).max() <= most + 2.0 * TICK
-
-
-def test_perception_times_are_drawn_from_a_range_by_a_seed():
-    drawn = [perception_times(0.06, 0.01, seed=3) for _ in range(2)]
-    times = np.array([[time() for _ in range(200)] for time in drawn])
-    assert np.array_equal(times[0], times[1])
-    assert 0.06 <= times.min() < 0.061 < 0.069 < times.max() <= 0.07
-    with pytest.raises(InvalidValueError, match="-10 ms more"):
-        perception_times(0.06, -0.01)
 
 
 class SuspendedSegmenter(Segmenter):

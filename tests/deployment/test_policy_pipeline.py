@@ -71,9 +71,10 @@ def test_there_are_no_targets_before_the_prompt_and_without_all_joints():
     assert see(pipeline, image(1.0), 1.01).verdict is Verdict.NO_PROMPT
     assert pipeline.decide(HOME, 1.01) is None
     pipeline.point(PROMPT)
-    unknown = np.where(np.arange(len(HOME)) == 3, np.nan, HOME)
-    assert decide(pipeline, image(1.03), unknown, 1.04) is None
-    assert decide(pipeline, image(1.06), HOME, 1.07) is not None
+    for step, bad in enumerate((np.nan, -np.inf)):
+        unknown = np.where(np.arange(len(HOME)) == 3, bad, HOME)
+        assert decide(pipeline, image(1.03 + 0.03 * step), unknown, 1.04 + 0.03 * step) is None
+    assert decide(pipeline, image(1.09), HOME, 1.10) is not None
 
 
 @pytest.mark.parametrize(

@@ -12,16 +12,17 @@ from wire_lab import WireLab
 
 from paper_robot import JOINTS
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo, perception_times
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
-from pixel2catch.deployment.replay import compare, recorded_targets, replay
+from pixel2catch.deployment.replay import compare, played, recorded_targets, replay
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.segmenter import ColorThreshold
 from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.messages import compress, compressed_topic
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import JointTargets, link
@@ -58,9 +59,7 @@ def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None
         setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
         servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
         stack.callback(servo.close)
-        loop = ControlLoop(
-            pipeline, RGB_CAMERA, servo.connection, PROFILE, perception_time=perception_times(0.01)
-        )
+        loop = ControlLoop(pipeline, RGB_CAMERA, servo.connection, PROFILE, perception_time=lambda: 0.01)
         tick = 0
 
         def go_on_until(moment: float) -> None:
@@ -99,6 +98,25 @@ def test_a_replay_decides_as_it_was_decided(tmp_path: Path, method: str | None, 
     assert report["num_both"] >= report["num_then"] - 1
     assert report["arm"]["max"] < most
     assert report["hand"]["max"] < most
+
+
+def test_jpeg_images_are_played_as_raw_ones_in_order_and_time(tmp_path: Path):
+    """A damaged one is left out, and so are other topics."""
+    image, pixels = PROFILE.camera.image, np.full((48, 64, 3), (200, 30, 20), dtype=np.uint8)
+    with BagRecorder(tmp_path / "throw") as bag:
+        for number in range(3):
+            data = messages.image(pixels, EPOCH + number)
+            bag.record(compressed_topic(image), data, EPOCH + 0.1 * number, compress)
+        bag.record(compressed_topic(image), b"\x00\x01\x00\x00", EPOCH, compress)
+        bag.record(compressed_topic(image), b"\x00\x01\x00\x00nonsense", EPOCH)
+        bag.record(PROFILE.operator.arm, messages.boolean(True), EPOCH)
+    assert bag.num_dropped == {f"{image.name}/compressed": 1}
+    times, topics, contents = zip(*played(tmp_path / "throw", {image}), strict=True)
+    assert times == pytest.approx([EPOCH, EPOCH + 0.1, EPOCH + 0.2], abs=1e-6)
+    assert {*topics} == {image}
+    readings = [messages.read_image(content) for content in contents]
+    assert [reading.stamp for reading in readings] == [EPOCH, EPOCH + 1.0, EPOCH + 2.0]
+    assert np.abs(readings[0].pixels.astype(int) - pixels).max() < 8
 
 
 def test_a_recording_without_images_is_refused(tmp_path: Path):

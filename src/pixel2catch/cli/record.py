@@ -49,8 +49,7 @@ class Record:
         from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.follower import TrajectoryFollower
-            from pixel2catch.servo.limits import ServoLimits
+            from pixel2catch.deployment.follower import follow
             from pixel2catch.servo.status_words import sentence
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
@@ -59,18 +58,20 @@ class Record:
         with ExitStack() as stack:
             connection = self._connection(trajectory, profile, stack)
             targets, duration = whole_robot(trajectory), trajectory.duration
-            follower = TrajectoryFollower(targets, duration, ServoLimits.ramp_time, connection)
             say(f"{duration:.0f} s of motion; waiting to be armed")
             limit = connection.clock.now() + duration + PATIENCE
             hear = saying_changes()
             with StopRequest() as stop:
-                follower.run(
+                is_done = follow(
+                    targets,
+                    duration,
+                    connection,
                     lambda: stop.is_set or (self.lockstep is not None and connection.clock.now() > limit),
                     lambda status: hear(sentence(status)),
                 )
         if connection.recording:
             connection.recording.require_whole()
-        if not follower.is_done:
+        if not is_done:
             by = stop.by or "a limit of time"
             raise DeploymentError(f"{self.out} ends before {self.trajectory} does, by {by}: record again.")
         print(f"{self.trajectory}: followed to its end; wrote {self.out}. Identify several such recordings:")

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import floor, inf
-from random import Random
 from typing import Any, final
 
 import numpy as np
@@ -17,7 +16,7 @@ from pixel2catch.deployment.perception import ImageSubscriber, PerceptionRunner
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import SERVO, TARGETS, DeploymentRecorder
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
-from pixel2catch.errors import DeploymentError, InvalidValueError, NonFiniteError
+from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
@@ -201,7 +200,7 @@ class ControlLoop:
         """Return the joint targets, if the policy can decide, and what went wrong."""
         try:
             targets = self._pipeline.decide(self._joint_pos, self._clock.now())
-        except (NonFiniteError, DeploymentError) as error:
+        except DeploymentError as error:
             return None, str(error)
         if targets is None:
             return None, ""
@@ -225,10 +224,7 @@ class ControlLoop:
             self._sent = targets
         end = self._clock.now()
         if is_active:
-            took = end - now + (times["perceived"] - times["begun"] if times else 0.0)
-            self.statistics.count_step(took=took, is_missed=times is None)
-        if targets and is_active and times:
-            self.statistics.count_stages({**times, "decided": end})
+            self.statistics.count_step(now, end, times, is_decided=targets is not None)
         status = self._make_status(complaint, end)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
@@ -267,20 +263,6 @@ class StepClock(Clock):
     def sleep_until(self, moment: float) -> None:
         """See `Clock.sleep_until`."""
         self._wait(moment)
-
-
-def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callable[[], float]:
-    """Return a function that draws perception times evenly from `least` to `least + jitter` [s].
-
-    Raises:
-        InvalidValueError: A time is negative.
-    """
-    if least < 0.0 or jitter < 0.0:
-        raise InvalidValueError(
-            f"perception takes {1e3 * least:g} ms, and up to {1e3 * jitter:g} ms more; give 0 or more"
-        )
-    random = Random(seed)
-    return lambda: least + jitter * random.random()
 
 
 class SteppedServo:

@@ -1,91 +1,84 @@
 """A robot that follows a trajectory of `excite` instead of a policy."""
 
 from collections.abc import Callable
+from math import inf
 from typing import Any
-
-import numpy as np
 
 from pixel2catch.deployment.control_loop import Connection
 from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
-from pixel2catch.servo.limits import STOP_TIME, Joints
+from pixel2catch.servo.limits import STOP_TIME, Joints, ServoLimits
 from pixel2catch.servo.link import JointTargets, Mode
 
 PERIOD = 0.01  #: Time between two targets [s]. Source: ours.
 
 
-class TrajectoryFollower:
-    """Sends the targets of a trajectory to an armed servo; operator and servo guard the robot."""
+def follow(
+    trajectory: Callable[[float], Joints],
+    duration: float,
+    connection: Connection,
+    is_over: Callable[[], bool],
+    on_status: Callable[[dict[str, Any]], None],
+) -> bool:
+    """Wait until the servo is armed, then follow a trajectory once; operator and servo guard the robot.
 
-    def __init__(
-        self, targets: Callable[[float], Joints], duration: float, ramp_time: float, connection: Connection
-    ) -> None:
-        """Wait to be armed.
+    In the servo's ramp, the robot moves to the first targets.
 
-        Args:
-            targets: Joint targets in joint order [rad], by the time since the start of the trajectory [s].
-            duration: Duration of the trajectory [s].
-            ramp_time: Time from arming to the start, in which the servo moves to the first target [s].
-            connection: Network, servo, clock and recording.
-        """
-        self.statistics = RunStatistics()
-        self.is_done = False  #: Whether the trajectory was followed to its end.
-        self._targets, self._duration, self._ramp_time = targets, duration, ramp_time
-        self._connection, self._clock = connection, connection.clock
-        self._armed_at = np.inf
-        self._mode = int(Mode.IDLE)
+    Args:
+        trajectory: Joint targets in joint order [rad], by the time since the start of the trajectory [s].
+        duration: Duration of the trajectory [s].
+        connection: Network, servo, clock and recording.
+        is_over: Ends it early.
+        on_status: Gets a status with every target.
 
-    def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
-        """Follow the trajectory once; the function gets a status with every target.
+    Returns:
+        Whether it was followed to its end.
 
-        Raises:
-            DeploymentError: The servo process has ended, or it has stopped the robot.
-        """
-        recording, due = self._connection.recording, self._clock.now()
-        while not (is_over() or self.is_done):
-            self._receive()
-            if np.isfinite(self._armed_at):
-                self._follow(self._clock.now())
-            on_status(self.statistics.status(None, recording.trouble if recording else ""))
-            due = max(due + PERIOD, self._clock.now())
-            self._clock.sleep_until(due)
-        if np.isfinite(self._armed_at):
-            self._send(self._clock.now(), self._duration, is_stop_requested=True)
-        self._clock.sleep_until(self._clock.now() + STOP_TIME)
+    Raises:
+        DeploymentError: The servo process has ended, or it has stopped the robot.
+    """
+    statistics, recording, clock = RunStatistics(), connection.recording, connection.clock
+    armed_at, elapsed, due = inf, -inf, clock.now()
+    while elapsed <= duration and not is_over():
+        armed_at = _armed_at(connection, statistics, armed_at)
+        if armed_at < inf:
+            now = clock.now()
+            elapsed = now - armed_at - ServoLimits.ramp_time
+            targets = _targets(trajectory(elapsed), now)
+            connection.servo.send(targets)
+            if recording:
+                recording.record_row(TARGETS, targets.row, now)
         if recording:
             recording.record_messages()
+        on_status(statistics.status(None, recording.trouble if recording else ""))
+        due = max(due + PERIOD, clock.now())
+        clock.sleep_until(due)
+    if armed_at < inf:
+        connection.servo.send(_targets(trajectory(duration), clock.now(), is_stop_requested=True))
+    clock.sleep_until(clock.now() + STOP_TIME)
+    if recording:
+        recording.record_messages()
+    return elapsed > duration
 
-    def _receive(self) -> None:
-        """Record; start when the servo is armed, and give up when it has stopped the robot."""
-        connection = self._connection
-        for command in connection.receive():
-            self.statistics.note_command(command, connection.servo_dt)
-            if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
-                self._armed_at = command.time
-            if command.mode == Mode.STOPPED and np.isfinite(self._armed_at):
-                reasons, elapsed = ", ".join(self.statistics.stops), command.time - self._armed_at
-                raise DeploymentError(
-                    f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording "
-                    "ends there: remove the reason, and record again."
-                )
-            self._mode = command.mode
-        if connection.recording:
-            connection.recording.record_messages()
 
-    def _follow(self, now: float) -> None:
-        elapsed = now - self._armed_at - self._ramp_time
-        targets = self._send(now, elapsed)
-        if self._connection.recording:
-            self._connection.recording.record_row(TARGETS, targets.row, now)
-        self.is_done = elapsed > self._duration
+def _armed_at(connection: Connection, statistics: RunStatistics, before: float) -> float:
+    """Count the servo's commands; return when it was armed, `before` or since then [s]."""
+    for command in connection.receive():
+        statistics.note_command(command, connection.servo_dt)
+        if command.mode == Mode.STOPPED and before < inf:
+            raise DeploymentError(
+                f"the robot was stopped ({', '.join(statistics.stops)}) {command.time - before:.1f} s after "
+                "it was armed; the recording ends there: remove the reason, and record again."
+            )
+        if command.mode == Mode.ARMED:
+            before = min(before, command.time)
+    return before
 
-    def _send(self, now: float, elapsed: float, *, is_stop_requested: bool = False) -> JointTargets:
-        """Send the targets of a time since the start of the trajectory [s]."""
-        targets = JointTargets(
-            joint_pos_target=self._targets(elapsed),
-            **dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now),
-            is_stop_requested=is_stop_requested,
-        )
-        self._connection.servo.send(targets)
-        return targets
+
+def _targets(joint_pos: Joints, now: float, *, is_stop_requested: bool = False) -> JointTargets:
+    return JointTargets(
+        joint_pos_target=joint_pos,
+        **dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now),
+        is_stop_requested=is_stop_requested,
+    )

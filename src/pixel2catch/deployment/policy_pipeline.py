@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.camera.image import Box, Image, Verdict
-from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
+from pixel2catch.errors import DeploymentError, PolicyMismatchError
 from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg
@@ -72,11 +72,7 @@ class PolicyController:
         Args:
             joint_pos: Measured joint positions in joint order [rad].
             boxes: As many boxes as the method remembers.
-
-        Raises:
-            NonFiniteError: There is a NaN or an infinity. The step has no effect then.
         """
-        self._refuse_non_finite(joint_pos, boxes)
         past, now = self._history, self._measure(joint_pos, boxes)
         history = History(past.before, past.now, now) if past else History(now, now, now)
         layouts = self.method.layouts
@@ -85,16 +81,6 @@ class PolicyController:
         self._target = self._action_map.joint_pos_target(self._action, now.joint_pos)
         self._history = history
         return self._target
-
-    def _refuse_non_finite(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> None:
-        is_good = joint_pos.isfinite()[0].tolist()
-        bad = [joint.name for joint, good in zip(self.joints, is_good, strict=True) if not good]
-        bad += [] if boxes.box.isfinite().all() else ["the object's box"]
-        bad += [] if boxes.age.isfinite().all() else ["the age of the object's box"]
-        if bad:
-            raise NonFiniteError(
-                f"a measurement has a NaN or an infinity for {', '.join(bad)}; stop, and check its source."
-            )
 
     def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> Measurement:
         """Return the measurement as the environment makes it, with NaN for what only a tracker measures."""
@@ -273,15 +259,14 @@ class PolicyPipeline:
         again. While it has been still for `STILL_TIME`, the targets stay.
 
         Args:
-            joint_pos: Newest measured joint positions in joint order [rad]; NaN where unknown. As in training
-                they are measured at the time of the decision, not of the image.
+            joint_pos: Newest measured joint positions in joint order [rad]; not finite where unknown. As in
+                training they are measured at the time of the decision, not of the image.
             now: The time [s].
 
         Raises:
-            NonFiniteError: A joint position is infinite.
             DeploymentError: The newest processed image is older than `LONGEST_PERCEPTION`.
         """
-        if not self._boxes or np.isnan(joint_pos).any():
+        if not (self._boxes and np.isfinite(joint_pos).all()):
             return None
         if now - self._image_stamp > LONGEST_PERCEPTION:
             raise DeploymentError(

@@ -1,14 +1,14 @@
 """Replay of a recorded deployment: recorded images, joint positions and operator, new decisions."""
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo, perception_times
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import SERVO, TARGETS, BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.statistics import RunStatistics
@@ -19,7 +19,7 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX, uncompress
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Topic, Transport
+from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Command, JointTargets
@@ -27,60 +27,29 @@ from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
 LONGEST = 3600 * 10**9  #: Longest recording that is replayed [ns]. Source: ours.
+PERCEPTION_TIME = 0.01  #: Time that perception takes for an image in a replay [s]. Source: ours.
 
 
-@final
-class BagPlayer(AbstractContextManager["BagPlayer"]):
-    """Publishes some topics of a rosbag2; JPEG images become raw ones. Use it as a context manager."""
+def played(recording: Path, topics: set[Topic]) -> Iterator[tuple[float, Topic, bytes]]:
+    """Yield time since the epoch [s], topic and content of the messages of some topics of a rosbag2.
 
-    def __init__(self, path: Path, node: Transport, topics: set[Topic]) -> None:
-        """Open a recording (a bag's folder, .mcap or .db3 file), and announce its topics.
+    JPEG images become raw ones. Damaged ones are left out.
 
-        Raises:
-            PerceptionError: It cannot be read.
-        """
-        self._publishers = {(topic.name, topic.type): node.publisher(topic) for topic in topics}
-        self._bag = ExitStack()
-        reader = self._bag.enter_context(opened_bag(path))
-        if reader.end_time - reader.start_time > LONGEST:
-            raise PerceptionError(f"{path}: lasts longer than an hour; cut it, or correct its times.")
-        self.start = 1e-9 * reader.start_time  #: Time of the first message, since the epoch [s].
-        self._messages = reader.messages()
-        self._next = self._read()
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the recording."""
-        self._bag.close()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether all messages have been published."""
-        return self._next is None
-
-    def play(self, until: float) -> None:
-        """Publish the messages up to a time since the epoch [s].
-
-        Raises:
-            PerceptionError: The rest of the recording cannot be read.
-        """
-        while self._next is not None and self._next[0] <= until:
-            _, name, kind, data = self._next
-            with suppress(DeploymentError):  # a damaged message is skipped
-                if kind == COMPRESSED_IMAGE:
-                    name, kind, data = name.removesuffix(SUFFIX), messages.IMAGE, uncompress(data)
-                if (name, kind) in self._publishers:
-                    self._publishers[name, kind].publish(data)
-            self._next = self._read()
-
-    def _read(self) -> tuple[float, str, str, bytes] | None:
-        try:
-            message = next(self._messages, None)
-        except Exception as error:  # the library raises any error for a damaged bag
-            raise PerceptionError(f"the rest of the recording cannot be read ({error}).") from error
-        if message is None:
-            return None
-        connection, time, data = message
-        return 1e-9 * time, connection.topic, connection.msgtype, bytes(data)
+    Raises:
+        PerceptionError: The recording cannot be read.
+    """
+    known = {(topic.name, topic.type): topic for topic in topics}
+    with opened_bag(recording) as reader:
+        for connection, time, data in reader.messages():
+            name, kind, content = connection.topic, connection.msgtype, bytes(data)
+            if kind == COMPRESSED_IMAGE:
+                name, kind = name.removesuffix(SUFFIX), messages.IMAGE
+                try:
+                    content = uncompress(content)
+                except DeploymentError:
+                    continue
+            if topic := known.get((name, kind)):
+                yield 1e-9 * time, topic, content
 
 
 def replay(
@@ -96,38 +65,36 @@ def replay(
         pipeline: Perception and policy.
 
     Raises:
-        PerceptionError: The recording cannot be read.
+        PerceptionError: The recording cannot be read, or is too long.
         DeploymentError: It has no images of the profile's camera, or `out` exists.
     """
-    _require_images(recording, profile)
+    clock, broker = StepClock(lambda _: None), Broker()
+    clock.time = _begin(recording, profile)
+    node, limits = broker.node(clock), ServoLimits.of(find_workcell(profile.workcell))
+    topics = played_topics(profile)
+    publishers = {topic: broker.node(clock).publisher(topic) for topic in topics}
     with ExitStack() as stack:
-        clock, broker = StepClock(lambda moment: run_until(moment)), Broker()
-        player = stack.enter_context(BagPlayer(recording, broker.node(clock), played_topics(profile)))
-        clock.time = player.start
-        node = broker.node(clock)
         recorder = DeploymentRecorder(
             stack.enter_context(BagRecorder(out)), node, profile, clock, images="none"
         )
-        limits = ServoLimits.of(find_workcell(profile.workcell))
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=True)
         servo = SteppedServo(setup, (node, node), clock, recorder)
         stack.callback(servo.close)
-        times = perception_times(PERCEPTION_TIME)
-        loop = ControlLoop(pipeline, camera, servo.connection, profile, perception_time=times)
+        loop = ControlLoop(
+            pipeline, camera, servo.connection, profile, perception_time=lambda: PERCEPTION_TIME
+        )
 
         def run_until(moment: float) -> None:
             while clock.time < moment:
-                clock.time += limits.dt
-                player.play(clock.time)
                 servo.tick()
                 loop.poll()
+                clock.time += limits.dt
 
-        while not player.is_over:
-            run_until(clock.time + CONTROL_DT)
+        for time, topic, content in played(recording, topics):
+            run_until(time)
+            publishers[topic].publish(content)
+        run_until(clock.time + CONTROL_DT)
         return loop.statistics
-
-
-PERCEPTION_TIME = 0.01  #: Time that perception takes for an image in a replay [s]. Source: ours.
 
 
 def played_topics(profile: Profile) -> set[Topic]:
@@ -137,15 +104,19 @@ def played_topics(profile: Profile) -> set[Topic]:
     return profile.driver_topics | {topic for topic in topics if topic}
 
 
-def _require_images(recording: Path, profile: Profile) -> None:
+def _begin(recording: Path, profile: Profile) -> float:
+    """Return the time of the first message since the epoch [s], of a recording that can be replayed."""
     name = profile.camera.image.name
     with opened_bag(recording) as reader:
-        topics = sorted({connection.topic for connection in reader.connections})
+        topics, begin, end = {each.topic for each in reader.connections}, reader.start_time, reader.end_time
+    if end - begin > LONGEST:
+        raise PerceptionError(f"{recording}: lasts longer than an hour; cut it, or correct its times.")
     if not any(topic.startswith(name) for topic in topics):
         raise DeploymentError(
-            f"{recording} has no images on {name}; its topics are {', '.join(topics) or 'none'}: use a "
-            "recording of 'deploy --record', and the profile of that deployment."
+            f"{recording} has no images on {name}; its topics are {', '.join(sorted(topics)) or 'none'}: use "
+            "a recording of 'deploy --record', and the profile of that deployment."
         )
+    return 1e-9 * begin
 
 
 def recorded_targets(recording: Path) -> list[JointTargets]:

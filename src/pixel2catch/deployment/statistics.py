@@ -12,7 +12,6 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
-NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
 STAGES = ("received", "begun", "perceived", "decided")
 """Stages of an image: it arrives, perception begins, perception ends, its targets are sent to the servo."""
@@ -45,12 +44,6 @@ class Histogram:
         named = {f"p{q}": 1e3 * value for q, value in zip(percentages, values.tolist(), strict=True)}
         return {**named, "max": 1e3 * self._longest, "count": int(total[-1])}
 
-    @property
-    def by_ms(self) -> list[int]:
-        """Counts of the durations of 0 to 1 ms, 1 to 2 ms, and so on, up to the longest."""
-        starts = np.arange(0, len(self._counts), NUM_MS)
-        return np.trim_zeros(np.add.reduceat(self._counts, starts), "b").tolist()
-
 
 @dataclass(kw_only=True)
 class RunStatistics:
@@ -75,18 +68,21 @@ class RunStatistics:
     _refused: int = 0
     _clamped: int = 0
 
-    def count_step(self, *, took: float, is_missed: bool) -> None:
-        """Count a control step, with the computing time of perception and policy [s]."""
+    def count_step(
+        self, begin: float, end: float, times: dict[str, float] | None, *, is_decided: bool
+    ) -> None:
+        """Count a control step by its begin and end [s].
+
+        The times [s] of a new image are those of its exposure and of `STAGES`; None without a new image.
+        """
         self.num_steps += 1
-        self.num_missed += is_missed
-        if not is_missed:
+        self.num_missed += times is None
+        if times:
+            took = end - begin + times["perceived"] - times["begun"]
             self._computing.count(took)
             self.num_overruns += took > CONTROL_DT
-
-    def count_stages(self, times: dict[str, float]) -> None:
-        """Count the age of an image at each of `STAGES`, from the times of all and of its exposure [s]."""
-        for name, stage in self._stages.items():
-            stage.count(times[name] - times["exposed"])
+        for name, stage in self._stages.items() if times and is_decided else ():
+            stage.count({**times, "decided": end}[name] - times["exposed"])
 
     def note_targets(self, targets: JointTargets) -> None:
         """Keep targets with the stamp of the image that they were decided on."""
@@ -142,20 +138,16 @@ class RunStatistics:
 
     def summary(self) -> dict[str, Any]:
         """Return all statistics; latencies count from the middle of an image's exposure."""
-        latency = self._latencies.milliseconds(*PERCENTAGES)
+        counters = ("stops", "refusals", "clamps", "stop_requests", "refused_prompts")
         return {
             "num_steps": self.num_steps,
             "num_missed": self.num_missed,
             "num_overruns": self.num_overruns,
-            "image_to_command_ms": latency and {**latency, "by_ms": self._latencies.by_ms},
+            "image_to_command_ms": self._latencies.milliseconds(*PERCENTAGES),
             "stages_ms": {name: times.milliseconds(*PERCENTAGES) for name, times in self._stages.items()},
             "thinking_ms": self._computing.milliseconds(*PERCENTAGES),
             "servo_tick_ms": self._ticks.milliseconds(*PERCENTAGES),
             "num_ticks": self.num_ticks,
             "num_late_ticks": self.num_late_ticks,
-            "stops": dict(self.stops),
-            "refusals": dict(self.refusals),
-            "clamps": dict(self.clamps),
-            "stop_requests": dict(self.stop_requests),
-            "refused_prompts": dict(self.refused_prompts),
+            **{name: dict(getattr(self, name)) for name in counters},
         }

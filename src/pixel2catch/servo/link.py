@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag, auto
-from typing import Any, Generic, TypeVar, final
+from typing import Generic, Self, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -28,7 +28,6 @@ Source: ours, below those of drivers.
 """
 
 Joints = Float64[np.ndarray, " joints"]
-Row = Float64[np.ndarray, " size"]
 
 
 class Mode(IntEnum):
@@ -88,9 +87,31 @@ def flag_names(kind: type[IntFlag], found: int) -> list[str]:
     return [str(flag.name).lower().replace("_", " ") for flag in kind if flag & found] if found else []
 
 
+class Row:
+    """A dataclass that is sent and recorded as a row: its numbers, then its arrays, in their order."""
+
+    NUM_NUMBERS = 0
+
+    @classmethod
+    def of(cls, row: Float64[np.ndarray, " size"]) -> Self:
+        """Read a row."""
+        num, kinds = cls.NUM_NUMBERS, cls.__annotations__
+        numbers = [kind(value) for kind, value in zip(kinds.values(), row[:num].tolist(), strict=False)]
+        arrays = row[num:].reshape(len(kinds) - num, -1)
+        return cls(**dict(zip(kinds, [*numbers, *arrays], strict=True)))
+
+    @property
+    def row(self) -> Float64[np.ndarray, " size"]:
+        """Write a row."""
+        values = [*vars(self).values()]
+        return np.concatenate((values[: self.NUM_NUMBERS], *values[self.NUM_NUMBERS :]))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointTargets:
-    """Targets of the policy for the servo; a row has the fields in their order."""
+class JointTargets(Row):
+    """Targets of the policy for the servo."""
+
+    NUM_NUMBERS = 5
 
     target_stamp: float  #: Time of the decision, `Clock.now` [s].
     image_stamp: float  #: Exposure time of the newest image, `Clock.now` [s].
@@ -105,22 +126,12 @@ class JointTargets:
         unknown = np.full(num_joints, np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf, box_stamp=-np.inf)
 
-    @classmethod
-    def of(cls, row: Row) -> "JointTargets":
-        """Read a row."""
-        flags = [value != 0.0 for value in row[3:5].tolist()]
-        return cls(**_named(cls, *row[:3].tolist(), *flags, row[5:]))
-
-    @property
-    def row(self) -> Row:
-        """Write a row."""
-        *numbers, joint_pos_target = vars(self).values()
-        return np.concatenate((numbers, joint_pos_target))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Command:
-    """Command and mode of one tick of the servo; a row has the fields in their order."""
+class Command(Row):
+    """Command and mode of one tick of the servo."""
+
+    NUM_NUMBERS = 9
 
     time: float  #: Time of the tick, `Clock.now` [s].
     duration: float  #: Computing time of the tick [s].
@@ -133,22 +144,6 @@ class Command:
     clamped: int  #: `Clamp` bits: limits that changed the command in this tick.
     joint_pos_command: Joints  #: Commanded joint positions in joint order [rad]; NaN while none are sent.
     joint_pos: Joints  #: Newest measured joint positions [rad].
-
-    @classmethod
-    def of(cls, row: Row) -> "Command":
-        """Read a row."""
-        bits = map(int, row[4:9].tolist())
-        return cls(**_named(cls, *row[:4].tolist(), *bits, *row[9:].reshape(2, -1)))
-
-    @property
-    def row(self) -> Row:
-        """Write a row."""
-        *numbers, joint_pos_command, joint_pos = vars(self).values()
-        return np.concatenate((numbers, joint_pos_command, joint_pos))
-
-
-def _named(kind: type, *values: Any) -> dict[str, Any]:
-    return dict(zip(kind.__annotations__, values, strict=True))
 
 
 Sent = TypeVar("Sent", JointTargets, Command)

@@ -5,18 +5,13 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache, cached_property
 from pathlib import Path
+from random import Random
 from typing import Any, final
 
 import numpy as np
 
 from pixel2catch.camera.image import Pixels
-from pixel2catch.deployment.control_loop import (
-    Connection,
-    ControlLoop,
-    StepClock,
-    SteppedServo,
-    perception_times,
-)
+from pixel2catch.deployment.control_loop import Connection, ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
@@ -162,9 +157,14 @@ def in_step(
         controller = PolicyController(policy, workcell, scene.camera)
         pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
-        times = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
-        connection, profile = twin.servo.connection, twin.profile
-        loop = ControlLoop(pipeline, scene.camera, connection, profile, perception_time=times)
+        least, jitter, random = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, Random(cfg.seed)
+        loop = ControlLoop(
+            pipeline,
+            scene.camera,
+            twin.servo.connection,
+            twin.profile,
+            perception_time=lambda: least + jitter * random.random(),
+        )
         twin.followers = (twin.servo.tick, loop.poll)
         yield twin, loop.statistics
 
