@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from pixel2catch.servo.laws import entry
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import Fault, Mode
 from pixel2catch.servo.tick import ServoInputs, ServoState
-from pixel2catch.servo.workspace import Workspace, contains
+from pixel2catch.servo.workspace import Space, Workspace, is_inside
 
 ROUNDING = 1e-9
 ALLOWED = {
@@ -156,3 +157,16 @@ def widened(workspace: Workspace) -> Workspace:
         lower=tuple(lower.tolist()),
         upper=tuple(upper.tolist()),
     )
+
+
+def contains(workspace: Workspace, arm_pos: np.ndarray) -> np.ndarray:
+    """Return which rows of joints that carry palms [rad] are inside."""
+    return rows_inside(workspace.space, np.ascontiguousarray(arm_pos))
+
+
+@entry
+def rows_inside(space: Space, joint_pos: np.ndarray) -> np.ndarray:
+    found = np.empty(len(joint_pos), np.bool_)
+    for row in range(len(joint_pos)):
+        found[row] = is_inside(space, joint_pos[row])
+    return found

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from laws import contains
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +15,7 @@ from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, are_apart, contains, distance, link_frames
+from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, are_apart, distance, link_frames
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

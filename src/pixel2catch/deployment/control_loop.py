@@ -112,15 +112,10 @@ class ControlLoop:
         executor: Executor | None = None,
         perception_time: Callable[[], float] = float,
     ) -> None:
-        """Subscribe and announce.
+        """Subscribe and announce; the policy was trained for this camera.
 
-        Args:
-            pipeline: Perception and policy.
-            camera: The camera that the policy was trained for.
-            connection: Network, servo, clock and recording.
-            profile: Topics of camera and operator.
-            executor: One thread for perception; None for the caller's, in stepped time.
-            perception_time: Draws how long perception takes for an image in stepped time [s].
+        The executor has one thread for perception. None is for stepped time: perception runs in the caller's
+        thread, and `perception_time` draws how long it takes for an image [s].
         """
         self.statistics = RunStatistics()
         self._pipeline, self._connection = pipeline, connection
@@ -139,12 +134,7 @@ class ControlLoop:
         self._timer = DecisionTimer(connection.clock.now())
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
-        """Run until it is over; the function gets the status of every control step.
-
-        Raises:
-            DeploymentError: The servo process has ended.
-            PerceptionError: The first image has the wrong size.
-        """
+        """Run until it is over, and report the status of every control step; raises what `poll` raises."""
         while not is_over():
             status = self.poll()
             if status is not None:
@@ -160,10 +150,11 @@ class ControlLoop:
             self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
-        """Receive, process images and, when it is time, decide.
+        """Receive, process images and, when it is time, decide; return the status of a control step.
 
-        Returns:
-            The status of a control step, if one was made; raises what `run` raises.
+        Raises:
+            DeploymentError: The servo process has ended.
+            PerceptionError: The first image has the wrong size.
         """
         self._receive()
         image = self._images.newest()

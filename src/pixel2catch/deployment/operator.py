@@ -40,7 +40,10 @@ class OperatorRequests:
     def take_prompts(self) -> Iterator[BoxPrompt]:
         """Yield the valid prompts since the last call; count the stop requests."""
         for message in self._stops.take():
-            if _is_true(message):
+            is_stop = False
+            with suppress(DeploymentError):
+                is_stop = messages.read_boolean(message.data)
+            if is_stop:
                 who = self._transport.other_publishers(self._topics.stop).get(message.sender, UNKNOWN_SENDER)
                 self.stopped_by = f"The stop was requested by {who}."
                 self._statistics.stop_requests[who] += 1
@@ -64,12 +67,6 @@ class OperatorRequests:
             f"a prompt of {who} was refused: {known.get(self._pointer, 'only one program')} points at the "
             "object. End one of them; a program that was killed counts for 10 s."
         )
-
-
-def _is_true(message: Message) -> bool:
-    with suppress(DeploymentError):
-        return messages.read_boolean(message.data)
-    return False
 
 
 def read_prompt(data: bytes) -> BoxPrompt:
@@ -255,13 +252,8 @@ def operate_by_keys(
 ) -> None:
     """Hold, arm and stop by keys until it is over; then release the switch.
 
-    Args:
-        console: Sends the requests.
-        switches: The input device. A key that is pressed before the start has to be pressed again.
-        keys: Codes of the keys that hold, arm and stop.
-        clock: The clock of the deployment.
-        is_over: Ends it.
-        report: Gets the presses and the newest status in every poll.
+    The keys are codes of those that hold, arm and stop. A key that is pressed before the start has to be
+    pressed again. `report` gets the presses and the newest status in every poll.
 
     Raises:
         DeploymentError: The device was unplugged.

@@ -32,7 +32,6 @@ NUM_EQUAL = 4
 """Number of equal images in a row that shows a frozen camera; sensor noise changes every image. Source: ours;
 a camera that is read faster than it exposes repeats single images."""
 
-THINNING = 8  #: Rows and columns are compared in steps of this size first [px]. Source: ours.
 DISTRUST_TIME = 1.0
 """Time for which images are refused after one that is older than the one before [s]. Source: ours."""
 
@@ -81,15 +80,9 @@ class ImageChecks:
                 "the one before: end a second camera or recording; or a clock was set, wait a second."
             )
         is_repeated = image.stamp == last.stamp != 0.0
-        is_equal = are_equal(last.pixels, image.pixels)
+        is_equal = np.array_equal(last.pixels, image.pixels)
         self._num_equal = self._num_equal + (not is_repeated) if is_equal else 1
         return not is_equal
-
-
-def are_equal(one: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two images have the same pixels; a few of them are compared first."""
-    few = slice(None, None, THINNING)
-    return np.array_equal(one[few, few], other[few, few]) and np.array_equal(one, other)
 
 
 class ImageSubscriber:
@@ -104,15 +97,10 @@ class ImageSubscriber:
         *,
         assumes_age: bool = False,
     ) -> None:
-        """Subscribe to the camera.
+        """Subscribe; the policy was trained for this camera, and the clock is that of the images' stamps.
 
-        Args:
-            transport: The network.
-            profile: Topics, size and encoding of the camera.
-            camera: The camera that the policy was trained for.
-            clock: The clock of the images' stamps.
-            assumes_age: Whether images without a usable stamp count as `ASSUMED_AGE` control steps old at
-                arrival. If not, their stamp is used as it is, and the servo refuses them.
+        With `assumes_age`, images without a usable stamp count as `ASSUMED_AGE` control steps old at arrival.
+        Without, their stamp is used as it is, and the servo refuses them.
         """
         self._profile, self._camera, self._clock = profile, camera, clock
         self._checks = ImageChecks(transport, profile, clock)
@@ -233,14 +221,7 @@ class PerceptionRunner:
         executor: Executor | None = None,
         duration: Callable[[], float] = float,
     ) -> None:
-        """Start without an image.
-
-        Args:
-            pipeline: Perceives, and gets the boxes.
-            clock: The clock of the images' stamps.
-            executor: One thread; None for the caller's.
-            duration: Draws how long perception takes for an image in the caller's thread [s].
-        """
+        """Start without an image; `duration` draws how long perception takes in the caller's thread [s]."""
         self._pipeline, self._clock, self._executor, self._duration = pipeline, clock, executor, duration
         self._waiting: tuple[Image, float] | None = None
         self._running: Future[Box] | None = None

@@ -67,10 +67,8 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             self._waiting += len(data)
         self._queue.put((topic, data, round(stamp * 1e9), convert))
 
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Write the waiting messages, and complete the file."""
-        if not self._thread.is_alive():
-            return
         self._queue.put(None)
         self._thread.join()
         try:
@@ -79,10 +77,6 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             self.problem = self.problem or str(error)
             with suppress(OSError):
                 self._writer.abort()
-
-    def __exit__(self, *exception: object) -> None:
-        """Close it."""
-        self.close()
 
     def _write_all(self) -> None:
         give_way(RECORDER_PRIORITY)

@@ -55,14 +55,9 @@ def played(recording: Path, topics: set[Topic]) -> Iterator[tuple[float, Topic, 
 def replay(
     recording: Path, out: Path, profile: Profile, camera: CameraSpec, pipeline: PolicyPipeline
 ) -> RunStatistics:
-    """Decide again on a recording, and return what happened.
+    """Decide again on a recording of a deployment with this profile and camera; return what happened.
 
-    Args:
-        recording: A recording of a deployment, with images.
-        out: New folder for the recording of this replay, without images.
-        profile: Profile of the recorded deployment.
-        camera: Camera of the recorded deployment.
-        pipeline: Perception and policy.
+    The decisions are recorded into a new folder, without images.
 
     Raises:
         PerceptionError: The recording cannot be read, or is too long.

@@ -229,9 +229,3 @@ def scheduled(policy: int, priority: int) -> Iterator[bool]:
     finally:
         with suppress(OSError):
             os.sched_setscheduler(0, *before)
-
-
-def set_servo_priority() -> None:
-    """Give this process the niceness and the priority of the servo."""
-    set_niceness(SERVO)
-    set_real_time(SERVO_PRIORITY)

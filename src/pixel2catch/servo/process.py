@@ -27,6 +27,8 @@ from pixel2catch.ros2.profile import Columns, Profile
 from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, RealClock, Topic, Transport
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import (
+    SERVO,
+    SERVO_PRIORITY,
     Command,
     JointTargets,
     LoopEnd,
@@ -34,7 +36,8 @@ from pixel2catch.servo.link import (
     ServoEnd,
     link,
     scheduled,
-    set_servo_priority,
+    set_niceness,
+    set_real_time,
 )
 from pixel2catch.servo.tick import ServoCore, ServoInputs, ServoState
 
@@ -387,7 +390,8 @@ def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, c
     ServoCore(setup.limits)  # compile it before this is a real-time process
     for number in (signal.SIGINT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
-    set_servo_priority()
+    set_niceness(SERVO)
+    set_real_time(SERVO_PRIORITY)
     clock = RealClock(clock_rate)
     with make_transport(clock) as transport:
         servo = Servo(end, transport, setup, clock)

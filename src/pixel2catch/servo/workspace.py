@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float64, Int64
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, arm_shape, chain_of
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled, entry
+from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled
 
 HAND_CLEARANCE = 0.01  #: Distance of a hand to its own arm [m]. Source: ours.
 HALVINGS = 10  #: Bisection steps for the point of a capsule nearest to a box. Source: ours.
@@ -87,19 +87,6 @@ class Workspace:
 def _joined(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Concatenate arrays; the tick is compiled for this memory layout."""
     return np.ascontiguousarray(np.concatenate([*parts]))
-
-
-def contains(workspace: Workspace, arm_pos: Float64[np.ndarray, "rows watched"]) -> Bool[np.ndarray, " rows"]:
-    """Return which robots, by their joints that carry palms [rad], are inside."""
-    return _rows_inside(workspace.space, np.ascontiguousarray(arm_pos))
-
-
-@entry
-def _rows_inside(space: Space, joint_pos: np.ndarray) -> np.ndarray:
-    found = np.empty(len(joint_pos), np.bool_)
-    for row in range(len(joint_pos)):
-        found[row] = is_inside(space, joint_pos[row])
-    return found
 
 
 @compiled
