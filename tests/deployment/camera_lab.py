@@ -94,14 +94,8 @@ def run_laboratory(words: Connection, rate: float) -> None:
 class Arming(ABC):
     """An operator who receives the statuses of a deployment, and controls its laboratory."""
 
-    @property
-    @abstractmethod
-    def status(self) -> dict[str, Any]: ...
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """Time of the laboratory [s]."""
+    status: dict[str, Any]
+    clock: Clock
 
     @abstractmethod
     def say(self, word: str) -> None: ...
@@ -118,9 +112,9 @@ class Arming(ABC):
         asked = [-1.0]
 
         def is_in_mode() -> bool:
-            if self.status["mode"] in ("idle", "stopped") and self.time > asked[-1] + 2.0 * STOP_TIME:
+            if self.status["mode"] in ("idle", "stopped") and self.clock.now() > asked[-1] + 2.0 * STOP_TIME:
                 self.say("arm")
-                asked.append(self.time)
+                asked.append(self.clock.now())
             return self.status["mode"] in modes
 
         self.until(is_in_mode)

@@ -30,10 +30,10 @@ class ProcessBench(Arming):
     """Receives the statuses and commands of `deploy`, and controls its laboratory."""
 
     def __init__(self, node: Transport, clock: RealClock, stack: ExitStack, folder: Path) -> None:
-        self._clock = clock
+        self.clock = clock
         self._statuses = node.subscription(PROFILE.operator.status, 50)
         self._commands = node.subscription(PROFILE.robots[0].command_topic, 2000, only_watches=True)
-        self._status: dict[str, Any] = {"mode": "", "found": []}
+        self.status: dict[str, Any] = {"mode": "", "found": []}
         self.commands: list[np.ndarray] = []
         self.log, self.record = folder / "deploy.txt", folder / "tape"
         command = [sys.executable, "-m", "pixel2catch", "deploy", "--clock", f"{RATE:g}"]
@@ -55,19 +55,11 @@ class ProcessBench(Arming):
     def until(self, holds: Callable[[], bool]) -> None:
         end = time.monotonic() + PATIENCE
         while not holds():
-            assert time.monotonic() < end, (self._status, self.log.read_text(errors="replace")[-1500:])
+            assert time.monotonic() < end, (self.status, self.log.read_text(errors="replace")[-1500:])
             for message in self._statuses.take():
-                self._status = json.loads(messages.read_text(message.data))
+                self.status = json.loads(messages.read_text(message.data))
             self.commands += [messages.read_float_array(message.data) for message in self._commands.take()]
             time.sleep(0.002)
-
-    @property
-    def status(self) -> dict[str, Any]:
-        return self._status
-
-    @property
-    def time(self) -> float:
-        return self._clock.now()
 
 
 @pytest.fixture

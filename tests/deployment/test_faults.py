@@ -40,7 +40,7 @@ class SteppedBench(Arming):
         node = self.broker.node(self.clock)
         self._statuses = node.subscription(PROFILE.operator.status, 50)
         self._commands = node.subscription(ARM, 50, only_watches=True)
-        self._status: dict[str, Any] = {"mode": "", "found": []}
+        self.status: dict[str, Any] = {"mode": "", "found": []}
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)
         controller = PolicyController(policy, find_workcell(PROFILE.workcell))
@@ -62,7 +62,7 @@ class SteppedBench(Arming):
             if not self.does_policy_hang:
                 self.loop.poll()
             for message in self._statuses.take():
-                self._status = json.loads(messages.read_text(message.data))
+                self.status = json.loads(messages.read_text(message.data))
             self.commands += [
                 (each.arrival, messages.read_float_array(each.data)) for each in self._commands.take()
             ]
@@ -70,19 +70,11 @@ class SteppedBench(Arming):
     def until(self, holds: Callable[[], bool], seconds: float = 3.0) -> None:
         end = self.clock.time + seconds
         while not holds():
-            assert self.clock.time < end, self._status
+            assert self.clock.time < end, self.status
             self.wait(LIMITS.dt)
 
     def wait(self, seconds: float) -> None:
         self.wait_until(self.clock.time + seconds)
-
-    @property
-    def time(self) -> float:
-        return self.clock.time
-
-    @property
-    def status(self) -> dict[str, Any]:
-        return self._status
 
     def run(self) -> None:
         """The operator arms and points, and the policy moves the arm."""

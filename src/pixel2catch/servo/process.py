@@ -63,10 +63,8 @@ def _decoded(
                 yield read(message.data), message.arrival
 
 
-class _JointOrder(NamedTuple):
-    columns: Columns  #: Columns of a joint state, and their joints in joint order.
-    ids: Columns
-    held: list[tuple[int, Columns, Columns]]  #: Part, columns and places of its held joints.
+#: Columns of a joint state, their joints in joint order; part, columns and places of the held joints.
+_Order = tuple[Columns, Columns, list[tuple[int, Columns, Columns]]]
 
 
 class JointStates:
@@ -93,21 +91,22 @@ class JointStates:
                 with suppress(DeploymentError):
                     self._merge(reading, self._order(topic, reading.names), arrival)
 
-    def _merge(self, reading: messages.JointReading, order: _JointOrder, arrival: float) -> None:
-        sent, is_old = self._sent[order.ids], arrival - self.joint_stamp[order.ids] > ORDER_TIME
+    def _merge(self, reading: messages.JointReading, order: _Order, arrival: float) -> None:
+        columns, known, of_held = order
+        sent, is_old = self._sent[known], arrival - self.joint_stamp[known] > ORDER_TIME
         is_new = (reading.stamp > sent) | (is_old & (reading.stamp < sent))
-        ids = order.ids[is_new]
-        self.joint_pos[ids] = reading.position[order.columns[is_new]]
+        ids = known[is_new]
+        self.joint_pos[ids] = reading.position[columns[is_new]]
         self._sent[ids], self.joint_stamp[ids] = reading.stamp, arrival
-        is_repetition = len(order.ids) > len(ids) == 0
-        for number, columns, places in () if is_repetition else order.held:
+        is_repetition = len(known) > len(ids) == 0
+        for number, columns, places in () if is_repetition else of_held:
             measured, held = reading.position[columns], self.held[number]
             held[places] = np.where(np.isfinite(measured), measured, held[places])
 
-    def _find_order(self, topic: Topic, names: tuple[str, ...]) -> _JointOrder:
+    def _find_order(self, topic: Topic, names: tuple[str, ...]) -> _Order:
         parts = {number: part for number, part in enumerate(self._parts) if part.state_topic == topic}
         columns, ids = np.concatenate([part.columns(names) for part in parts.values()], axis=1)
-        return _JointOrder(columns, ids, [(n, *part.held_columns(names)) for n, part in parts.items()])
+        return columns, ids, [(n, *part.held_columns(names)) for n, part in parts.items()]
 
 
 class _Latest(Generic[T]):
@@ -298,7 +297,7 @@ class Servo:
             Exception: An unexpected error occurred; the robot was stopped first.
         """
         due = self._clock.now()
-        while not self._is_over:
+        while not (self._is_ending and self._is_at_rest):
             self.tick()
             due += self._dt * max(ceil((self._clock.now() - due) / self._dt), 1)
             self._clock.sleep_until(due)
@@ -306,10 +305,9 @@ class Servo:
             raise self.unforeseen
 
     @property
-    def _is_over(self) -> bool:
-        mode, ticks = self._state["mode"][0], self._state["ticks"][0]
-        is_at_rest = mode == Mode.IDLE or (mode == Mode.STOPPED and ticks * self._dt >= STOP_TIME)
-        return self._is_ending and bool(is_at_rest)
+    def _is_at_rest(self) -> bool:
+        mode, seconds = self._state["mode"][0], self._state["ticks"][0] * self._dt
+        return bool(mode == Mode.IDLE or (mode == Mode.STOPPED and seconds >= STOP_TIME))
 
     def tick(self) -> None:
         """Read the inputs, tick, and send the command to drivers and control loop."""
