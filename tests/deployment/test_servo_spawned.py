@@ -1,5 +1,6 @@
 """A servo process over DDS, with a laboratory in this process."""
 
+import multiprocessing
 import os
 import re
 import signal
@@ -43,7 +44,8 @@ def test_a_terminated_servo_stops_the_robot_first(monkeypatch: pytest.MonkeyPatc
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(RATE)
     setup = ServoSetup(profile=profile, limits=LIMITS)
     with start_servo(setup, partial(join, "servo"), RATE) as servo, join("laboratory", clock) as transport:
-        lab, process, asked = WireLab(transport, servo.link, profile, clock), servo.process, [-1.0]
+        lab, asked = WireLab(transport, servo, profile, clock), [-1.0]
+        (process,) = multiprocessing.active_children()
         lab.target = HOME + 0.1
 
         def until(holds: Callable[[], bool]) -> None:

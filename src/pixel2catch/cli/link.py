@@ -104,7 +104,7 @@ class Link(Network):
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo.link, servo_dt=limits.dt, clock=clock, recording=recording
+            transport=transport, servo=servo, servo_dt=limits.dt, clock=clock, recording=recording
         )
 
     def limits(self, profile: "Profile") -> "ServoLimits":

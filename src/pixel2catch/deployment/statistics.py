@@ -77,12 +77,14 @@ class RunStatistics:
         """
         self.num_steps += 1
         self.num_missed += times is None
-        if times:
-            took = end - begin + times["perceived"] - times["begun"]
-            self._computing.count(took)
-            self.num_overruns += took > CONTROL_DT
-        for name, stage in self._stages.items() if times and is_decided else ():
-            stage.count({**times, "decided": end}[name] - times["exposed"])
+        if times is None:
+            return
+        took = end - begin + times["perceived"] - times["begun"]
+        self._computing.count(took)
+        self.num_overruns += took > CONTROL_DT
+        if is_decided:
+            for name, stage in self._stages.items():
+                stage.count({**times, "decided": end}[name] - times["exposed"])
 
     def note_targets(self, targets: JointTargets) -> None:
         """Keep targets with the stamp of the image that they were decided on."""

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
 from math import ceil
-from multiprocessing.context import SpawnProcess
 from time import perf_counter
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -345,21 +344,16 @@ class Servo:
             self.end()
 
 
-class RunningServo(NamedTuple):
-    """A servo process, and the control loop's end of its link."""
-
-    link: LoopEnd
-    process: SpawnProcess
-
-
 MakeTransport = Callable[[RealClock], Transport]  #: Joins the network.
 
 
 @contextmanager
 def start_servo(
     setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0
-) -> Iterator[RunningServo]:
-    """Start a servo process; at the end of the context, it stops the robot and ends, or is killed.
+) -> Iterator[LoopEnd]:
+    """Start a servo process, and yield the other end of its link.
+
+    At the end of the context, it stops the robot and ends, or is killed.
 
     Raises:
         DeploymentError: numba is missing.
@@ -374,7 +368,7 @@ def start_servo(
         with scheduled(os.SCHED_OTHER, 0):  # starting takes seconds
             process.start()
     try:
-        yield RunningServo(link=loop, process=process)
+        yield loop
     finally:
         loop.close()
         process.join(PATIENCE)
