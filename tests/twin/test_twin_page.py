@@ -23,7 +23,9 @@ class Shown:
     def __init__(self) -> None:
         task, clock = CatchEnvCfg(), RealClock()
         self.bench = Bench(task)
-        self.page = TwinPage(PageCfg(port=free_port()), PROFILE, self.bench.broker.node(clock), clock)
+        self.page = TwinPage(
+            PageCfg(address=f"127.0.0.1:{free_port()}"), PROFILE, self.bench.broker.node(clock), clock
+        )
 
     @property
     def twin(self) -> dict[str, Any]:
@@ -66,7 +68,7 @@ def test_one_button_throws_and_catches():
     task = task_of(policy, physics_hz=120.0)
     with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as (twin, _):
         node = twin.broker.node(twin.clock)
-        page = TwinPage(PageCfg(port=free_port()), PROFILE, node, twin.clock)
+        page = TwinPage(PageCfg(address=f"127.0.0.1:{free_port()}"), PROFILE, node, twin.clock)
         page.seed = 3
         page.catch()
         assert page.trial is not None

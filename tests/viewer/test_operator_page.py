@@ -38,7 +38,7 @@ class Desk:
         page_node = broker.node(self.clock)
         self.console = OperatorConsole(page_node, OPERATOR, self.clock)
         self.page = OperatorPage(
-            PageCfg(port=free_port()),
+            PageCfg(address=f"127.0.0.1:{free_port()}"),
             "desk",
             PROFILE,
             page_node,

@@ -22,7 +22,9 @@ class Visited:
     """A page that runs."""
 
     def __init__(self, pool: ThreadPoolExecutor) -> None:
-        self.page = PlayPage(PlayCfg(page=PageCfg(port=free_port()), objects=("cube_s",), seed=3))
+        self.page = PlayPage(
+            PlayCfg(page=PageCfg(address=f"127.0.0.1:{free_port()}"), objects=("cube_s",), seed=3)
+        )
         self.page.playback.set_speed(100.0)  # as fast as it goes
         self.playing: Future[None] = pool.submit(self.page.run)
 

@@ -25,14 +25,14 @@ PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 @pytest.fixture(scope="module")
 def own() -> Iterator[PageServer]:
-    server = open_server(PageCfg(port=free_port()), "own")
+    server = open_server(PageCfg(address=f"127.0.0.1:{free_port()}"), "own")
     yield server
     server.close()
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[PageServer]:
-    server = open_server(PageCfg(port=free_port(), host="0.0.0.0"), "shared")
+    server = open_server(PageCfg(address=f"0.0.0.0:{free_port()}"), "shared")
     yield server
     server.close()
 
@@ -91,7 +91,7 @@ async def talk(visitor: Any) -> None:
 
 
 def test_the_operators_page_is_as_closed_as_the_other():
-    server = open_server(PageCfg(port=free_port()), "ours", talk)
+    server = open_server(PageCfg(address=f"127.0.0.1:{free_port()}"), "ours", talk)
     root = server.address
     for name, kind in (("/", "text/html"), ("/operate.js", "text/javascript"), ("/operate.css", "text/css")):
         with urllib.request.urlopen(root + name, timeout=PATIENCE) as answer:
@@ -123,7 +123,7 @@ def test_others_need_the_token_of_its_address(shared: PageServer):
 
 
 def test_a_taken_port_leads_to_the_next(own: PageServer):
-    other = open_server(PageCfg(port=own.viser.get_port()), "other")
+    other = open_server(PageCfg(address=f"127.0.0.1:{own.viser.get_port()}"), "other")
     assert other.viser.get_port() > own.viser.get_port()
     other.close()
 
@@ -131,9 +131,8 @@ def test_a_taken_port_leads_to_the_next(own: PageServer):
 @pytest.mark.parametrize(
     ("cfg", "words"),
     [
-        (PageCfg(host="no.such.host.example"), "no.such.host.example"),
-        (PageCfg(host="192.0.2.1"), "192.0.2.1"),  # reserved for documents: nobody's
-        (PageCfg(port=70000), "70000"),
+        (PageCfg(address="no.such.host.example:8080"), "no.such.host.example"),
+        (PageCfg(address="192.0.2.1:8080"), "192.0.2.1"),  # reserved for documents: nobody's
     ],
 )
 def test_an_address_that_is_not_this_machines_is_refused(cfg: PageCfg, words: str):

@@ -27,12 +27,14 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 
-RATES = {
-    "training, transitions/s": "training_steps_per_second",
-    "environment, steps/s": "environment_steps_per_second",
-}
-STAGES = {"acting": "acting_us", "environment": "environment_us", "update": "update_us"}
-"""Parts of a training, which take turns."""
+LINES = (
+    ("training, transitions/s", "training_steps_per_second", 1.0, ",.0f"),
+    ("rollout, µs a transition", "rollout_us", 1.0, ".1f"),
+    ("update, µs a transition", "update_us", 1.0, ".1f"),
+    ("memory, GB", "rss_bytes", 1e-9, ".2f"),
+    ("memory of the device, GB", "device_bytes", 1e-9, ".2f"),
+)
+"""Lines of the table: title, name in the results, factor and format."""
 
 LOG_STD = -1.5  #: Noise of the actions, small enough to keep the policy's throws. Source: ours.
 WARM_UPDATES = 2  #: Updates before the measurement, in which libraries initialise and graphs are recorded.
@@ -105,33 +107,21 @@ def measure(policy: "Policy", experiment: "Experiment", updates: int) -> Row:
     """Train from a policy, and return the costs of a control step, and the memory that is in use then.
 
     Returns:
-        `*_per_second`: rates, summed over the environments; that of the environment without the networks.
-        `*_us`: parts of the training, for a control step of one environment [µs]; `acting` is the rollout
-        without the environment.
+        `training_steps_per_second`: the rate, summed over the environments.
+        `*_us`: parts of the training, for a control step of one environment [µs].
         `rss_bytes`, `device_bytes`: the most memory that this process had, and what all processes have on
         the device at the end [bytes].
     """
     import torch
 
-    from pixel2catch.devices import DeviceTime
     from pixel2catch.envs.catch_env import CatchEnv
     from pixel2catch.learning.log import METRICS_FILE, read_rows
     from pixel2catch.learning.train import train
     from pixel2catch.policy import method_of
 
-    cfg, calls = experiment.train, list[tuple[DeviceTime, DeviceTime]]()
+    cfg = experiment.train
     method, num_envs = method_of(policy.contract), cfg.num_envs
     env = CatchEnv(experiment.env, method, num_envs=num_envs, device=cfg.device, is_fused=cfg.fuse)
-
-    step = env.step
-
-    def timed(*arguments: Any) -> Any:
-        begun = DeviceTime(env.device)
-        result = step(*arguments)
-        calls.append((begun, DeviceTime(env.device)))
-        return result
-
-    setattr(env, "step", timed)  # noqa: B010 (a method)
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         policy.save(start := Path(folder, "start"))
         transitions = (WARM_UPDATES + updates) * cfg.rollout_transitions
@@ -144,16 +134,14 @@ def measure(policy: "Policy", experiment: "Experiment", updates: int) -> Row:
         mean(float(row[f"{name}_seconds"]) for row in rows) / cfg.rollout_steps
         for name in ("rollout", "update")
     )
-    environment = mean(begun.until(ended) for begun, ended in calls[-updates * cfg.rollout_steps :])
-    free, total = torch.cuda.mem_get_info(env.device) if env.device.type == "cuda" else (0, 0)
+    is_cuda = cfg.device.startswith("cuda")
+    free, total = torch.cuda.mem_get_info(cfg.device) if is_cuda else (0, 0)
     return {
         "device": cfg.device,
         "num_envs": num_envs,
         "physics_hz": experiment.env.scene.physics_hz,
-        "environment_steps_per_second": num_envs / environment,
         "training_steps_per_second": num_envs / (rollout + update),
-        "acting_us": 1e6 * (rollout - environment) / num_envs,
-        "environment_us": 1e6 * environment / num_envs,
+        "rollout_us": 1e6 * rollout / num_envs,
         "update_us": 1e6 * update / num_envs,
         "rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "device_bytes": total - free,
@@ -165,14 +153,8 @@ def _table(rows: Sequence[Row]) -> "Table":
     from rich.table import Table
 
     table = Table("", *(f"{row['device']}, {row['num_envs']:,}" for row in rows))
-    for title, name in RATES.items():
-        table.add_row(title, *(f"{row[name]:,.0f}" for row in rows))
-    table.add_section()
-    for title, name in STAGES.items():
-        table.add_row(f"{title}, µs a transition", *(f"{row[name]:.1f}" for row in rows))
-    table.add_section()
-    for title, name in {"memory": "rss_bytes", "memory of the device": "device_bytes"}.items():
-        table.add_row(f"{title}, GB", *(f"{row[name] / 1e9:.2f}" if row[name] else "-" for row in rows))
+    for title, name, scale, form in LINES:
+        table.add_row(title, *(f"{scale * row[name]:{form}}" for row in rows))
     for column in table.columns[1:]:
         column.justify = "right"
     return table

@@ -46,12 +46,6 @@ def saying_changes() -> Callable[..., None]:
     return hear
 
 
-def say_on_terminal(text: str) -> None:
-    """Print a line for somebody who looks at it; nothing into files and pipes."""
-    if sys.stderr.isatty():
-        say(text)
-
-
 @contextmanager
 def evaluating(name: str) -> Iterator[tuple[Callable[["Trials"], None], Callable[[float], None]]]:
     """Show on standard error how far the evaluation of something is, and its success rate so far.

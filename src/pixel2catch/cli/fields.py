@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from pixel2catch.checks import CameraPath, DynamicsPath, Requirement
+from pixel2catch.checks import CameraPath, DynamicsPath
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
     from pixel2catch.evaluation.stress.suite import Change, Setting
     from pixel2catch.policy import Policy
-    from pixel2catch.viewer import PageCfg
 
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
 """Where the classes of the task's fields are."""
@@ -176,48 +175,6 @@ class SimulatedTask(TaskOptions):
         for remark in camera_remark(policy, task):
             say(remark)
         return task
-
-
-@dataclasses.dataclass(frozen=True)
-class HostAndPort(Requirement):
-    """A host and a port, as HOST:PORT."""
-
-    def require(self, name: str, value: str) -> None:
-        """Refuse other text."""
-        host, _, port = value.rpartition(":")
-        if not host or not port.isdecimal() or not 0 < int(port) < 65_536:
-            raise InvalidValueError(
-                f"{name} is '{value}'; give HOST:PORT with a port from 1 to 65535, such as 127.0.0.1:8080."
-            )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PageOptions:
-    """Where a page is served."""
-
-    #: Host and port of the page; of ports in use, the next free one. If other machines can reach it, as with
-    #: 0.0.0.0:8080, the page's address has a token.
-    address: Annotated[str, HostAndPort()] = "127.0.0.1:8080"
-
-    @property
-    def cfg(self) -> "PageCfg":
-        """The address for pages."""
-        from pixel2catch.viewer import PageCfg
-
-        host, _, port = self.address.rpartition(":")
-        return PageCfg(host=host.strip("[]"), port=int(port))
-
-
-def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:
-    """Raise if another work cell, such as one with makers' bodies, has other joints."""
-    from pixel2catch.workcells import find_workcell
-
-    ours, theirs = (find_workcell(each.scene.workcell) for each in (task, changed))
-    if ours.joint_names != theirs.joint_names:
-        raise InvalidValueError(
-            f"the joints of work cell '{theirs.name}' are not the policy's, those of '{ours.name}'; "
-            "leave out --env.scene.workcell, or give a work cell with the same joints."
-        )
 
 
 def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from pixel2catch.checks import require_valid
-from pixel2catch.cli.console import say_on_terminal
+from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import HELP, HIDDEN, default_of, option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
@@ -109,7 +109,8 @@ def main(args: Sequence[str] | None = None) -> int:
         with raise_on_termination():
             command = parse(args)
             require_valid(command)
-            say_on_terminal(f"{type(command).__name__.lower()}: starting ...")
+            if sys.stderr.isatty():
+                say(f"{type(command).__name__.lower()}: starting ...")
             import_files()
             command.run()
             sys.stdout.flush()

@@ -10,11 +10,11 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import Within
 from pixel2catch.cli.console import say, saying_changes
-from pixel2catch.cli.fields import PageOptions
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
+from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.operator import OperatorConsole, Press
@@ -46,7 +46,7 @@ class Operate:
     #: gamepad's first, start and second button.
     keys: tuple[KeyCode, KeyCode, KeyCode] | None = None
     web: bool = False  #: Serve a page for the operator.
-    page: PageOptions = field(default_factory=PageOptions)  #: Where that page is served.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     network: Network = field(default_factory=Network)  #: Connection to the deployment.
 
     def run(self) -> None:
@@ -82,9 +82,7 @@ class Operate:
             from pixel2catch.viewer.operator_page import OperatorPage
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
-        return OperatorPage(
-            self.page.cfg, "Pixel2Catch operator", profile, node, clock, console, button=button
-        )
+        return OperatorPage(self.page, "Pixel2Catch operator", profile, node, clock, console, button=button)
 
 
 def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":

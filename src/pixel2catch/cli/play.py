@@ -7,10 +7,11 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import Count, FilmPath, Seed
 from pixel2catch.cli.console import prepare, say
-from pixel2catch.cli.fields import PageOptions, SimulatedTask
+from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
+from pixel2catch.viewer import PageCfg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class Play:
     throws: Count = 4  #: Number of throws.
     seed: Seed = 0  #: Seed of all random numbers.
     web: bool = False  #: Serve a page with throws to play with, instead of writing a video.
-    page: PageOptions = field(default_factory=PageOptions)  #: Where that page is served.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
@@ -40,8 +41,8 @@ class Play:
             with needs_extra("viewer"):
                 from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
             files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
-            page, first = self.page.cfg, {"policy": self.policy, "objects": self.objects, "seed": self.seed}
-            serve_until_interrupted(PlayCfg(page=page, **first, **files))
+            first = {"policy": self.policy, "objects": self.objects, "seed": self.seed}
+            serve_until_interrupted(PlayCfg(page=self.page, **first, **files))
             return
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 from pixel2catch.checks import AtMostFull, Seed
 from pixel2catch.cli.console import prepare, say, saying_changes
-from pixel2catch.cli.fields import PageOptions
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin import TaskArgs
+from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.twin.lab_node import LabNode
@@ -32,7 +32,7 @@ class Twin:
     clock: AtMostFull = 1.0  #: Seconds of the twin in a real second, at most 1; `deploy` must have the same.
     seed: Seed = 0  #: Seed of the room and of all noise; each throw has a seed of its own.
     web: bool = False  #: Serve a page that shows the twin and has buttons to throw.
-    page: PageOptions = field(default_factory=PageOptions)  #: Where that page is served.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
 
     def run(self) -> None:
         """Serve, and print what happens."""
@@ -57,5 +57,5 @@ class Twin:
                 with needs_extra("viewer"):
                     from pixel2catch.viewer.twin import twin_page
                 profile = twin_profile(find_workcell(task.scene.workcell))
-                stack.enter_context(twin_page(self.page.cfg, profile, self.clock))
+                stack.enter_context(twin_page(self.page, profile, self.clock))
             say(serve(task, self.seed, self.clock, on_cycle))

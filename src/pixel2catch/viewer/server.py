@@ -174,8 +174,6 @@ def require_address(cfg: PageCfg) -> None:
     Raises:
         InvalidValueError: It is not one of this machine.
     """
-    if not 0 <= cfg.port < 65536:
-        raise InvalidValueError(f"the page's port is {cfg.port}; it must be from 0 to 65535.")
     family = socket.AF_INET6 if ip_address_of(cfg.host).version == 6 else socket.AF_INET
     try:
         socket.create_server((cfg.host, 0), family=family).close()
