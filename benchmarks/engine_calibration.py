@@ -20,7 +20,7 @@ Run: python benchmarks/engine_calibration.py
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -34,7 +34,7 @@ from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.drake import DrakeCopy
 from pixel2catch.sim.engine import EngineCopy, EngineSimulation
-from pixel2catch.sim.physx import PhysxCfg, PhysxCopy
+from pixel2catch.sim.physx import PhysxCopy
 from pixel2catch.sim.rigid_world import RigidWorld
 from pixel2catch.sim.simulation import Simulation
 
@@ -255,9 +255,9 @@ RATES = (600.0, 660.0, 1200.0)
 RESTITUTIONS = (0.0, 0.1, 0.25, 0.5)
 
 
-def physx(name: str = "physx", hz: float = 600.0, **settings: float) -> Engine:
+def physx(name: str = "physx", hz: float = 600.0, **settings: bool) -> Engine:
     """PhysX with other settings than the package's."""
-    return Engine(name=name, hz=hz, make_copy=partial(PhysxCopy, cfg=replace(PhysxCfg(), **settings)))
+    return Engine(name=name, hz=hz, make_copy=partial(PhysxCopy, **settings))
 
 
 def engines() -> list[Engine]:

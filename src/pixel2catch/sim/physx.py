@@ -6,7 +6,6 @@ mean of two surfaces; contacts are rigid.
 
 import importlib
 import warnings
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, final
 
@@ -34,28 +33,23 @@ UNTURNED = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtG
 """Shapes with the same axes in both engines."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PhysxCfg:
-    """Solver settings of PhysX. Source: ours, `benchmarks/engine_calibration.py`."""
-
-    #: Whether the solver uses substeps (TGS, SAPIEN's default) instead of PGS. With substeps a ball leaves an
-    #: impact with up to three times its spin.
-    has_substeps: bool = False
-    #: Whether contacts persist from step to step (PCM, SAPIEN's default). With PCM some overlaps are detected
-    #: only at 8 mm.
-    keeps_contacts: bool = False
-    contact_offset: float = 1e-3  #: Distance from a surface at which contacts begin [m].
-    #: Smallest impact speed with a bounce [m/s]; free fall adds 0.08 in a step at 120 Hz.
-    bounce_speed: float = 0.1
-    position_iterations: int = 16  #: Iterations of the solver for positions.
-    velocity_iterations: int = 1  #: Iterations of the solver for speeds.
+CONTACT_OFFSET = 1e-3  #: Distance from a surface at which contacts begin [m]. Source of these four: ours.
+BOUNCE_SPEED = 0.1  #: Smallest impact speed with a bounce [m/s]; free fall adds 0.08 in a step at 120 Hz.
+POSITION_ITERATIONS, VELOCITY_ITERATIONS = 16, 1  #: Iterations of the solver for positions and for speeds.
 
 
 @final
 class PhysxCopy(EngineCopy):
-    """A PhysX scene on the CPU."""
+    """A PhysX scene on the CPU.
 
-    def __init__(self, world: RigidWorld, cfg: PhysxCfg = PhysxCfg()) -> None:
+    Source of the solver's settings: ours, `benchmarks/engine_calibration.py`. With substeps (TGS, SAPIEN's
+    default; here PGS) a ball leaves an impact with up to three times its spin. With contacts that persist
+    from step to step (PCM, SAPIEN's default) some overlaps are detected only at 8 mm.
+    """
+
+    def __init__(
+        self, world: RigidWorld, *, has_substeps: bool = False, keeps_contacts: bool = False
+    ) -> None:
         """Build articulations and free bodies."""
         if len(world.excluded) > MOST_EXCLUDED:
             raise InvalidValueError(
@@ -65,14 +59,14 @@ class PhysxCopy(EngineCopy):
         sapien, physx = load_sapien(), load_sapien().physx
         physx.set_scene_config(
             gravity=world.gravity,
-            bounce_threshold=cfg.bounce_speed,
-            enable_tgs=cfg.has_substeps,
-            enable_pcm=cfg.keeps_contacts,
+            bounce_threshold=BOUNCE_SPEED,
+            enable_tgs=has_substeps,
+            enable_pcm=keeps_contacts,
         )
         self._system = physx.PhysxCpuSystem()
         self._system.timestep = world.timestep
         self._scene = sapien.Scene([self._system])
-        shapes = _Shapes(world, cfg.contact_offset)
+        shapes = _Shapes(world)
         self._add(shapes.attached(physx.PhysxRigidStaticComponent(), world.fixed[0]))
         self._components = _components(world, shapes)
         for component in self._components.values():
@@ -85,8 +79,8 @@ class PhysxCopy(EngineCopy):
             *(component for _, component in self._free),
             *(tree.articulation for tree in self._trees),
         ):
-            solved.set_solver_position_iterations(cfg.position_iterations)
-            solved.set_solver_velocity_iterations(cfg.velocity_iterations)
+            solved.set_solver_position_iterations(POSITION_ITERATIONS)
+            solved.set_solver_velocity_iterations(VELOCITY_ITERATIONS)
             solved.set_sleep_threshold(0.0)
 
     def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
@@ -194,10 +188,9 @@ def _set_joint(made: Any, body: Body, joint: Joint) -> None:
 class _Shapes:
     """Creates shapes of one material, with the collision filters of their bodies."""
 
-    def __init__(self, world: RigidWorld, offset: float) -> None:
+    def __init__(self, world: RigidWorld) -> None:
         physx = load_sapien().physx
         self._material = physx.PhysxMaterial(world.friction, world.friction, world.restitution)
-        self._offset = offset
         self._excluded = world.excluded
 
     def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
@@ -206,7 +199,7 @@ class _Shapes:
             shape = self._shape(geom)
             excluded = sum(1 << i for i, pair in enumerate(self._excluded) if number in pair)
             shape.set_collision_groups([geom.contype, geom.conaffinity, excluded, COLLISION_ID])
-            shape.contact_offset, shape.rest_offset = self._offset, 0.0
+            shape.contact_offset, shape.rest_offset = CONTACT_OFFSET, 0.0
             component.attach(shape)
         return component
 
