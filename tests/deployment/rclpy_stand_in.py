@@ -5,19 +5,22 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec, module_from_spec
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
 
-from pixel2catch.ros2.memory import Broker, MemoryTransport
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import RealClock, Topic
 
 POLL = 0.002  #: Poll interval of an executor without messages [s].
+
+Durability = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
+Reliability = Enum("QoSReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
+Signals = Enum("SignalHandlerOptions", ["NO"])
 
 
 class Network:
@@ -32,68 +35,40 @@ class Context:
     network: ClassVar[Network]
 
 
-Durability = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
-Reliability = Enum("QoSReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
-Signals = Enum("SignalHandlerOptions", ["NO"])
-
-
 class QoSProfile:
     def __init__(self, *, depth: int, reliability: Any, durability: Any) -> None:
-        self._depth, self.durability = depth, durability
-        self._is_latched = durability is Durability["TRANSIENT_LOCAL"]
-        assert reliability is Reliability["RELIABLE"] or not self._is_latched
-
-    def topic(self, msg_type: type, name: str) -> Topic:
-        (kind,) = (kind for kind, known in STORE.types.items() if known is msg_type)
-        return Topic(name=name, type=kind, is_latched=self._is_latched)
-
-
-@dataclass
-class TopicEndpointInfo:
-    """The used part of the description of a publisher or a subscription."""
-
-    node_name: str
-    topic_type: str
-    qos_profile: QoSProfile
-    endpoint_gid: list[int]
+        self.depth, self.durability = depth, durability
+        self.is_latched = durability is Durability["TRANSIENT_LOCAL"]
+        assert reliability is Reliability["RELIABLE"] or not self.is_latched
 
 
 class Endpoint:
-    def __init__(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> None:
-        self.topic, self._qos_profile = qos_profile.topic(msg_type, topic), qos_profile
+    """A publisher, or a subscription if it has a callback."""
 
-    def info(self, node_name: str) -> TopicEndpointInfo:
-        gid = [*id(self).to_bytes(16)]
-        return TopicEndpointInfo(node_name, self.topic.type, self._qos_profile, gid)
+    class CallbackType:
+        """Iron and newer versions have it; see `rclpy_node`."""
 
-
-class Publisher(Endpoint):
-    is_usable = True
-
-    def __init__(self, node: MemoryTransport, *described: Any) -> None:
-        super().__init__(*described)
-        self._publisher = node.publisher(self.topic)
+    def __init__(
+        self, node: "Node", msg_type: type, topic: str, qos_profile: QoSProfile, callback: Any = None
+    ) -> None:
+        (kind,) = (kind for kind, known in STORE.types.items() if known is msg_type)
+        self.topic = Topic(name=topic, type=kind, is_latched=qos_profile.is_latched)
+        self.node, self.qos_profile, self.callback, self.is_usable = node, qos_profile, callback, True
+        self.end: Any = (
+            node.memory.subscription(self.topic, qos_profile.depth)
+            if callback
+            else node.memory.publisher(self.topic)
+        )
 
     def publish(self, msg: bytes) -> None:
         if not self.is_usable:
             raise RuntimeError("cannot use Destroyable because destruction was requested")
         assert isinstance(msg, bytes)
-        self._publisher.publish(msg)
-
-
-class Subscription(Endpoint):
-    class CallbackType:
-        """Iron and newer versions have it; see `rclpy_node`."""
-
-    def __init__(self, node: MemoryTransport, callback: Any, *described: Any) -> None:
-        super().__init__(*described)
-        self._callback, self.messages = callback, node.subscription(self.topic, self._qos_profile._depth)
-        inspect.signature(callback).bind(object(), object())  # else rclpy gives no info of the message
+        self.end.publish(msg)
 
     def spin(self, delay: int) -> None:
-        for message in self.messages.take():
-            info = {"source_timestamp": time.time_ns() - delay}
-            self._callback(message.data, info)
+        for message in self.end.take():
+            self.callback(message.data, {"source_timestamp": time.time_ns() - delay})
 
 
 class Node:
@@ -101,44 +76,57 @@ class Node:
         self._name, self._network = name, context.network
         self._network.nodes.append(self)
         self.memory = self._network.broker.node(RealClock())
-        self._publishers: list[Publisher] = []
-        self._subscriptions: list[Subscription] = []
+        self._endpoints: list[Endpoint] = []
 
-    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Publisher:
-        self._publishers.append(Publisher(self.memory, msg_type, topic, qos_profile))
-        return self._publishers[-1]
+    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Endpoint:
+        self._endpoints.append(Endpoint(self, msg_type, topic, qos_profile))
+        return self._endpoints[-1]
 
     def create_subscription(
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
-    ) -> Subscription:
+    ) -> Endpoint:
         assert raw, "else the callback gets no bytes"
-        self._subscriptions.append(Subscription(self.memory, callback, msg_type, topic, qos_profile))
-        return self._subscriptions[-1]
+        inspect.signature(callback).bind(object(), object())  # else rclpy gives no info of the message
+        self._endpoints.append(Endpoint(self, msg_type, topic, qos_profile, callback))
+        return self._endpoints[-1]
 
     def get_name(self) -> str:
         return self._name
 
+    def _all(self) -> list[Endpoint]:
+        return [each for node in self._network.nodes for each in node._endpoints]
+
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
-        both = (each for node in self._network.nodes for each in (*node._publishers, *node._subscriptions))
-        return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in both}]
+        return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in self._all()}]
 
-    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
-        found = [(node, each) for node in self._network.nodes for each in node._publishers]
-        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
+    def _infos(self, topic_name: str, *, publish: bool) -> list[SimpleNamespace]:
+        return [
+            SimpleNamespace(
+                node_name=each.node.get_name(),
+                topic_type=each.topic.type,
+                qos_profile=each.qos_profile,
+                endpoint_gid=[*id(each).to_bytes(16)],
+            )
+            for each in self._all()
+            if each.topic.name == topic_name and publish == (each.callback is None)
+        ]
 
-    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
-        found = [(node, each) for node in self._network.nodes for each in node._subscriptions]
-        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[SimpleNamespace]:
+        return self._infos(topic_name, publish=True)
+
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[SimpleNamespace]:
+        return self._infos(topic_name, publish=False)
 
     def destroy_node(self) -> None:
         self._network.nodes.remove(self)
-        for publisher in self._publishers:
-            publisher.is_usable = False
+        for each in self._endpoints:
+            each.is_usable = False
         self.memory.close()
 
     def spin(self) -> None:
-        for subscription in list(self._subscriptions):
-            subscription.spin(self._network.delay)
+        for each in list(self._endpoints):
+            if each.callback:
+                each.spin(self._network.delay)
 
 
 class SingleThreadedExecutor:
@@ -178,10 +166,6 @@ def create_node(
     return Node(node_name, context)
 
 
-def try_shutdown(*, context: Context) -> None:
-    del context
-
-
 def get_message(identifier: str) -> type:
     try:
         return STORE.types[identifier]
@@ -189,8 +173,8 @@ def get_message(identifier: str) -> type:
         raise ModuleNotFoundError(f"No module named '{identifier.partition('/')[0]}'") from None
 
 
-STAND_IN = {
-    "rclpy": {"init": init, "create_node": create_node, "try_shutdown": try_shutdown},
+STAND_IN: dict[str, dict[str, Any]] = {
+    "rclpy": {"init": init, "create_node": create_node, "try_shutdown": lambda *, context: None},
     "rclpy.context": {"Context": Context},
     "rclpy.executors": {"SingleThreadedExecutor": SingleThreadedExecutor},
     "rclpy.qos": {
@@ -199,7 +183,7 @@ STAND_IN = {
         "QoSReliabilityPolicy": Reliability,
     },
     "rclpy.signals": {"SignalHandlerOptions": Signals},
-    "rclpy.subscription": {"Subscription": Subscription},
+    "rclpy.subscription": {"Subscription": Endpoint},
     "rosidl_runtime_py": {},
     "rosidl_runtime_py.utilities": {"get_message": get_message},
 }

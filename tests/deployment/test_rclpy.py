@@ -32,7 +32,7 @@ def test_the_age_of_a_message_is_that_of_its_stamp(network: Network):
 
 
 def test_an_rclpy_without_stamps_of_messages_is_refused(network: Network, monkeypatch):
-    monkeypatch.delattr(rclpy_stand_in.Subscription, "CallbackType")
+    monkeypatch.delattr(rclpy_stand_in.Endpoint, "CallbackType")
     with pytest.raises(DeploymentError, match="ROS 2 Iron"):
         make_transport("node", ROS, RealClock())
 

@@ -80,23 +80,15 @@ def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
     assert numbers(missed) == []
 
 
-def test_other_publishers_are_counted(make: MakeNode):
-    mine, other, third = make("mine"), make("other"), make("third")
-    assert mine.num_other_publishers(NUMBER) == 0
-    publishers = [node.publisher(NUMBER) for node in (mine, mine, other, third)]
-    wait_until(lambda: [node.num_other_publishers(NUMBER) for node in (mine, other)] == [2, 3])
-    third.close()
-    wait_until(lambda: mine.num_other_publishers(NUMBER) == 1)
-    with pytest.raises(DeploymentError, match="/number cannot be sent"):
-        publishers[-1].publish(messages.number(0.0))
-
-
-def test_other_publishers_are_named_and_messages_have_their_sender(make: MakeNode):
+def test_other_publishers_are_counted_and_named_and_messages_have_their_sender(make: MakeNode):
     """With rclpy, messages have no sender."""
     mine, other, third = make("mine"), make("other"), make("third")
     heard = mine.subscription(NUMBER, depth=2)
-    mine.publisher(NUMBER)
+    assert mine.num_other_publishers(NUMBER) == 0
+    for _ in range(2):
+        mine.publisher(NUMBER)
     senders = [node.publisher(NUMBER) for node in (other, third)]
+    wait_until(lambda: [each.num_other_publishers(NUMBER) for each in (mine, other)] == [2, 3])
     wait_until(lambda: len(mine.other_publishers(NUMBER)) == 2)
     names, found = mine.other_publishers(NUMBER), set[int]()
     assert len({*names.values()}) == 2
@@ -109,6 +101,9 @@ def test_other_publishers_are_named_and_messages_have_their_sender(make: MakeNod
     third.close()
     wait_until(lambda: len(mine.other_publishers(NUMBER)) == 1)
     assert mine.other_publishers(NUMBER).items() <= names.items()
+    assert mine.num_other_publishers(NUMBER) == 1
+    with pytest.raises(DeploymentError, match="/number cannot be sent"):
+        senders[-1].publish(messages.number(0.0))
 
 
 def test_subscribers_are_counted_except_watching_ones(make: MakeNode):

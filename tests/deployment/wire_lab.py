@@ -102,9 +102,9 @@ class WireLab:
         """Move the joints towards the newest commands, which have the order of the driver."""
         for part in self.profile.robots:
             for message in self._commanded[part.name].take():
+                content: Any = decode(message.data, part.command_topic.type)
                 is_array = part.command_topic.type == messages.FLOAT_ARRAY
-                read = messages.read_float_array if is_array else _positions
-                self.commands[part.name].append(read(message.data))
+                self.commands[part.name].append(np.array(content.data if is_array else content.position))
             if self.commands[part.name]:
                 places = [theirs.index_in_command for theirs in part.joints.values()]
                 goal = self.commands[part.name][-1][places]
@@ -112,36 +112,27 @@ class WireLab:
                 self.joint_pos[part.ids] += follow * (goal - self.joint_pos[part.ids])
 
 
-def _positions(data: bytes) -> np.ndarray:
-    message: Any = decode(data, messages.JOINT_STATE)
-    return np.array(message.position)
+def taken(reading: messages.JointReading, places: list[int]) -> messages.JointReading:
+    """Return these places of a reading."""
+    names = tuple(reading.names[place] for place in places)
+    return replace(reading, names=names, position=reading.position[places])
 
 
 def shuffled(reading: messages.JointReading) -> messages.JointReading:
     """Return another order, with an unknown joint in front."""
-    order = np.random.default_rng(len(reading.names)).permutation(len(reading.names))
-    return replace(
-        reading,
-        names=("gripper", *(reading.names[place] for place in order)),
-        position=np.concatenate(([9.0], reading.position[order])),
-    )
+    num = len(reading.names)
+    other = taken(reading, np.random.default_rng(num).permutation(num).tolist())
+    return replace(other, names=("gripper", *other.names), position=np.append(9.0, other.position))
 
 
 def without_elbow(reading: messages.JointReading) -> messages.JointReading:
     """Remove the elbow, if there is one."""
-    places = [place for place, name in enumerate(reading.names) if name != "elbow_joint"]
-    return replace(
-        reading, names=tuple(reading.names[place] for place in places), position=reading.position[places]
-    )
+    return taken(reading, [place for place, name in enumerate(reading.names) if name != "elbow_joint"])
 
 
 def twice(reading: messages.JointReading) -> messages.JointReading:
     """Repeat the first joint."""
-    return replace(
-        reading,
-        names=(*reading.names, reading.names[0]),
-        position=np.append(reading.position, reading.position[0]),
-    )
+    return taken(reading, [*range(len(reading.names)), 0])
 
 
 def frozen(reading: messages.JointReading) -> messages.JointReading:

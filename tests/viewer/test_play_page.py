@@ -25,7 +25,7 @@ class Visited:
         self.page = PlayPage(
             PlayCfg(page=PageCfg(address=f"127.0.0.1:{free_port()}"), objects=("cube_s",), seed=3)
         )
-        self.page.playback.set_speed(100.0)  # as fast as it goes
+        self.page.playback.set(speed=100.0)  # as fast as it goes
         self.playing: Future[None] = pool.submit(self.page.run)
 
     def wait_for(self, is_true: Callable[[], Any]) -> None:
@@ -111,12 +111,12 @@ def test_late_pictures_are_not_made_up_for_without_end():
 def test_nobody_waits_after_an_interruption():
     playback = Playback()
     playback.begin()
-    playback.pause(True)
+    playback.set(is_paused=True)
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(playback.wait, 1000.0)
         playback.interrupt()
         assert not waiting.result(PATIENCE)
     assert not playback.wait(1000.0)
     playback.begin()
-    playback.pause(False)
+    playback.set(is_paused=False)
     assert playback.wait(0.0)

@@ -10,14 +10,7 @@ from functools import cache
 from typing import Any, final
 
 from cyclonedds import builtin
-from cyclonedds.core import (
-    DDSException,
-    InstanceState,
-    ReadCondition,
-    SampleState,
-    ViewState,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.internal import InvalidSample
@@ -64,12 +57,8 @@ def dds_type(name: str) -> Any:
     # No base class, as DDS would announce it as a base of the message.
     made.__init__ = lambda sample, cdr: setattr(sample, "cdr", cdr)
     made.serialize = lambda sample, **_: sample.cdr
-    made.deserialize = made.deserialize_key = classmethod(_of_bytes)
+    made.deserialize = made.deserialize_key = classmethod(lambda kind, data, **_: kind(data))  # pyright: ignore[reportCallIssue]
     return made
-
-
-def _of_bytes(kind: Any, data: bytes, **_: Any) -> Any:
-    return kind(data)
 
 
 def _field_type(description: Any) -> Any:
@@ -227,8 +216,8 @@ class DdsTransport(Transport):
             for each in self._listed(kind):
                 is_other = each.participant_key != self._participant.guid
                 if is_other and each.topic_name.startswith("rt/") and not _only_watches(each.qos):
-                    name, kind_name = each.topic_name.removeprefix("rt"), each.type_name.removesuffix("_")
-                    ros_type = kind_name.replace("::dds_::", "::").replace("::", "/")
+                    name = each.topic_name.removeprefix("rt")
+                    ros_type = each.type_name.removesuffix("_").replace("dds_::", "").replace("::", "/")
                     found.append(Endpoint(topic=name, type=ros_type, is_publisher=is_publisher))
         return found
 

@@ -6,20 +6,12 @@ A node imports rclpy; this module can be imported without ROS 2. Tested with rcl
 # pyright: reportMissingImports=false
 # ROS 2 is no package of pip's.
 
-from functools import partial
 from threading import Thread
 from typing import Any, final
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.memory import MessageQueue, MessageQueues
-from pixel2catch.ros2.transport import (
-    Endpoint,
-    Publisher,
-    RealClock,
-    Subscription,
-    Topic,
-    Transport,
-)
+from pixel2catch.ros2.memory import MessageQueues
+from pixel2catch.ros2.transport import Endpoint, Publisher, RealClock, Subscription, Topic, Transport
 
 OWN_NODES = "pixel2catch"  #: Prefix of the names of our nodes, whose subscriptions only watch.
 
@@ -75,7 +67,11 @@ class RosTransport(Transport):
         """See `Transport.subscription`; others recognise one that only watches by the name of its node."""
         queue = self._queues.add(topic, depth, only_watches=only_watches)
         qos = _qos(topic, depth, is_reader=True)
-        keep = partial(_keep, queue, self._clock)
+
+        def keep(data: bytes, info: dict[str, int]) -> None:
+            # For a callback of two arguments, rclpy gives the time at which a message was sent [ns].
+            queue.put(data, self._clock.age(info["source_timestamp"]))
+
         self._node.create_subscription(_type(topic), topic.name, keep, qos, raw=True)
         return queue
 
@@ -121,11 +117,6 @@ class RosTransport(Transport):
             self._executor.spin_once()
 
 
-def _keep(queue: MessageQueue, clock: RealClock, data: bytes, info: dict[str, int]) -> None:
-    """Keep a message; for a callback of two arguments, rclpy gives the time at which it was sent [ns]."""
-    queue.put(data, clock.age(info["source_timestamp"]))
-
-
 @final
 class _RosPublisher(Publisher):
     def __init__(self, topic: Topic, node: Any, publisher: Any) -> None:
@@ -139,15 +130,14 @@ class _RosPublisher(Publisher):
 
     def num_subscribers(self) -> int:
         found = self._node.get_subscriptions_info_by_topic(self._topic.name)
-        return sum(self._is_taken_by(each) for each in found)
+        return sum(self._is_taken_by(each) for each in found if not each.node_name.startswith(OWN_NODES))
 
     def _is_taken_by(self, subscription: Any) -> bool:
-        """Return whether a subscription receives these messages, and does not only watch."""
+        """Return whether a subscription receives these messages."""
         from rclpy.qos import QoSDurabilityPolicy
 
         is_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-        fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= is_latched
-        return fits and not subscription.node_name.startswith(OWN_NODES)
+        return subscription.topic_type == self._topic.type and self._topic.is_latched >= is_latched
 
 
 def _type(topic: Topic) -> Any:

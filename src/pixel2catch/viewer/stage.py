@@ -7,7 +7,7 @@ import viser
 
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.viewer.images import CameraImages, Picture
+from pixel2catch.viewer.images import CameraImages
 from pixel2catch.viewer.scene import SceneView
 from pixel2catch.viewer.throws import PlayedThrow
 
@@ -25,22 +25,20 @@ class Playback:
         self.is_paused = False  #: Whether time stands still.
         self._is_interrupted, self._due = False, 0.0
 
-    def set_speed(self, speed: float) -> None:
-        """Set the speed."""
-        self._set(speed=speed)
-
-    def pause(self, is_paused: bool) -> None:
-        """Stop time, or continue."""
-        self._set(is_paused=is_paused)
+    def set(self, **values: float) -> None:
+        """Set `speed` or `is_paused`."""
+        with self._changed:
+            vars(self).update(values)
+            self._changed.notify_all()
 
     def interrupt(self) -> None:
         """End all waits until the next `begin`."""
-        self._set(_is_interrupted=True)
+        self.set(_is_interrupted=True)
 
     def begin(self) -> None:
         """Begin to play."""
         self._due = time.monotonic()
-        self._set(_is_interrupted=False)
+        self.set(_is_interrupted=False)
 
     def wait(self, duration: float) -> bool:
         """Wait until the next picture is due, this time after the last [s]; return whether to continue."""
@@ -57,11 +55,6 @@ class Playback:
                     break
             return not self._is_interrupted
 
-    def _set(self, **values: float) -> None:
-        with self._changed:
-            vars(self).update(values)
-            self._changed.notify_all()
-
 
 class Stage:
     """Shows throws while they happen, or again; one thread calls `show` and `replay`."""
@@ -74,10 +67,10 @@ class Stage:
         gui.main_panel.set_width(380)
         self.text = gui.add_markdown("")  #: Number, object and outcome of the throw, or an error.
         pause = gui.add_checkbox("pause", False)
-        pause.on_update(lambda _: playback.pause(pause.value))
+        pause.on_update(lambda _: playback.set(is_paused=pause.value))
         speed = gui.add_dropdown("speed", list(SPEEDS), initial_value="real time")
-        speed.on_update(lambda _: playback.set_speed(SPEEDS[speed.value]))
-        self.picture = Picture(gui, scene.camera)  #: The camera's image, with the box of the policy.
+        speed.on_update(lambda _: playback.set(speed=SPEEDS[speed.value]))
+        self._html = gui.add_html("")  #: The camera's image, with the box of the policy.
         self.num_pictures = 0  #: Number of pictures so far.
         self._open(scene)
 
@@ -95,7 +88,7 @@ class Stage:
         if before is None:
             self.view.show_path(throw.path)
             self.show_text(throw)
-        self._images.show(step)
+        self._images.draw(step)
         count = 1 if before is None else max(1, round(1 / self._playback.speed))
         for i in range(count):
             with self._server.atomic():
@@ -123,4 +116,4 @@ class Stage:
     def _open(self, scene: SceneCfg) -> None:
         self._scene = scene
         self.view = SceneView(self._server, scene)  #: The scene.
-        self._images = CameraImages(self.picture, scene)
+        self._images = CameraImages(self._html, scene)
