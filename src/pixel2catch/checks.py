@@ -120,8 +120,6 @@ Count = Annotated[int, Within(1, 10_000_000)]
 """How many of something."""
 Seed = Annotated[int, Within(0, 2**32 - 1)]
 """Seed of a random generator."""
-Port = Annotated[int, Within(1, 65_535)]
-"""Number of a TCP port."""
 Share = Annotated[float, Within(0.0, 1.0)]
 """A part of something."""
 Positive = Annotated[float, Within(0.0, is_open=True)]

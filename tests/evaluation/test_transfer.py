@@ -134,7 +134,6 @@ def test_the_command_away(policy: str, tmp_path: Path, capsys: pytest.CaptureFix
     ("options", "message"),
     [
         (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
-        (("--engines", "mujoco", "mujoco"), "engines is mujoco mujoco"),
         (("--engines", "mujoco", "--throws", "30"), "throws is 30"),
         (("--engines", "mujoco", "--restitution", "1.5"), "restitution is 1.5"),
     ],

@@ -179,3 +179,15 @@ class SimulatedTask(TaskOptions):
 
 def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
     return then(options.change(task, command))
+
+
+def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:
+    """Raise if another work cell, such as one with makers' bodies, has other joints."""
+    from pixel2catch.workcells import find_workcell
+
+    ours, theirs = (find_workcell(each.scene.workcell) for each in (task, changed))
+    if ours.joint_names != theirs.joint_names:
+        raise InvalidValueError(
+            f"the joints of work cell '{theirs.name}' are not the policy's, those of '{ours.name}'; "
+            "leave out --env.scene.workcell, or give a work cell with the same joints."
+        )
