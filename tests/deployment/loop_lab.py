@@ -27,7 +27,7 @@ from pixel2catch.perception.segmenter import (
     Segmentation,
     Segmenter,
 )
-from pixel2catch.perception.tracker import ObjectTracker, Prompter
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -84,11 +84,8 @@ def new_pipeline(
 ) -> PolicyPipeline:
     """Return a pipeline: by default the paper's policy, which gets no ages, and a segmenter for red."""
     policy, _ = load_policy(Path("proposed"))
-    prompter = Prompter()
-    tracker = ObjectTracker(segmenter or ColorThreshold(RED), prompter)
-    return PolicyPipeline(
-        controller or PolicyController(policy, find_workcell(PROFILE.workcell)), tracker, prompter
-    )
+    controller = controller or PolicyController(policy, find_workcell(PROFILE.workcell))
+    return PolicyPipeline(controller, segmenter or ColorThreshold(RED), Prompter())
 
 
 def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Command:

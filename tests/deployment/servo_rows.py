@@ -15,6 +15,10 @@ HOME = np.array([joint.home for joint in JOINTS])
 LIMITS = replace(ServoLimits.of(UR5E_ALLEGRO), ramp_time=0.1)
 """Limits of the robot, with a short ramp."""
 
+TRUE = ("is_perception_sound", "is_safe", "is_status_known", "has_controller", "has_subscriber")
+FALSE = ("is_stop_requested", "has_other_publisher", "has_other_operator", "has_other_subscriber")
+"""Flags of inputs without a fault."""
+
 
 def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
     """Return a fault: some inputs are replaced."""
@@ -58,19 +62,12 @@ class Lab:
             target_stamp=np.full(self.rows, self._target_stamp),
             image_stamp=now - 0.03,
             box_stamp=now - 0.03,
-            is_perception_sound=np.ones(self.rows, dtype=bool),
             dead_man_stamp=now,
             pressed_stamp=np.full(self.rows, self.pressed),
             arm_stamp=np.full(self.rows, -np.inf),
-            is_stop_requested=np.zeros(self.rows, dtype=bool),
-            is_safe=np.ones(self.rows, dtype=bool),
             speed_scaling=np.ones(self.rows),
-            has_other_publisher=np.zeros(self.rows, dtype=bool),
-            is_status_known=np.ones(self.rows, dtype=bool),
-            has_controller=np.ones(self.rows, dtype=bool),
-            has_other_operator=np.zeros(self.rows, dtype=bool),
-            has_subscriber=np.ones(self.rows, dtype=bool),
-            has_other_subscriber=np.zeros(self.rows, dtype=bool),
+            **dict.fromkeys(TRUE, np.ones(self.rows, dtype=bool)),
+            **dict.fromkeys(FALSE, np.zeros(self.rows, dtype=bool)),
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:

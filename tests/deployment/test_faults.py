@@ -15,7 +15,7 @@ from servo_rows import LIMITS
 from mutation import changed_bytes
 from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.perception import NUM_EQUAL
-from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController, make_pipeline
+from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController, PolicyPipeline
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
@@ -44,7 +44,7 @@ class SteppedBench(Arming):
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)
         controller = PolicyController(policy, find_workcell(PROFILE.workcell))
-        pipeline = make_pipeline(controller, EverythingRed(), Prompter(), RGB_CAMERA, None)
+        pipeline = PolicyPipeline(controller, EverythingRed(), Prompter())
         nodes = self.broker.node(self.clock), self.broker.node(self.clock)
         self.servo = SteppedServo(ServoSetup(profile=PROFILE, limits=LIMITS), nodes, self.clock, None)
         connection = self.servo.connection

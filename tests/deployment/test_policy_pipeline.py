@@ -29,14 +29,13 @@ from pixel2catch.deployment.policy_pipeline import (
     STILL_TIME,
     PolicyController,
     PolicyPipeline,
-    make_pipeline,
 )
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 from pixel2catch.perception.tracker import Prompter
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.workcells import find_workcell
@@ -84,7 +83,7 @@ def test_an_object_of_the_training_is_never_too_large(name: str, expected: Verdi
     """A box of 28 cm where it is caught, which no object of the paper has."""
     policy, _ = load_policy(Path(name))
     controller = PolicyController(policy, find_workcell(policy.contract.workcell))
-    pipeline = make_pipeline(controller, ColorThreshold(RED), Prompter(), RGB_CAMERA, None)
+    pipeline = PolicyPipeline(controller, ColorThreshold(RED), Prompter())
     large = (300.0, 200.0, 460.0, 360.0)
     pipeline.point(BoxPrompt(box=large))
     assert see(pipeline, Image(pixels=picture(large), stamp=1.0), 1.01).verdict is expected

@@ -13,7 +13,7 @@ from wire_lab import WireLab
 from paper_robot import JOINTS
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
-from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline, make_pipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
 from pixel2catch.deployment.replay import compare, played, recorded_targets, replay
 from pixel2catch.errors import DeploymentError
@@ -38,8 +38,7 @@ PERIOD = 17
 def new_pipeline(controller: PolicyController | None = None) -> PolicyPipeline:
     policy, _ = load_policy(None)
     controller = controller or PolicyController(policy, find_workcell(PROFILE.workcell))
-    prompter = Prompter()
-    return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
+    return PolicyPipeline(controller, ColorThreshold(RED), Prompter())
 
 
 def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None:

@@ -19,6 +19,7 @@ from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.ros2.profile import Profile
+from pixel2catch.servo import status_words
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = tuple(joint.name for joint in JOINTS[:6])
@@ -59,7 +60,7 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     recording = tmp_path / "recording"
     run("record", swing(tmp_path / "swing.npz"), "--out", recording, "--lockstep", truth)
     printed = capsys.readouterr()
-    assert "running: follows the trajectory." in printed.err
+    assert "running: follows its targets." in printed.err
     (line,) = (line for line in printed.out.splitlines() if line.startswith("pixel2catch identify"))
     options = shlex.split(line)[2:]
     options[options.index("...")] = "--check"
@@ -91,7 +92,7 @@ def test_who_ended_a_recording_too_early_is_said_and_it_fails(
 
     monkeypatch.setattr(record, "PATIENCE", -2.5)
     is_ended("a limit of time")
-    monkeypatch.setattr(record, "in_words", lambda _: signal.raise_signal(signal.SIGTERM) or "")
+    monkeypatch.setattr(status_words, "sentence", lambda _: signal.raise_signal(signal.SIGTERM) or "")
     is_ended("SIGTERM")
 
 

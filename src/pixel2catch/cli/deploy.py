@@ -35,7 +35,7 @@ def make_pipeline(
     is_live: bool,
 ) -> "PolicyPipeline":
     """Build perception and policy for a robot and a camera, a live one or a recorded one."""
-    from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
+    from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
     from pixel2catch.evaluation.loading import load_policy
     from pixel2catch.perception.regions import RobotMask
     from pixel2catch.workcells import find_workcell
@@ -46,7 +46,7 @@ def make_pipeline(
     profile.require(policy.contract.commands)
     prompter = perception.make_prompter(camera)
     segmenter = perception.make_segmenter(is_live=is_live, say=say)
-    return make_pipeline(controller, segmenter, prompter, camera, RobotMask(workcell, camera))
+    return PolicyPipeline(controller, segmenter, prompter, camera, RobotMask(workcell, camera))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,6 @@ class ImageChecks:
     def __init__(self, transport: Transport, profile: CameraProfile, clock: Clock) -> None:
         """Start without a problem."""
         self._transport, self._profile, self._clock = transport, profile, clock
-        self._format = profile.height, profile.width, profile.encoding
         self._last: Image | None = None
         self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
         self._several_cameras = self._wrong_size = self._older = ""
@@ -67,9 +66,7 @@ class ImageChecks:
 
     def is_new(self, image: Image) -> bool:
         """Check the next image; return whether it differs from the previous one."""
-        last, self._last, self._wrong_size = self._last, image, ""
-        if (*image.pixels.shape[:2], image.encoding) != self._format:
-            self._wrong_size = self._profile.wrong_format(image)
+        last, self._last, self._wrong_size = self._last, image, self._profile.wrong_format(image)
         if last is None or self._wrong_size:
             self._num_equal = 1
             return not self._wrong_size

@@ -194,9 +194,23 @@ class PolicyPipeline:
     runs, `point` must not be called.
     """
 
-    def __init__(self, controller: PolicyController, tracker: ObjectTracker, prompter: Prompter) -> None:
-        """Start before the first throw; the prompter is the tracker's."""
-        self._controller, self._tracker, self._prompter = controller, tracker, prompter
+    def __init__(
+        self,
+        controller: PolicyController,
+        segmenter: Segmenter,
+        prompter: Prompter,
+        camera: CameraSpec = RGB_CAMERA,
+        robot: RobotMask | None = None,
+    ) -> None:
+        """Start before the first throw, for objects up to the largest of the policy's training.
+
+        The prompter points the object out; motion where the robot mask covers the image is ignored.
+        """
+        limits = PlausibilityCfg.up_to(controller.object_radius)
+        self._controller, self._prompter = controller, prompter
+        self._tracker = ObjectTracker(
+            segmenter, prompter, robot=robot, camera=camera, limits=limits, waits=True
+        )
         #: Whether the policy gets the age of each box. Without, all its boxes have the same age.
         self.knows_age = controller.method.knows_age
         self.num_joints = len(controller.joints)
@@ -308,19 +322,3 @@ class PolicyPipeline:
         return BoxHistory.begun(
             torch.tensor([box], dtype=torch.float32), torch.tensor([BOX_AGE / CONTROL_DT]), num_boxes=1
         )
-
-
-def make_pipeline(
-    controller: PolicyController,
-    segmenter: Segmenter,
-    prompter: Prompter,
-    camera: CameraSpec,
-    robot: RobotMask | None,
-) -> PolicyPipeline:
-    """Build a pipeline for objects up to the largest of the policy's training.
-
-    The prompter points the object out; motion where the robot mask covers the image is ignored.
-    """
-    limits = PlausibilityCfg.up_to(controller.object_radius)
-    tracker = ObjectTracker(segmenter, prompter, robot=robot, camera=camera, limits=limits, waits=True)
-    return PolicyPipeline(controller, tracker, prompter)

@@ -13,7 +13,7 @@ import numpy as np
 from pixel2catch.camera.image import Pixels
 from pixel2catch.deployment.control_loop import Connection, ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.policy_pipeline import PolicyController, make_pipeline
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -155,7 +155,7 @@ def in_step(
             draw, segmenter = (lambda _, exposure: camera.image(exposure)), BackgroundSubtraction()
             robot = RobotMask(workcell, scene.camera)
         controller = PolicyController(policy, workcell, scene.camera)
-        pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
+        pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
         least, jitter, random = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, Random(cfg.seed)
         loop = ControlLoop(
