@@ -40,9 +40,10 @@ def write_table(path: Path, rows: list[list], names: list[str] | None = None) ->
 
 
 def read_rows(folder: Path) -> list[list]:
+    """Rows of the table, with whole paths of the images."""
     with open(folder / "views.csv", newline="", encoding="utf-8") as file:
         _, *rows = csv.reader(file)
-    return rows
+    return [[str(folder / name), *map(float, positions)] for name, *positions in rows]
 
 
 def error_of(capsys: pytest.CaptureFixture[str], *args: str | Path) -> str:
@@ -81,7 +82,7 @@ def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.Capt
 def test_a_table_that_cannot_be_is_refused(
     laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    rows = [[str(laboratory / row[0]), *map(float, row[1:])] for row in read_rows(laboratory)]
+    rows = read_rows(laboratory)
     lens = ("--intrinsics", laboratory / "lens.json", "--out", tmp_path / "camera.json")
     degrees = [[name, *np.degrees(positions)] for name, *positions in rows]
     cases = {

@@ -17,13 +17,6 @@ from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 RED = (340.0, 20.0)
 
 
-def image_with_red(box: tuple[int, int, int, int]) -> np.ndarray:
-    image = np.full((480, 640, 3), 90, dtype=np.uint8)
-    xmin, ymin, xmax, ymax = box
-    image[ymin:ymax, xmin:xmax] = (200, 40, 30)
-    return image
-
-
 def test_segmenters():
     assert isinstance(PerceptionArgs().make_segmenter(), BackgroundSubtraction)
     assert isinstance(PerceptionArgs(segmenter="color", color=RED).make_segmenter(), ColorThreshold)
@@ -63,19 +56,14 @@ def test_a_model_too_slow_for_a_camera_is_refused(checkpoint: Path, monkeypatch:
         small.make_segmenter(is_live=True)
 
 
-def test_a_persons_box_comes_before_the_colour():
-    image = image_with_red((300, 200, 320, 220))
-    given = PerceptionArgs(box=(10, 10, 30, 30), color=RED).make_prompter()
-    assert given.look(image) == BoxPrompt(box=(10, 10, 30, 30))
-    assert given.look(image) == BoxPrompt(box=(300, 200, 320, 220))
-
-
-def test_colour_is_searched_in_the_region():
-    image = image_with_red((300, 200, 320, 220))
-    inside = PerceptionArgs(color=RED, region=(250, 150, 400, 300)).make_prompter()
-    outside = PerceptionArgs(color=RED, region=(0, 0, 200, 200)).make_prompter()
+def test_options_reach_the_prompter():
+    """A box first, then the colour in the region."""
+    image = np.full((480, 640, 3), 90, dtype=np.uint8)
+    image[200:220, 300:320] = (200, 40, 30)
+    inside = PerceptionArgs(box=(10, 10, 30, 30), color=RED, region=(250, 150, 400, 300)).make_prompter()
+    assert inside.look(image) == BoxPrompt(box=(10, 10, 30, 30))
     assert inside.look(image) == BoxPrompt(box=(300, 200, 320, 220))
-    assert outside.look(image) is None
+    assert PerceptionArgs(color=RED, region=(0, 0, 200, 200)).make_prompter().look(image) is None
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import painted
+import pytest
 from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, box_of
 
 from pixel2catch.camera.image import Mask
@@ -19,11 +20,9 @@ from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 ROBOT_COLOR = (20, 20, 20)
 
 
-def waiting_and_gone(num_steps: int, first_step: int) -> Disc:
-    """A robot's hand that waits in the middle of the image, and is away from a step on."""
-    path = np.tile((160.0, 120.0), (num_steps, 1))
-    path[first_step:] = (-100.0, -100.0)
-    return Disc(path=path, radius=30.0, color=ROBOT_COLOR)
+def in_the_middle(present: np.ndarray, radius: float, color: tuple[int, int, int] = painted.RED) -> Disc:
+    """A disc in the middle of the images in which it is present."""
+    return Disc(path=np.where(present[:, None], (160.0, 120.0), -100.0), radius=radius, color=color)
 
 
 def test_a_change_of_light_is_no_foreground():
@@ -49,8 +48,7 @@ def test_flicker_is_recognised():
 
 
 def test_a_still_thing_becomes_background_unless_it_is_kept():
-    disc = Disc(path=np.tile((160.0, 120.0), (100, 1)), radius=9.0)
-    disc.path[:10] = -100.0
+    disc = in_the_middle(np.arange(100) >= 10, 9.0)
     forgetful, keeping = Foreground(), Foreground()
     absorbed = kept = np.zeros(0, dtype=bool)
     for step, image in enumerate(painted.images((disc,), 10 + LEARNING_IMAGES + 5)):
@@ -81,8 +79,8 @@ def test_learning_at_once_or_later_gives_the_same():
 
 def test_the_edge_of_a_thing_is_where_its_difference_falls():
     """A bright disc with a halo of a fifth of its contrast, as compression makes: the halo is left out."""
-    halo = Disc(path=np.tile((160.0, 120.0), (30, 1)), radius=16.0, color=(165, 165, 165))
-    disc = Disc(path=halo.path, radius=9.0, color=(255, 255, 255))
+    halo = in_the_middle(np.ones(30, dtype=bool), 16.0, (165, 165, 165))
+    disc = in_the_middle(np.ones(30, dtype=bool), 9.0, (255, 255, 255))
     room = np.full((painted.HEIGHT, painted.WIDTH, 3), 142, dtype=np.uint8)
     foreground = Foreground()
     for _ in range(5):
@@ -98,7 +96,7 @@ def test_the_edge_of_a_thing_is_where_its_difference_falls():
 
 def test_the_place_that_a_robot_leaves_is_no_object():
     num_steps, first_step = NUM_EMPTY + 10, NUM_EMPTY
-    robot = waiting_and_gone(num_steps, first_step)
+    robot = in_the_middle(np.arange(num_steps) < first_step, 30.0, ROBOT_COLOR)
     ignorant, foreground = Foreground(), Foreground()
     for step, image in enumerate(painted.images((robot,), num_steps)):
         ghost = ignorant.step(image, None).moving
@@ -112,12 +110,9 @@ def test_the_place_that_a_robot_leaves_is_no_object():
 
 def test_the_background_behind_a_passing_robot_stays_known():
     num_steps = NUM_EMPTY + 12
-    path = np.full((num_steps, 2), -100.0)
-    path[NUM_EMPTY : NUM_EMPTY + 6] = (160.0, 120.0)
-    robot = Disc(path=path, radius=30.0, color=ROBOT_COLOR)
-    disc_path = np.full((num_steps, 2), -100.0)
-    disc_path[-1] = (160.0, 120.0)
-    disc = Disc(path=disc_path, radius=8.0)
+    steps = np.arange(num_steps)
+    robot = in_the_middle((steps >= NUM_EMPTY) & (steps < NUM_EMPTY + 6), 30.0, ROBOT_COLOR)
+    disc = in_the_middle(steps == num_steps - 1, 8.0)
     foreground = Foreground()
     moving: Mask = np.zeros(0, dtype=bool)
     for step, image in enumerate(painted.images((disc, robot), num_steps)):
@@ -126,27 +121,24 @@ def test_the_background_behind_a_passing_robot_stays_known():
     assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2
 
 
-def motion_of(difference: np.ndarray) -> ImageMotion:
-    """What moves where an image differs at all from its background."""
-    moving, image = difference > 0, np.zeros((*difference.shape, 3), dtype=np.uint8)
-    return ImageMotion(image=image, difference=difference, moving=moving, unknown=np.zeros_like(moving))
-
-
-def test_the_side_of_a_thing_that_is_nearly_as_bright_as_the_wall_is_no_rim():
-    """Of 32 rows the lower 12 differ by 6 levels, a quarter of the others' 24: an eighth, 4, may be rim."""
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        # Of 32 rows the lower 12 differ by a quarter of the others: an eighth, 4, may be rim.
+        ({(10, 42): 6, (10, 30): 24}, [*range(10, 38)]),
+        # A ball and, below, a hand that differ by 24 levels, and by 6 between them.
+        ({(10, 50): 6, (10, 20): 24, (28, 50): 24}, [*range(10, 20), *range(28, 50)]),
+    ],
+    ids=["a side as bright as the wall is no rim", "two things are separated"],
+)
+def test_edges_where_the_difference_is_small(rows: dict[tuple[int, int], int], expected: list[int]):
     difference = np.zeros((60, 60), dtype=np.uint8)
-    difference[10:30, 10:42], difference[30:42, 10:42] = 24, 6
-    box = painted.box_of(sharpened(motion_of(difference), (slice(0, 60), slice(0, 60))))
-    assert box.tolist() == [10.0, 10.0, 42.0, 38.0]
-
-
-def test_two_things_are_separated_where_both_differ_little():
-    """A ball and, below, a hand that differ by 24 levels, and by 6 between them."""
-    difference = np.zeros((60, 60), dtype=np.uint8)
-    difference[10:50, 20:32] = 6
-    difference[10:20, 20:32], difference[28:50, 20:32] = 24, 24
-    sharp = sharpened(motion_of(difference), (slice(0, 60), slice(0, 60)))
-    assert np.flatnonzero(sharp[:, 25]).tolist() == [*range(10, 20), *range(28, 50)]
+    for (first, end), level in rows.items():
+        difference[first:end, 15:40] = level
+    blank, whole = np.zeros((60, 60, 3), dtype=np.uint8), (slice(0, 60), slice(0, 60))
+    unknown = np.zeros_like(difference, dtype=bool)
+    motion = ImageMotion(image=blank, difference=difference, moving=difference > 0, unknown=unknown)
+    assert np.flatnonzero(sharpened(motion, whole)[:, 25]).tolist() == expected
 
 
 EVERYWHERE = np.ones((HEIGHT, WIDTH), dtype=bool)

@@ -24,14 +24,13 @@ ROBOT_GROUPS = (2, 3)
 ROWS, COLUMNS = np.mgrid[: RGB_CAMERA.height : STRIDE, : RGB_CAMERA.width : STRIDE]
 
 
+IS_ARM = np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints)
+
+
 def poses() -> np.ndarray:
     """The start pose, and joints within 0.25 rad of it, fingers anywhere within their limits."""
-    home, lower, upper = (
-        np.array([getattr(joint, name) for joint in UR5E_ALLEGRO.joints])
-        for name in ("home", "lower", "upper")
-    )
-    spread = np.where(np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints), 0.25, 2.0)
-    offsets = spread * np.random.default_rng(0).uniform(-1, 1, (11, len(UR5E_ALLEGRO.joints)))
+    home, lower, upper = np.array([(each.home, each.lower, each.upper) for each in UR5E_ALLEGRO.joints]).T
+    offsets = np.where(IS_ARM, 0.25, 2.0) * np.random.default_rng(0).uniform(-1, 1, (11, len(home)))
     return np.vstack((home, np.clip(home + offsets, lower, upper)))
 
 
@@ -89,7 +88,7 @@ def test_the_margin_covers_the_robot_and_little_else():
 def test_the_margin_covers_a_robot_that_is_a_little_elsewhere():
     """Encoders that are half an image interval late, at a tenth of the arm's largest speed."""
     model, robot = build_model(SceneCfg(visuals=True)), RobotMask(UR5E_ALLEGRO)
-    late = np.where(np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints), 0.279 / 60, 0.0)
+    late = np.where(IS_ARM, 0.279 / 60, 0.0)
     covered = [robot.at(pose + late)[::STRIDE, ::STRIDE][seen_robot(model, pose)].mean() for pose in poses()]
     assert min(covered) >= 0.99
 

@@ -1,7 +1,7 @@
 """Checkpoints and installations that cannot be used: every message says what to do."""
 
-import importlib.util
 import json
+import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from tiny_sam2 import save_tiny_sam2
 
-from pixel2catch.errors import DeviceUnavailableError, PerceptionError
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, PerceptionError
 from pixel2catch.perception import sam2
 from pixel2catch.perception.sam2 import Sam2Segmenter
 
@@ -19,21 +19,16 @@ ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
 
 
 def drop_weights(folder: Path) -> None:
-    weights = folder / "model.safetensors"
-    kept = {
-        name: value for name, value in load_file(weights).items() if not name.startswith("memory_encoder")
-    }
-    save_file(kept, weights, metadata={"format": "pt"})
+    weights = load_file(folder / "model.safetensors")
+    kept = {name: value for name, value in weights.items() if not name.startswith("memory_encoder")}
+    save_file(kept, folder / "model.safetensors", metadata={"format": "pt"})
 
 
 def leave_a_part_of_a_download(folder: Path) -> None:
     """One of two files is there, and the index that names both."""
-    weights = folder / "model.safetensors"
-    names = list(load_file(weights))
-    files = {
-        name: f"model-0000{1 + position % 2}-of-00002.safetensors" for position, name in enumerate(names)
-    }
-    weights.rename(folder / "model-00001-of-00002.safetensors")
+    parts = [f"model-0000{number}-of-00002.safetensors" for number in (1, 2)]
+    files = {name: parts[i % 2] for i, name in enumerate(load_file(folder / "model.safetensors"))}
+    (folder / "model.safetensors").rename(folder / parts[0])
     (folder / "model.safetensors.index.json").write_text(json.dumps({"metadata": {}, "weight_map": files}))
 
 
@@ -43,7 +38,7 @@ def replace_by_the_makers_file(folder: Path) -> None:
 
 def change_type(folder: Path) -> None:
     config = folder / "config.json"
-    config.write_text(json.dumps(json.loads(config.read_text()) | {"model_type": "sam3_video"}))
+    config.write_text(config.read_text().replace('"model_type": "sam2_video"', '"model_type": "sam3_video"'))
 
 
 @pytest.mark.parametrize(
@@ -69,20 +64,18 @@ def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> 
         Sam2Segmenter(tmp_path, "cuda")
 
 
-def import_anew() -> None:
-    spec = importlib.util.spec_from_file_location("fresh", sam2.__file__)
-    assert spec is not None
-    assert spec.loader is not None
-    spec.loader.exec_module(importlib.util.module_from_spec(spec))
-
-
 def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(PerceptionError, match=r"pip install .*\[sam2\]"):
-        import_anew()
+        runpy.run_path(str(sam2.__file__))
 
 
 def test_compiling_without_a_compiler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
         Sam2Segmenter(tmp_path, "cpu", is_compiled=True)
+
+
+def test_an_image_size_between_multiples_of_32_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="multiple of 32, not 100"):
+        Sam2Segmenter(tmp_path, "cpu", image_size=100)

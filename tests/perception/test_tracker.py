@@ -20,7 +20,6 @@ from pixel2catch.perception.segmenter import (
     ColorThreshold,
     ImageMotion,
     Segmentation,
-    Segmenter,
 )
 from pixel2catch.perception.tracker import MOST_CANDIDATES, PATIENCE, ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -75,21 +74,15 @@ def test_repeated_and_older_images_hold_the_box():
     assert (older.verdict, older.edges) == (Verdict.REPEATED, START)
 
 
-class EverythingRed(Segmenter):
+class EverythingRed(ColorThreshold):
     """Returns all that is red, in one piece or several."""
-
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        return self.track(image, motion)
 
     def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         return Segmentation(mask=REDS.mask(image), score=1.0)
 
-    def reset(self) -> None:
-        pass
-
 
 def everything_red() -> ObjectTracker:
-    return ObjectTracker(EverythingRed(), Prompter(BoxPrompt(box=START)))
+    return ObjectTracker(EverythingRed(REDS), Prompter(BoxPrompt(box=START)))
 
 
 def test_of_two_regions_the_box_is_that_of_the_largest():

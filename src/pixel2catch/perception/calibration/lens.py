@@ -3,7 +3,7 @@
 ROS and OpenCV call the middle of the first pixel (0, 0), this project (0.5, 0.5): what is read is moved.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -158,7 +158,7 @@ def read_lens(
 
 
 def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
-    """Compute a lens from images of the board.
+    """Compute a lens (k1, k2, p1, p2) from images of the board.
 
     Raises:
         PerceptionError: Too few images show it, or their sizes differ.
@@ -176,11 +176,7 @@ def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
         )
     if len(sizes) > 1:
         raise PerceptionError(f"{folder}: images of sizes {sorted(sizes)}; keep those of one resolution.")
-    return lens_of_views(views, sizes.pop())
-
-
-def lens_of_views(views: Sequence[BoardView], size: tuple[int, int]) -> CameraFile:
-    """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images of a size [px]."""
+    size = sizes.pop()
     _, matrix, distortion, _, _, deviations, *_ = cv2.calibrateCameraExtended(
         [view.points.astype(np.float32) for view in views],
         [view.pixels.astype(np.float32)[:, None] for view in views],
