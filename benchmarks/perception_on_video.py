@@ -18,8 +18,7 @@ from rendered_throws import NEAR_HAND, FilmCfg, ThrowFilm, moments, truths
 from pixel2catch.camera.image import Image
 from pixel2catch.evaluation.box_scores import Score, reacquisition, summary
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
-from pixel2catch.evaluation.recorded_throws import RecordedThrow
+from pixel2catch.evaluation.protocol import EvaluationCfg, RecordedThrow, recorded_throws
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.regions import RobotMask
 from pixel2catch.scene.constants import OBJECT_POS

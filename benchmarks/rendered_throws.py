@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.image import Image
-from pixel2catch.evaluation.recorded_throws import RecordedThrow
+from pixel2catch.evaluation.protocol import RecordedThrow
 from pixel2catch.perception.labels import Phase, Truth
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders

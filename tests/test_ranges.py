@@ -17,7 +17,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import Experiment
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pixel2catch.envs.tasks import find_task as find_task
     from pixel2catch.errors import Pixel2CatchError as Pixel2CatchError
     from pixel2catch.evaluation.loading import task_of as task_of
-    from pixel2catch.evaluation.stress.suite import Axis as Axis, Level as Level
+    from pixel2catch.evaluation.stress import Axis as Axis, Level as Level
     from pixel2catch.learning.experiment import Experiment as Experiment, preset as preset
     from pixel2catch.mdp import observations as observations, terminations as terminations
     from pixel2catch.mdp.rewards import RewardTerm as RewardTerm
@@ -74,7 +74,7 @@ _NAMES = {
     "envs.world": "world",
     "errors": "Pixel2CatchError",
     "evaluation.loading": "task_of",
-    "evaluation.stress.suite": "Axis Level",
+    "evaluation.stress": "Axis Level",
     "learning.experiment": "Experiment preset",
     "mdp.observations": "observations",
     "mdp.rewards": "RewardTerm",

@@ -20,7 +20,7 @@ from pixel2catch.policy import contract_of, method_of
 FILE = """
 from dataclasses import replace
 from pixel2catch.mdp.observations import PAPER_TERMS
-from pixel2catch.evaluation.stress.suite import Axis, Level
+from pixel2catch.evaluation.stress import Axis, Level
 from pixel2catch.methods import PROPOSED
 from pixel2catch.scene.objects import make_object
 from pixel2catch.scene.shapes import box

@@ -1,4 +1,4 @@
-"""The grid: cells in this process, in workers, and as jobs of submitit's executor for one machine."""
+"""The grid: cells in workers, and as jobs of submitit's executor for one machine."""
 
 import os
 import signal
@@ -11,16 +11,16 @@ import pytest
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation import slots
-from pixel2catch.evaluation.grid import Status, StudyCell, StudyGrid, held
-from pixel2catch.evaluation.slots import (
-    MPS_CONTROL,
+from pixel2catch.evaluation import grid as grids
+from pixel2catch.evaluation.grid import (
     ClusterJob,
     Slot,
-    ThisProcess,
+    Status,
+    StudyCell,
+    StudyGrid,
     Worker,
     cluster_executor,
-    shared_gpus,
+    held,
 )
 
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
@@ -70,9 +70,11 @@ def test_cells_run_in_order_after_what_they_need(tmp_path: Path):
         cell(tmp_path, "judge-b", "train-b", kind="judge"),
     ]
     grid = StudyGrid(cells)
-    grid.run([ThisProcess("judge", "x"), ThisProcess("train", "y")])
+    grid.run([Worker("judge", "x"), Worker("train", "y")])
     assert set(grid.status.values()) == {DONE}
-    assert order(tmp_path) == ["train-a", "judge-a", "train-b", "judge-b"]
+    made = order(tmp_path)
+    for before, after in (("train-a", "train-b"), ("train-a", "judge-a"), ("train-b", "judge-b")):
+        assert made.index(before) < made.index(after)
     assert [(tmp_path / name).read_text() for name in ("train-a", "judge-a")] == ["y", "x"]
 
 
@@ -81,7 +83,7 @@ def test_only_missing_cells_and_what_follows_them_are_computed(tmp_path: Path):
         (tmp_path / name).touch()
     grid = StudyGrid([cell(tmp_path, "a"), cell(tmp_path, "b", "a"), cell(tmp_path, "c", "b")])
     assert grid.status == {"a": DONE, "b": WAITING, "c": WAITING}
-    grid.run([ThisProcess("", "x")])
+    grid.run([Worker("", "x")])
     assert order(tmp_path) == ["b", "c"]
 
 
@@ -91,7 +93,7 @@ def test_only_missing_cells_and_what_follows_them_are_computed(tmp_path: Path):
 def test_a_failure_holds_up_only_what_depends_on_it(work, error: str, tmp_path: Path):
     broken = partial(work, nonsense=1) if work is print else work
     grid = StudyGrid([cell(tmp_path, "a", work=broken), cell(tmp_path, "b", "a"), cell(tmp_path, "c")])
-    grid.run([ThisProcess("", "x")])
+    grid.run([Worker("", "x")])
     assert grid.status == {"a": FAILED, "b": WAITING, "c": DONE}
     with pytest.raises(StudyError, match=f"a failed: .*{error}"):
         grid.require_whole()
@@ -135,7 +137,7 @@ def test_a_folder_is_held_by_one_process(tmp_path: Path):
 
 
 def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(slots, "CLUSTER", "local")
+    monkeypatch.setattr(grids, "CLUSTER", "local")
     monkeypatch.setattr(ClusterJob, "poll_seconds", 0.05)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     executor = cluster_executor(("timeout_min=5", "slurm_partition=any"), tmp_path)
@@ -153,7 +155,7 @@ def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_requests_that_the_cluster_refuses(
     asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(slots, "CLUSTER", "local")
+    monkeypatch.setattr(grids, "CLUSTER", "local")
     assert main(["stress", "--out", str(tmp_path / "out"), "--slurm", asked]) == 2
     assert asked.partition("=")[0] in capsys.readouterr().err
 
@@ -164,28 +166,3 @@ def test_a_machine_without_cluster_or_submitit(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setitem(sys.modules, "submitit", None)
     with pytest.raises(StudyError, match=r"\[slurm\]"):
         cluster_executor(("timeout_min=5",), tmp_path)
-
-
-@pytest.mark.parametrize(("status", "starts"), [("0", True), ("1", False)])
-def test_the_mps_daemon_has_a_folder_of_its_own(
-    status: str, starts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """The control program notes its calls; the real one needs a GPU."""
-    program = tmp_path / MPS_CONTROL
-    program.write_text(
-        '#!/bin/sh\necho "[$*] $(if [ "$1" != -d ]; then cat; fi)" >> "$RECORD"\nexit "$STATUS"\n'
-    )
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setenv("RECORD", str(tmp_path / "record"))
-    monkeypatch.setenv("STATUS", status)
-    monkeypatch.delenv("CUDA_MPS_PIPE_DIRECTORY", raising=False)
-    with shared_gpus() as variables:
-        assert bool(variables) == starts
-        folder = Path(variables.get("CUDA_MPS_PIPE_DIRECTORY", tmp_path / "none"))
-        assert folder.is_dir() == starts
-    assert (tmp_path / "record").read_text().splitlines() == (["[-d] ", "[] quit"] if starts else ["[-d] "])
-    assert not folder.exists()
-    monkeypatch.setenv("CUDA_MPS_PIPE_DIRECTORY", "/elsewhere")
-    with shared_gpus() as variables:
-        assert variables == {}

@@ -8,8 +8,7 @@ import pytest
 from paper_robot import JOINTS
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.evaluation.stress.suite import Change, part, select_settings, together
-from pixel2catch.evaluation.stress.trained import is_trained_on
+from pixel2catch.evaluation.stress import Change, is_trained_on, part, select_settings, together
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 

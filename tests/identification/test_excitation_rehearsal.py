@@ -1,22 +1,16 @@
 """The simulated robot: its torques, distances and limits, and what it records, against numbers by hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from recorded import JOINT_SPECS, ROBOTS
+from recorded import JOINT_SPECS
 
-from pixel2catch.identification.recording import Recording, Trajectory
+from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import (
-    Recorder,
     assess,
     clearances,
-    rehearse,
     simulated_recordings,
-    unlike_nominal,
 )
 from pixel2catch.identification.simulation import FIT_DT
-from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 HOME = np.array([spec.home for spec in JOINT_SPECS.values()])
@@ -103,29 +97,9 @@ def bump(size: float) -> Trajectory:
 
 def test_both_loops_stall_each_in_its_own_time():
     nominal = JointDynamics.nominal(JOINTS)
-    (recording,) = simulated_recordings([bump(0.2)], nominal, Recorder(), np.random.default_rng(0))
+    (recording,) = simulated_recordings([bump(0.2)], nominal, np.random.default_rng(0))
     assert sorted(set(np.round(np.diff(recording.t_meas), 6))) == [0.008, 0.04]
     sent, read = (time[:-1][np.diff(time) > 0.03] for time in (recording.t_cmd, recording.t_meas))
     assert min(len(sent), len(read)) > 3
     assert not np.isin(np.round(sent, 2), np.round(read, 2)).all()
     np.testing.assert_array_equal(recording.q_cmd, bump(0.2).at(recording.t_cmd))
-
-
-def test_a_rehearsal_writes_recordings_and_the_truth(tmp_path: Path):
-    truth = unlike_nominal(np.random.default_rng(5), JointDynamics.nominal(JOINTS))
-    rehearse(tmp_path / "new", [bump(0.1), bump(0.2)], truth, seed=0)
-    names = sorted(path.name for path in (tmp_path / "new").iterdir())
-    assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
-    assert DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics == truth
-    ranges = [np.ptp(Recording.load(tmp_path / "new" / name).q[:, 1]) for name in names[:2]]
-    np.testing.assert_allclose(ranges, [0.1, 0.2], rtol=0.1)
-
-
-def test_truth_is_unlike_the_nominal_robot():
-    nominal = JointDynamics.nominal(ROBOTS["ur5e_allegro"])
-    truth = unlike_nominal(np.random.default_rng(0), nominal)
-    for name in ("stiffness", "damping", "frictionloss", "armature"):
-        ratio = getattr(truth, name) / getattr(nominal, name)
-        assert 0.7 <= ratio.min() < 0.9
-        assert 1.1 < ratio.max() <= 1.4
-    assert (truth.latency == 0.012).all()

@@ -28,6 +28,23 @@ def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pyte
     assert DynamicsFile.load(tmp_path / "reh" / "truth.json").dynamics == late
 
 
+def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_robot(tmp_path: Path):
+    assert (
+        run("--robot", "allegro", "--seconds", "20", "--recordings", "2", "--rehearse", tmp_path / "new") == 0
+    )
+    names = sorted(path.name for path in (tmp_path / "new").iterdir())
+    assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
+    truth, nominal = (
+        DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics,
+        JointDynamics.nominal(ROBOTS["allegro"]),
+    )
+    for name in ("stiffness", "damping", "frictionloss", "armature"):
+        ratio = getattr(truth, name) / getattr(nominal, name)
+        assert 0.7 <= ratio.min() < 0.9
+        assert 1.1 < ratio.max() <= 1.4
+    assert (truth.latency == 0.012).all()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -12,15 +12,14 @@ from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit, FitCfg
 from pixel2catch.identification.identify import (
     LAG,
     CheckedRecording,
-    SimulatedRecording,
     checked,
     estimates,
     gain_ranges,
     identify,
     merged_file,
+    open_questions,
     start_of_fit,
     tracking_errors,
-    weak_directions,
 )
 from pixel2catch.identification.intervals import model_covariance
 from pixel2catch.identification.recording import Recording
@@ -48,10 +47,8 @@ def test_errors_are_those_of_all_motions_together():
     """Errors of 1 and 3 mrad in as many samples are √5 mrad; the command is 5 mrad off."""
     recording = replace(short(), q=short().q * 0.0, q_cmd=short().q_cmd * 0.0 + 0.005)
     source = CheckedRecording(recording=recording, checks=(), is_held_out=False)
-    motions = [
-        SimulatedRecording(**vars(source), before=np.full((8, 6), 2 * error), after=np.full((8, 6), error))
-        for error in (1e-3, -3e-3)
-    ]
+    paths = [np.full((8, 6), error) for error in (1e-3, -3e-3)]
+    motions = [replace(source, before=2 * path, after=path) for path in paths]
     errors = tracking_errors(motions)
     np.testing.assert_allclose(errors["after"], np.sqrt(5.0) * 1e-3)
     np.testing.assert_allclose(errors["before"], 2.0 * np.sqrt(5.0) * 1e-3)
@@ -71,14 +68,8 @@ def test_a_recording_that_fails_its_checks_is_not_fitted():
 
 def hand_fit() -> Fit:
     """A fit of the hand that doubled every damping, with deviations of 1 %."""
-    nominal = JointDynamics.nominal(HAND)
-    return Fit(
-        dynamics=nominal.with_values(damping=2.0 * nominal.damping),
-        free=SERVO_PARAMETERS,
-        covariance=np.tile(1e-4 * np.eye(5), (len(HAND), 1, 1)),
-        encoders=PERFECT,
-        encoder_deviations=PERFECT,
-    )
+    fit = fit_of(np.tile(1e-4 * np.eye(5), (len(HAND), 1, 1)), SERVO_PARAMETERS, HAND)
+    return replace(fit, dynamics=fit.dynamics.with_values(damping=2.0 * fit.dynamics.damping))
 
 
 @pytest.fixture
@@ -120,21 +111,20 @@ def test_a_filter_is_in_front_of_a_stiff_servo_or_of_that_of_the_file(arm_file: 
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
 SCALE = np.array((1.0, 1.0, 1.0, 1.0, 0.0))
-ONLY_FRICTION = np.array((0.0, 0.0, 1.0, 0.0, 0.0))
 ONLY_LATENCY = np.array((0.0, 0.0, 0.0, 0.0, 1.0))
-DAMPING_FOR_LATENCY = np.array((0.0, 1.0, 0.0, 0.0, -1.0))
 
 
-def fit_of(covariance: np.ndarray, free: tuple[str, ...] = ("stiffness", "damping", "armature")) -> Fit:
+def fit_of(
+    covariance: np.ndarray,
+    free: tuple[str, ...] = ("stiffness", "damping", "armature"),
+    joints: tuple[str, ...] = JOINTS,
+) -> Fit:
     """A fit of these covariances, one of each joint."""
-    dynamics = JointDynamics.nominal(JOINTS[: len(covariance)])
-    return Fit(
-        dynamics=dynamics,
-        free=free,
-        covariance=covariance,
-        encoders=PERFECT,
-        encoder_deviations=PERFECT,
+    dynamics, known = (
+        JointDynamics.nominal(joints[: len(covariance)]),
+        {"free": free, "covariance": covariance},
     )
+    return Fit(dynamics=dynamics, encoders=PERFECT, encoder_deviations=PERFECT, **known)
 
 
 def fit_with(*directions: np.ndarray) -> Fit:
@@ -143,54 +133,52 @@ def fit_with(*directions: np.ndarray) -> Fit:
     return fit_of(np.stack(covariance), SERVO_PARAMETERS)
 
 
-def test_common_scale_is_named_and_its_ratios_are_known():
-    fit = fit_with(0.0 * SCALE, 0.4 * SCALE)
-    (weak,) = weak_directions(fit)
-    assert weak.joint == "wrist_3_joint"
-    assert weak.is_scale
-    assert set(weak.parameters) == {"stiffness", "damping", "frictionloss", "armature"}
-    assert weak.half_width == pytest.approx(1.96 * 0.8, rel=1e-3)
-    assert "of wrist 3 share one scale: only their ratios are known: fix stiffness" in weak.text("wrist 3")
+def test_what_is_not_known_is_named_with_its_remedy():
+    """A common scale of the wrist's torques, whose ratios are known, and the index finger's latency."""
+    fit = fit_with(0.0 * SCALE, 0.4 * SCALE, 0.1 * ONLY_LATENCY)
     lag = estimates(fit)[LAG]
     assert lag.value[1] == pytest.approx(202.0 / 2066.0)
     np.testing.assert_allclose(lag.half_width, 1.96 * 0.01 * np.sqrt(2))
-
-
-def test_lone_and_opposed_parameters_are_named():
-    friction, opposed, latency = sorted(
-        weak_directions(fit_with(ONLY_FRICTION, 0.9 * DAMPING_FOR_LATENCY, 0.1 * ONLY_LATENCY)),
-        key=lambda weak: JOINTS.index(weak.joint),
-    )
-    assert friction.text("elbow").startswith("frictionloss of elbow is known only to a factor of 7.1: fix")
-    assert not opposed.is_scale
-    assert set(opposed.parameters) == {"damping", "latency"}
-    assert latency.text("index 1").startswith("latency of index 1 is known only to 2.0 ms")
+    questions = open_questions(fit)
+    assert [text.split(":")[0] for text in questions[:-1]] == [
+        *(
+            f"{name} of wrist 3 is known only to a factor of 2.19"
+            for name in ("stiffness", "damping", "frictionloss", "armature")
+        ),
+        "latency of index 1 is known only to 2.0 ms",
+    ]
+    assert "or add slow reversals" in questions[2]
+    assert "one scale" in questions[-1]
+    assert open_questions(fit_with(0.0 * SCALE)) == []
 
 
 PAPER = GainRanges().of(UR5E_ALLEGRO)
 ELBOW, WRIST, INDEX = 2, 5, 6
 GAINS = ("stiffness", "damping", "armature")
-TOGETHER = np.ones(3)
 
 
 def about_one(half_width: float) -> tuple[float, float]:
     return float(np.exp(-half_width)), float(np.exp(half_width))
 
 
-def test_a_well_known_joint_gets_narrow_ranges_drawn_apart():
-    """Intervals of ±0.098 %, less than what is always left: 2 %."""
-    ranges = gain_ranges(fit_of(np.stack([2.5e-7 * np.eye(3)])), PAPER)
-    np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], about_one(0.02))
-    np.testing.assert_allclose(ranges.damping_scale[ELBOW], about_one(0.02))
-    assert not any(ranges.is_damping_relative)
-
-
-def test_where_only_the_ratio_is_known_the_scale_keeps_the_papers_range():
-    """A common scale known to a factor 7: the stiffness is the paper's, the damping ±1.96 · 0.01 √2 of it."""
-    ranges = gain_ranges(fit_of(np.stack([1e-4 * np.eye(3) + np.outer(TOGETHER, TOGETHER)])), PAPER)
-    assert ranges.stiffness_scale[ELBOW] == (0.8, 1.2)
-    np.testing.assert_allclose(ranges.damping_scale[ELBOW], about_one(1.96 * 0.01 * 2**0.5))
-    assert ranges.is_damping_relative[ELBOW]
+@pytest.mark.parametrize(
+    ("covariance", "free", "stiffness", "damping", "is_relative"),
+    [
+        # well known, ±0.098 %: less than what is always left, 2 %
+        (2.5e-7 * np.eye(3), GAINS, about_one(0.02), about_one(0.02), False),
+        # a common scale known to a factor 7: the paper's stiffness, the damping ±1.96 · 0.01 √2 of it
+        (1e-4 * np.eye(3) + np.ones((3, 3)), GAINS, (0.8, 1.2), about_one(1.96 * 0.01 * 2**0.5), True),
+        # a lone damping is relative to the assumed stiffness
+        (0.03**2 * np.eye(1), ("damping",), (0.8, 1.2), about_one(1.96 * 0.03), True),
+        (0.03**2 * np.eye(1), ("stiffness",), about_one(1.96 * 0.03), (0.8, 1.2), False),
+    ],
+    ids=["well known", "one scale", "damping alone", "stiffness alone"],
+)
+def test_ranges_are_as_wide_as_what_is_known(covariance, free, stiffness, damping, is_relative):
+    ranges = gain_ranges(fit_of(np.stack([covariance]), free), PAPER)
+    np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], stiffness)
+    np.testing.assert_allclose(ranges.damping_scale[ELBOW], damping)
+    assert ranges.is_damping_relative[ELBOW] == is_relative
 
 
 def test_what_nothing_is_known_of_keeps_the_papers_ranges():
@@ -198,29 +186,10 @@ def test_what_nothing_is_known_of_keeps_the_papers_ranges():
     assert gain_ranges(fit_of(np.stack([1e-4 * np.eye(1)]), ("latency",)), PAPER) == PAPER
 
 
-@pytest.mark.parametrize(
-    ("free", "stiffness", "damping"),
-    [("damping", (0.8, 1.2), about_one(1.96 * 0.03)), ("stiffness", about_one(1.96 * 0.03), (0.8, 1.2))],
-)
-def test_a_lone_damping_is_relative_to_the_assumed_stiffness(
-    free: str, stiffness: tuple[float, float], damping: tuple[float, float]
-):
-    ranges = gain_ranges(fit_of(np.stack([0.03**2 * np.eye(1)]), (free,)), PAPER)
-    np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], stiffness)
-    np.testing.assert_allclose(ranges.damping_scale[ELBOW], damping)
-    assert ranges.is_damping_relative[ELBOW] == (free == "damping")
-
-
 def test_ranges_of_other_joints_stay():
     """What an earlier fit of the elbow narrowed is not widened by one of the wrist and the index finger."""
     earlier = gain_ranges(fit_of(np.stack([2.5e-7 * np.eye(3)])), PAPER)
-    wrist = Fit(
-        dynamics=JointDynamics.nominal(JOINTS[1:]),
-        free=GAINS,
-        covariance=np.stack([2.5e-7 * np.eye(3)] * 2),
-        encoders=PERFECT,
-        encoder_deviations=PERFECT,
-    )
+    wrist = fit_of(np.stack([2.5e-7 * np.eye(3)] * 2), joints=JOINTS[1:])
     both = gain_ranges(wrist, earlier)
     assert both.stiffness_scale[ELBOW] == earlier.stiffness_scale[ELBOW]
     assert both.stiffness_scale[WRIST] == both.stiffness_scale[ELBOW]

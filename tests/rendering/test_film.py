@@ -8,8 +8,7 @@ from PIL import Image, ImageSequence
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
-from pixel2catch.evaluation.recorded_throws import RecordedThrow
+from pixel2catch.evaluation.protocol import EvaluationCfg, RecordedThrow, recorded_throws
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rendering.film import (

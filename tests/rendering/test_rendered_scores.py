@@ -4,7 +4,7 @@ import torch
 from rendered_throws import LabelledImage, truths
 
 from pixel2catch.camera.image import Box, Image, Verdict
-from pixel2catch.evaluation.box_scores import reacquisition, score, score_box, summary
+from pixel2catch.evaluation.box_scores import reacquisition, score_box, summary
 from pixel2catch.perception.labels import Truth
 
 PIXELS = np.zeros((2, 2, 3), dtype=np.uint8)
@@ -27,7 +27,10 @@ SHOTS = [*map(shot, (-0.1, 0.0, 0.1, 0.2)), shot(0.3, num_pixels=0), shot(0.4, 0
 SEEN = [*map(seen, (1.0, 3.0, -5.0)), seen(9.0, Verdict.NOT_FOUND), *map(seen, (2.0, 6.0, 4.0))]
 
 
-SCORES = [score(truth, box) for truth, box in zip(truths(SHOTS), SEEN, strict=True)]
+SCORES = [
+    score_box(truth, box.edges, is_seen=box.verdict is Verdict.SEEN)
+    for truth, box in zip(truths(SHOTS), SEEN, strict=True)
+]
 
 
 def test_a_throw_is_held_then_flies_then_stays_near_the_hand():

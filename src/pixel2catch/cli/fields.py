@@ -15,7 +15,7 @@ from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.evaluation.stress.suite import Change, Setting
+    from pixel2catch.evaluation.stress import Change, Setting
     from pixel2catch.policy import Policy
 
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")

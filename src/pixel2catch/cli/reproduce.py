@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Mapping
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from operator import itemgetter
@@ -17,8 +17,7 @@ from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
-    from pixel2catch.evaluation.grid import StudyCell
-    from pixel2catch.evaluation.slots import Slot
+    from pixel2catch.evaluation.grid import Slot, StudyCell
     from pixel2catch.learning.experiment import Experiment
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
@@ -27,7 +26,7 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 OWN = ("device", "seed")  #: Fields of `TrainCfg` that a study sets for each training.
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
-JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `shared_gpus`.
+JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it.
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -49,8 +48,9 @@ class Reproduce:
     training: tuple[str, ...] = ()
     #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
     device: tuple[Device, ...] = ()
-    #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1; on a cluster, where
-    #: each is a job: 100.
+    #: Trainings and evaluations side by side on a GPU, which is faster where NVIDIA's Multi-Process Service
+    #: runs (nvidia-cuda-mps-control -d). Default: 3; trainings on a CPU: 1; on a cluster, where each is a
+    #: job: 100.
     jobs_per_device: Count | None = None
     #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
     #: timeout_min=240 cpus_per_task=4 gpus_per_node=1 slurm_partition=gpu.
@@ -66,7 +66,6 @@ class Reproduce:
         from pixel2catch.cli.studies import run_grid
         from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
         from pixel2catch.evaluation.grid import StudyGrid, held
-        from pixel2catch.evaluation.slots import shared_gpus
         from pixel2catch.sim.factory import require_cuda
 
         folder, experiment = ComparisonFolder(self.out), self._experiment()
@@ -76,9 +75,9 @@ class Reproduce:
             if device != "cpu" and not self.slurm:  # jobs of a cluster look for themselves
                 require_cuda(device)
         folder.path.mkdir(parents=True, exist_ok=True)
-        with held(folder.path), nullcontext({}) if self.slurm else shared_gpus() as shared:
-            slots = self._slots(shared)
-            folder.open(plan, [circumstances()] if grid.missing else [])
+        with held(folder.path):
+            slots = self._slots()
+            folder.open(replace(plan, sessions=(circumstances(),)) if grid.missing else plan)
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
             detail = partial(_progress, logs, experiment.train.transitions)
             run_grid(grid, slots, "reproduce", folder.path / "logs", detail)
@@ -95,14 +94,10 @@ class Reproduce:
         default = "cuda" if torch.cuda.is_available() else "cpu"
         return {TRAINING: self.device or (default,), EVALUATION: self.evaluation_device}
 
-    def _slots(self, shared: Mapping[str, str]) -> "list[Slot]":
-        """Return slots of trainings and evaluations, on all devices in turn.
-
-        Args:
-            shared: Environment variables by which processes share a GPU.
-        """
+    def _slots(self) -> "list[Slot]":
+        """Return slots of trainings and evaluations, on all devices in turn."""
         from pixel2catch.cli.studies import JOBS_ON_CLUSTER
-        from pixel2catch.evaluation.slots import ClusterJob, Worker, cluster_executor
+        from pixel2catch.evaluation.grid import ClusterJob, Worker, cluster_executor
 
         executor, order = cluster_executor(self.slurm, self.out), list[tuple[int, str, str]]()
         for kind, devices in self._places.items():
@@ -116,7 +111,7 @@ class Reproduce:
         order.sort(key=itemgetter(0))
         if executor:
             return [ClusterJob(kind, device, executor) for _, kind, device in order]
-        on_cuda = {"OMP_NUM_THREADS": "1", **shared}
+        on_cuda = {"OMP_NUM_THREADS": "1"}
         return [
             Worker(kind, device, {} if device == "cpu" else on_cuda, is_reused=kind == EVALUATION)
             for _, kind, device in order
@@ -226,7 +221,7 @@ def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, de
 
 def _progress(logs: Mapping[str, Path], total: int, running: list[str]) -> tuple[float, str]:
     """Return how much of the running trainings is done, in all and in words."""
-    from pixel2catch.evaluation.curves import read_metrics
+    from pixel2catch.evaluation.comparison import read_metrics
 
     share, texts = 0.0, list[str]()
     for name in running:

@@ -38,7 +38,7 @@ class Stress:
         from pixel2catch.cli.studies import cpu_slots, evaluate_policies
         from pixel2catch.evaluation.policy_report import stress_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.stress.suite import select_settings
+        from pixel2catch.evaluation.stress import select_settings
         from pixel2catch.scene.objects import select_objects
 
         if self.jobs > 1 and self.device != "cpu":

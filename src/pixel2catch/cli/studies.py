@@ -5,13 +5,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
-from pixel2catch.evaluation.grid import Status, StudyGrid
-from pixel2catch.evaluation.policy_cells import find_policies, plan_results, policy_cells
+from pixel2catch.evaluation.grid import (
+    ONE_THREAD,
+    ClusterJob,
+    Slot,
+    Status,
+    StudyGrid,
+    Worker,
+    cluster_executor,
+)
+from pixel2catch.evaluation.policy_cells import find_policies, policy_cells
 from pixel2catch.evaluation.policy_report import result_rows
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row, write_report
-from pixel2catch.evaluation.slots import ONE_THREAD, ClusterJob, Slot, ThisProcess, Worker, cluster_executor
-from pixel2catch.evaluation.stress.suite import Setting
+from pixel2catch.evaluation.stress import Setting
 from pixel2catch.reports import Section, as_markdown, circumstances
 
 JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a cluster at once. Source: ours.
@@ -50,7 +57,8 @@ def run_grid(
         if changes or time.monotonic() >= next_look:
             next_look = time.monotonic() + REFRESH_SECONDS
             share, text = detail([cell for cell, now in shown.items() if now is Status.RUNNING])
-            bar.show(grid.share_done + share / len(shown), text)
+            ended = sum(now in (Status.DONE, Status.FAILED) for now in shown.values())
+            bar.show((ended + share) / len(shown), text)
 
     if grid.missing:
         with progress_bar(name) as bar:
@@ -59,13 +67,11 @@ def run_grid(
 
 
 def cpu_slots(jobs: int, device: str, slurm: tuple[str, ...], out: Path) -> Sequence[Slot]:
-    """Return slots for cells of one kind: jobs of a cluster, workers of one thread, or this process."""
+    """Return slots for cells of one kind: jobs of a cluster, or workers, several with one thread each."""
     executor = cluster_executor(slurm, out)
     if executor:
         return [ClusterJob("", device, executor) for _ in range(JOBS_ON_CLUSTER)]
-    if jobs == 1:
-        return [ThisProcess("", device)]
-    return [Worker("", device, ONE_THREAD) for _ in range(jobs)]
+    return [Worker("", device, ONE_THREAD if jobs > 1 else {}) for _ in range(jobs)]
 
 
 def evaluate_policies(
@@ -93,10 +99,10 @@ def evaluate_policies(
     Raises:
         StudyError: If a cell failed; the report has all others.
     """
-    results = plan_results(find_policies(folders), settings, out)
-    grid = StudyGrid(policy_cells(results, cfg, is_alone=len(slots) == 1))
+    policies = find_policies(folders)
+    grid = StudyGrid(policy_cells(policies, settings, out, cfg, is_alone=len(slots) == 1))
     run_grid(grid, slots, title.split()[0].lower())
-    if rows := result_rows(results, home_of):
+    if rows := result_rows(policies, settings, out, home_of):
         sections = sections_of(rows)
         print(as_markdown(title, sections), end="", flush=True)
         data = {"results": rows, "circumstances": circumstances()}

@@ -12,7 +12,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.stress.suite import Setting
+    from pixel2catch.evaluation.stress import Setting
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours; other engines step them one after the other, so more gain nothing."""

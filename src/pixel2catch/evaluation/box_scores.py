@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.camera.image import Box, Edges, Verdict
+from pixel2catch.camera.image import Edges, Verdict
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.perception.labels import PHASES, Labels, Phase, Truth
 from pixel2catch.perception.sightings import Sighting
@@ -39,11 +39,6 @@ class Score:
         return self.is_seen and self.is_apart
 
 
-def score(truth: Truth, seen: Box) -> Score:
-    """Compare the box of an image with the truth."""
-    return score_box(truth, seen.edges, is_seen=seen.verdict is Verdict.SEEN)
-
-
 def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
     """Compare a box with the truth; `is_seen` is false for a box of an earlier image."""
     if truth.box is None:
@@ -67,10 +62,9 @@ def scored(
     """
     for sighting in sightings:
         label = labels.at(sighting.tick.image.stamp)
-        is_counted = sighting.box.verdict is not Verdict.REPEATED and sighting.time >= begin
-        if label is not None and is_counted:
+        if label and sighting.box.verdict is not Verdict.REPEATED and sighting.time >= begin:
             truth = Truth(phase=label.phase, box=label.box and fit.box(label.box))
-            scores.append(score(truth, sighting.box))
+            scores.append(score_box(truth, sighting.box.edges, is_seen=sighting.box.verdict is Verdict.SEEN))
         yield sighting
 
 
@@ -83,7 +77,6 @@ def summary(scores: Iterable[Score]) -> dict[str, dict[str, Any]]:
 def _summary(rows: list[Score]) -> dict[str, Any]:
     visible = [each for each in rows if each.is_visible]
     errors = [each.error for each in visible if each.is_seen]
-    delivered = [each.error for each in visible]
     report: dict[str, Any] = {"images": len(visible), "hidden": len(rows) - len(visible)}
     report["seen_though_hidden"] = sum(each.is_seen for each in rows if not each.is_visible)
     report["false_boxes"] = sum(each.is_false for each in rows)
@@ -93,23 +86,15 @@ def _summary(rows: list[Score]) -> dict[str, Any]:
     report["detected"] = len(errors) / len(visible)
     report["within_5px"] = num_good / len(visible)
     report["within_5px_interval"] = list(wilson_interval(num_good, len(visible)))
-    report |= _reacquisitions(visible)
-    names = ("p50", "p95")
-    for name, values in (("error", errors), ("delivered_error", delivered)):
-        if values:
-            quantiles = np.percentile(values, (50, 95)).tolist()
-            report |= {f"{name}_{p}": value for p, value in zip(names, quantiles, strict=True)}
-    return report
-
-
-def _reacquisitions(visible: list[Score]) -> dict[str, Any]:
-    """Return how often the visible object was lost, and the median number of images until it was found."""
-    losses = [
-        i for i, (before, now) in enumerate(pairwise(visible), start=1) if before.is_good and not now.is_good
-    ]
+    pairs = enumerate(pairwise(visible), start=1)
+    losses = [i for i, (before, now) in pairs if before.is_good and not now.is_good]
     waits = [wait for i in losses if (wait := reacquisition(visible, i)) is not None]
-    report: dict[str, Any] = {"losses": len(losses), "reacquisitions": len(waits)}
-    return report | ({"reacquisition_images_p50": median(waits)} if waits else {})
+    report |= {"losses": len(losses), "reacquisitions": len(waits)}
+    report |= {"reacquisition_images_p50": median(waits)} if waits else {}
+    for name, values in (("error", errors), ("delivered_error", [each.error for each in visible])):
+        if values:
+            report[f"{name}_p50"], report[f"{name}_p95"] = np.percentile(values, (50, 95)).tolist()
+    return report
 
 
 def reacquisition(scores: Sequence[Score], first: int) -> int | None:

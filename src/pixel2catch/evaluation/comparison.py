@@ -1,25 +1,40 @@
 """A comparison of methods with several seeds each: its folder, its rows and its report."""
 
+import csv
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
-from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.curves import Columns, Curves, gather, read_metrics
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
-from pixel2catch.evaluation.metrics import Metrics, pooled_counts, rate, wilson_interval
-from pixel2catch.evaluation.report import Row, percent, table, write_files, write_report
+from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
+from pixel2catch.evaluation.report import Row, write_files, write_report
 from pixel2catch.evaluation.result_tables import CONTACT_RATES, MAIN_RATES, PAPER, RATES
-from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading
+from pixel2catch.files import as_json, decoded, json_text, read_json_object, read_text, reading
 from pixel2catch.reports import DASH, Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")  #: Extremes over all throws of all seeds.
 FILE = "study.json"
+
+COLUMNS = ("transitions", "episodes", *MAIN_RATES.values())  #: Columns of `metrics.csv` for the curves.
+NUM_BINS = 60  #: Most bins from the start to the end of the longest training. Source: ours.
+MOST_METRICS = 2**26  #: Largest size of a `metrics.csv` [bytes]; long trainings have 100,000. Source: ours.
+
+Columns = Mapping[str, Float[ndarray, " _"]]  #: One value for each update; trainings differ in length.
+Curves = tuple[Float[ndarray, " num_edges"], dict[str, dict[str, tuple[ndarray, ndarray]]]]
+"""Edges of bins [transitions]; by method and name of a rate, mean and sample deviation over seeds in each
+bin, NaN where a seed has no value."""
 
 RATES_NOTE = (
     "T.R.: the palm is within 8 cm of the object once. S.R.: it is for 20 control steps in a row. "
@@ -36,8 +51,6 @@ CURVES_NOTE = (
     "Line: mean over the seeds; shaded: one standard deviation. Each point is the rate of all episodes that "
     "ended in a bin of transitions."
 )
-OBJECTS_NOTE = "S.R. of the deterministic policies over the throws of all seeds, with 95 % Wilson intervals."
-TRAININGS_NOTE = "Trainings that run side by side on one device slow each other down."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +73,7 @@ class Plan:
     methods: tuple[str, ...]  #: Names of the methods, in the order of the tables.
     seeds: int  #: Seeds of every method, from 0.
     configuration: Mapping[str, Any]  #: Everything else that changes results, by name.
+    sessions: tuple[dict[str, Any], ...] = ()  #: Time, command and machine of each session of the study.
 
     def runs(self) -> Iterator[Training]:
         """Yield all trainings; each method has one seed before any has two."""
@@ -103,56 +117,38 @@ class ComparisonFolder:
             return None
         return result
 
-    def results(self, plan: Plan, method: str, group: str) -> list[Metrics]:
-        """Return the metrics of all seeds of a method that there are."""
-        found = (self.result(Training(method=method, seed=seed), group) for seed in range(plan.seeds))
-        return [result for result in found if result is not None]
-
     def plan(self) -> Plan:
-        """Return the plan, with all methods and seeds that were ever added.
+        """Return the plan, with all methods, seeds and sessions that were ever added.
 
         Raises:
             StudyError: If there is no study.
         """
-        content = self._content()
-        if content is None:
+        file, fix = self.path / FILE, "Mend it, or name another folder with --out."
+        if not file.exists():
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
-        with reading("study", self.path / FILE, "Mend it, or name another folder with --out.", StudyError):
-            return decoded(Plan, content["plan"])
+        with reading("study", file, fix, StudyError):
+            content = read_json_object(file)
+            return decoded(Plan, content["plan"] | {"sessions": content["sessions"]})
 
-    def sessions(self) -> list[Json]:
-        """Return time, command and machine of each session of the study."""
-        return (self._content() or {"sessions": []})["sessions"]
-
-    def open(self, plan: Plan, sessions: Sequence[Json]) -> None:
-        """Begin a study, or continue it, with new methods or seeds or without; add sessions.
+    def open(self, plan: Plan) -> None:
+        """Begin a study, or continue it, with new methods or seeds or without; add the plan's sessions.
 
         Raises:
             StudyError: If the configuration differs, or the folder holds results without a study.
         """
+        methods, seeds, sessions = plan.methods, plan.seeds, plan.sessions
         if any(self.path.glob("runs/*")) or any(self.path.glob("evaluations/*")):
-            plan = self._extended(plan)
-        asked = {"methods": plan.methods, "seeds": plan.seeds, "configuration": plan.configuration}
-        content = {"plan": asked, "sessions": [*self.sessions(), *sessions]}
-        write_files(self.path, {FILE: json_text(content)})
-
-    def _content(self) -> Json | None:
-        file = self.path / FILE
-        content = _read(file)
-        if content is None and file.exists():
-            raise StudyError(f"'{file}' is damaged; mend it, or name another folder with --out.")
-        return content
-
-    def _extended(self, plan: Plan) -> Plan:
-        before, asked = self.plan(), as_json(plan.configuration)
-        if changes := differences(before.configuration, asked, "in the study"):
-            raise StudyError(
-                f"the study in '{self.path}' was begun with another configuration ({changes}); "
-                "give its values, or name another folder with --out."
-            )
-        longer, shorter = sorted((before.methods, plan.methods), key=len, reverse=True)
-        methods = tuple(dict.fromkeys((*longer, *shorter)))
-        return Plan(methods=methods, seeds=max(before.seeds, plan.seeds), configuration=asked)
+            before = self.plan()
+            if changes := differences(before.configuration, as_json(plan.configuration), "in the study"):
+                raise StudyError(
+                    f"the study in '{self.path}' was begun with another configuration ({changes}); "
+                    "give its values, or name another folder with --out."
+                )
+            longer, shorter = sorted((before.methods, methods), key=len, reverse=True)
+            methods = tuple(dict.fromkeys((*longer, *shorter)))
+            seeds, sessions = max(before.seeds, seeds), (*before.sessions, *sessions)
+        asked = {"methods": methods, "seeds": seeds, "configuration": plan.configuration}
+        write_files(self.path, {FILE: json_text({"plan": asked, "sessions": sessions})})
 
 
 def _read(path: Path) -> Json | None:
@@ -170,77 +166,38 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
         StudyError: If there is no study.
         OSError: If it cannot be written; an earlier report is then unchanged.
     """
-    from pixel2catch.evaluation.figures import curves_picture, heat_map
+    from pixel2catch.evaluation.figures import curves_picture
 
     plan = folder.plan()
-    data: dict[str, list[Row]] = {
-        "results": list(summary_rows(folder, plan)),
-        "objects": list(object_rows(folder, plan)),
-        "trainings": list(training_rows(folder, plan)),
-        "sessions": list(folder.sessions()),
-    }
-    results, objects, curves = data["results"], data["objects"], all_curves(folder, plan)
-    rates, trainings = rates_table(results), [_training_line(row) for row in data["trainings"]]
+    results, curves = list(summary_rows(folder, plan)), all_curves(folder, plan)
+    rates, data = rates_table(results), {"results": results, "sessions": plan.sessions}
     configuration = [{"name": name, "value": f"{value}"} for name, value in plan.configuration.items()]
     sections = [
         Section(title="Results", text=RATES_NOTE, rows=rates),
         Section(title="Holds and contact", text=QUALITY_NOTE, rows=quality_table(results)),
     ]
     if curves:
-        pictures = {"curves.png": curves_picture(curves)}
+        pictures = {"curves.png": curves_picture(*curves)}
         sections.append(Section(title="Learning curves", text=CURVES_NOTE, pictures=pictures))
-    if objects:
-        by, pictures = (
-            ("object", "method"),
-            {"objects.png": heat_map(objects, ("object", "method"), "objects")},
-        )
-        lines = table(objects, by, _percent)
-        sections.append(Section(title="S.R. by object", text=OBJECTS_NOTE, rows=lines, pictures=pictures))
-    sections += [
-        Section(title="Trainings", text=TRAININGS_NOTE, rows=trainings),
-        Section(title="Configuration", rows=configuration),
-    ]
+    sections.append(Section(title="Configuration", rows=configuration))
     write_report(folder.path / "report", "Comparison of methods", sections, data)
     return rates
 
 
 def summary_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
-    """Yield a row for every method and set of objects with results."""
-    for method in plan.methods:
-        for group in GROUPS:
-            if results := folder.results(plan, method, group):
-                yield {
-                    "method": method,
-                    "objects": group,
-                    "seeds": len(results),
-                    "trials": sum(result["trials"] for result in results),
-                    **{name: pooled(results, name) for name in RATES.values()},
-                    **{name: max(result[name] for result in results) for name in MAXIMA},
-                    "paper": _paper(method, group),
-                }
-
-
-def object_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
-    """Yield a row for every object, seen ones first, and method, over the trials of all seeds."""
-    for group in GROUPS:
-        results = {method: folder.results(plan, method, group) for method in plan.methods}
-        for name in OBJECT_GROUPS[group]:
-            for method, seeds in results.items():
-                thrown = [result["objects"][name] for result in seeds if name in result["objects"]]
-                if thrown:
-                    row: Json = {"object": name, "objects": group, "method": method}
-                    row["trials"] = sum(rates["trials"] for rates in thrown)
-                    for metric in MAIN_RATES.values():
-                        row |= rate(metric, *pooled_counts(thrown, metric))
-                    yield row
-
-
-def training_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
-    """Yield a row for every finished training."""
-    for run in plan.runs():
-        if summary := folder.summary(run):
-            row = {name: summary[name] for name in ("transitions", "seconds")}
-            yield {"method": run.method, "seed": run.seed} | row
+    """Yield a row for every method and set of objects with results, over all of its seeds."""
+    for method, group in product(plan.methods, GROUPS):
+        runs = (run for run in plan.runs() if run.method == method)
+        if results := [each for run in runs if (each := folder.result(run, group)) is not None]:
+            yield {
+                "method": method,
+                "objects": group,
+                "seeds": len(results),
+                "trials": sum(result["trials"] for result in results),
+                **{name: pooled(results, name) for name in RATES.values()},
+                **{name: max(result[name] for result in results) for name in MAXIMA},
+                "paper": _paper(method, group),
+            }
 
 
 def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
@@ -249,7 +206,52 @@ def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
     for run in plan.runs():
         if (path := folder.metrics(run)).exists() and len((columns := read_metrics(path))["transitions"]):
             logs.setdefault(run.method, []).append(columns)
-    return gather({method: logs[method] for method in plan.methods if method in logs}) if logs else None
+    return learning_curves({name: logs[name] for name in plan.methods if name in logs}) if logs else None
+
+
+def read_metrics(path: Path, names: Sequence[str] = COLUMNS) -> Columns:
+    """Return columns of a `metrics.csv`, whose last line may be incomplete.
+
+    Raises:
+        InvalidValueError: If it cannot be read or is no such table.
+    """
+    with reading("metrics", path, "Train again, or take the file out of the study."):
+        try:
+            table = csv.DictReader(io.StringIO(read_text(path, MOST_METRICS)))
+            rows = [[float(row[name] or "nan") for name in names] for row in table]
+        except csv.Error as error:
+            raise InvalidValueError(f"it is no table ({error})") from error
+    return dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
+
+
+def binned(columns: Columns, name: str, edges: Float[ndarray, " num_edges"]) -> Float[ndarray, " num_bins"]:
+    """Return the rate over all episodes that ended in each bin.
+
+    Empty bins between others are interpolated; empty bins at the ends are NaN.
+    """
+    has_rate = columns["episodes"] > 0
+    episodes, rate = columns["episodes"][has_rate], columns[name][has_rate]
+    transitions = columns["transitions"][has_rate]
+    total, _ = np.histogram(transitions, edges, weights=episodes)
+    events, _ = np.histogram(transitions, edges, weights=episodes * rate)
+    filled = np.flatnonzero(total)
+    if len(filled) == 0:
+        return np.full(len(total), np.nan)
+    bins = np.arange(len(total))
+    return np.interp(bins, filled, events[filled] / total[filled], left=np.nan, right=np.nan)
+
+
+def learning_curves(logs: Mapping[str, Sequence[Columns]]) -> Curves:
+    """Return the curves of all methods on common bins, from the metrics of the seeds of each."""
+    columns = [each for seeds in logs.values() for each in seeds]
+    longest = max((each["transitions"] for each in columns), key=lambda transitions: transitions[-1])
+    edges, rates = np.linspace(0.0, longest[-1], min(NUM_BINS, len(longest)) + 1), {}
+    for method, seeds in logs.items():
+        for name in MAIN_RATES.values():
+            values = np.stack([binned(each, name, edges) for each in seeds])
+            deviation = values.std(axis=0, ddof=1) if len(seeds) > 1 else 0.0 * values[0]
+            rates.setdefault(method, {})[name] = values.mean(axis=0), deviation
+    return edges, rates
 
 
 def pooled(rates: Sequence[Metrics], name: str) -> Json:
@@ -301,19 +303,6 @@ def quality_table(rows: Sequence[Row]) -> list[Cells]:
         }
         for row in rows
     ]
-
-
-def _training_line(row: Row) -> Cells:
-    return {
-        "method": row["method"],
-        "seed": str(row["seed"]),
-        "transitions": f"{row['transitions']:,}",
-        "duration [min]": f"{row['seconds'] / 60:.1f}",
-    }
-
-
-def _percent(row: Row) -> str:
-    return percent(row["success_rate"], row["success_rate_interval"], digits=1)
 
 
 def _spread(rate: Row | None, digits: int = 1) -> str:

@@ -1,8 +1,7 @@
 """Pictures of results as PNG files: learning curves, and rates as a coloured table."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
-from itertools import pairwise
 from typing import Any
 
 import matplotlib
@@ -10,10 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pixel2catch.evaluation.curves import Curves
 from pixel2catch.evaluation.report import Row
 from pixel2catch.evaluation.result_tables import MAIN_RATES
-from pixel2catch.methods import METHODS
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours for readers with any kind of colour vision. Source: Okabe and Ito 2008; grey: ours."""
@@ -38,32 +35,34 @@ DARK = 60.0  #: Rate [%] below which a cell is dark and has white letters.
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.5  #: Size of a cell [inch].
 
 
-def look(method: str) -> dict[str, Any]:
-    """Return colour and line style of a method, the same in every picture."""
-    names, name = list(METHODS), method.partition("+")[0]
-    number = names.index(name) if name in names else len(names)
-    return {
-        "color": PALETTE[number % len(PALETTE)],
-        "linestyle": LINES[number // len(PALETTE) % len(LINES)],
-    }
+def curves_picture(
+    edges: np.ndarray, curves: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]
+) -> bytes:
+    """Draw T.R. and S.R. in training over transitions: mean over seeds, with one standard deviation.
 
-
-def curves_picture(curves: Curves) -> bytes:
-    """Draw T.R. and S.R. in training over transitions: mean over seeds, with one standard deviation."""
-    millions = curves.transitions / 1e6
+    `edges` are those of the bins, `curves` have mean and deviation by method and name of the rate.
+    """
+    millions = (edges[1:] + edges[:-1]) / 2e6
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.0, 4.1), layout="constrained")
         panels: Sequence[Axes] = figure.subplots(1, len(MAIN_RATES), sharey=True)
         for axes, (title, name) in zip(panels, MAIN_RATES.items(), strict=True):
-            for method in curves.rates:
-                mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
-                drawn, between = look(method), (mean - deviation, mean + deviation)
-                axes.fill_between(millions, *between, color=drawn["color"], alpha=0.2, linewidth=0)
-                is_point = np.isfinite(mean).sum() == 1
-                drawn |= {"marker": "o" if is_point else "", "markersize": 3, "linewidth": 1.8}
-                axes.plot(millions, mean, label=method.replace("_", " "), **drawn)
+            for number, (method, rates) in enumerate(curves.items()):
+                mean, deviation = (100.0 * values for values in rates[name])
+                color, line = PALETTE[number % len(PALETTE)], LINES[number // len(PALETTE) % len(LINES)]
+                axes.fill_between(
+                    millions, mean - deviation, mean + deviation, color=color, alpha=0.2, linewidth=0
+                )
+                drawn = {
+                    "marker": "o" if np.isfinite(mean).sum() == 1 else "",
+                    "markersize": 3,
+                    "linewidth": 1.8,
+                }
+                axes.plot(
+                    millions, mean, label=method.replace("_", " "), color=color, linestyle=line, **drawn
+                )
             axes.set(title=f"{title} in training", xlabel="transitions [millions]")
-            axes.set(xlim=(0.0, curves.edges[-1] / 1e6), ylim=(0.0, 100.0))
+            axes.set(xlim=(0.0, edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()
         panels[0].set_ylabel("% of episodes")
         handles, labels = panels[0].get_legend_handles_labels()
@@ -71,47 +70,33 @@ def curves_picture(curves: Curves) -> bytes:
         return _png(figure)
 
 
-def heat_map(
-    rows: Sequence[Row],
-    by: tuple[str, str],
-    group: str,
-    mark: Callable[[Row], str] = lambda _: "",
-    digits: int = 0,
-) -> bytes:
+def heat_map(rows: Sequence[Row], by: tuple[str, str], mark: Callable[[Row], str]) -> bytes:
     """Draw the S.R. of rows as a coloured table.
 
     Args:
         rows: The results.
         by: Fields whose values are the lines and the columns.
-        group: Field by which thick lines part the lines of the table.
         mark: Returns the text behind a rate.
-        digits: Digits of the rates behind the point.
     """
     down, across = (list(dict.fromkeys(row[field] for row in rows)) for field in by)
-    groups = {row[by[0]]: row[group] for row in rows}
     rates = np.full((len(down), len(across)), np.nan)
-    width = COLUMN_WIDTH + 0.09 * (digits + max(len(mark(row)) for row in rows))
+    width = COLUMN_WIDTH + 0.09 * max(len(mark(row)) for row in rows)
     figure = Figure(figsize=(3.0 + width * len(across), 2.0 + ROW_HEIGHT * len(down)), layout="constrained")
     with matplotlib.rc_context({"font.size": 9}):
         axes = figure.subplots()
         for row in rows:
             i, j, rate = down.index(row[by[0]]), across.index(row[by[1]]), 100.0 * row["success_rate"]
             rates[i, j], color = rate, "white" if rate < DARK else "black"
-            text = f"{rate:.{digits}f} {mark(row)}".rstrip()
+            text = f"{rate:.0f} {mark(row)}".rstrip()
             axes.text(j + 0.5, i + 0.53, text, ha="center", va="center", color=color)
-        image = axes.pcolormesh(rates, cmap=HEAT, vmin=0.0, vmax=100.0)
+        image = axes.pcolormesh(rates, cmap=HEAT, vmin=0.0, vmax=100.0, edgecolors="white", linewidth=0.8)
         axes.set_yticks(np.arange(len(down)) + 0.5, down)
         axes.set_xticks(np.arange(len(across)) + 0.5, across, rotation=50, ha="left")
         axes.set_ylim(len(down), 0)
         axes.tick_params(length=0, top=False, labeltop=True, labelbottom=False)
         axes.spines[:].set_visible(False)
-        for i, (above, below) in enumerate(pairwise(groups.values()), start=1):
-            axes.axhline(i, color="white", linewidth=0.6 if above == below else 4.0)
-        for j in range(1, len(across)):
-            axes.axvline(j, color="white", linewidth=1.2)
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label("S.R. [% of throws]")
-        bar.outline.set_visible(False)  # type: ignore[operator]
         return _png(figure)
 
 

@@ -1,4 +1,4 @@
-"""The cells of a study, and the one loop that computes those that are missing.
+"""The cells of a study, and the one loop that computes those that are missing, in workers or on a cluster.
 
 A cell is a call that writes a file. A cell whose file is there is not computed again, so an interrupted study
 goes on with the same command. A cell that fails holds up only the cells that need its result.
@@ -7,22 +7,165 @@ goes on with the same command. A cell that fails holds up only the cells that ne
 import contextlib
 import fcntl
 import os
+import pickle
 import sys
 import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from enum import Enum
+from multiprocessing import active_children, get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, final
 
 from pixel2catch.errors import Pixel2CatchError, StudyError
-from pixel2catch.evaluation.slots import Slot, error_of
 from pixel2catch.files import read_json_object
-from pixel2catch.interruption import StopRequest
+from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest, Terminated, end_with_parent
+from pixel2catch.own_files import import_files
+
+if TYPE_CHECKING:
+    from submitit import AutoExecutor
+
+CLUSTER = "slurm"  #: The kind of cluster, by its name in submitit.
+GRACE_SECONDS = 120.0  #: Longest time for a stopped cell to save its work [s]. Source: ours, one rollout.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD: dict[str, str] = dict.fromkeys(THREADS, "1")  #: Variables that give libraries one thread each.
 
 Json = dict[str, Any]
 Work = Callable[[str], None]
+Call = Callable[..., str | None]  #: A function that returns the text of an error or nothing.
+
+
+class Slot(ABC):
+    """A place that computes one cell at a time."""
+
+    poll_seconds = 0.1  #: Time between two looks at the running cells [s].
+
+    def __init__(self, kind: str, device: str) -> None:
+        """Take cells of this kind, for this device."""
+        self.kind, self.device = kind, device
+
+    @abstractmethod
+    def submit(self, function: Call, *args: Any) -> Any:
+        """Call a function; return a task with `done` and `result`."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Ask the running cell to end in order."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Wait for the end of a stopped cell, and free what the slot holds."""
+
+
+@final
+class Worker(Slot):
+    """Computes cells in a process and a session of its own: Ctrl-C reaches this process alone."""
+
+    def __init__(
+        self, kind: str, device: str, environment: Mapping[str, str] | None = None, *, is_reused: bool = True
+    ) -> None:
+        """Start no process yet; it gets `environment` too. Without reuse each cell has its own process."""
+        super().__init__(kind, device)
+        self._environment, self._is_reused, self._is_stopped = environment or {}, is_reused, False
+        self._pool: ProcessPoolExecutor | None = None
+        self._processes = set[BaseProcess]()
+        self._task: Future[str | None] | None = None
+
+    def submit(self, function: Call, *args: Any) -> Any:
+        """Call the function in the process; start one if there is none that can be used."""
+        if self._task and (self._task.exception() or not self._is_reused):
+            self.close()
+        self._pool = self._pool or ProcessPoolExecutor(1, get_context("spawn"), _begin)
+        before = set(active_children())
+        with _environment(self._environment):
+            self._task = self._pool.submit(function, *args)
+        self._processes |= set(active_children()) - before
+        return self._task
+
+    def stop(self) -> None:
+        """Terminate the process, which may first save its work."""
+        self._is_stopped = True
+        for process in self._processes:
+            process.terminate()
+
+    def close(self) -> None:
+        """End the process; kill it if it takes too long after it was stopped."""
+        if self._is_stopped and self._task and wait([self._task], GRACE_SECONDS).not_done:
+            for process in self._processes:
+                process.kill()
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+        self._pool, self._task, self._processes = None, None, set()
+
+
+@final
+class ClusterJob(Slot):
+    """Computes each cell as a job of a cluster."""
+
+    poll_seconds = 1.0
+
+    def __init__(self, kind: str, device: str, executor: "AutoExecutor") -> None:
+        """Submit cells to an executor of submitit."""
+        super().__init__(kind, device)
+        self._executor, self._deadline = executor, 0.0
+        self._job: Any = None
+
+    def submit(self, function: Call, *args: Any) -> Any:
+        """Submit the call; it is unpickled after files of the user's own are imported."""
+        self._job = self._executor.submit(_call, pickle.dumps((function, args)))
+        return self._job
+
+    def stop(self) -> None:
+        """Cancel the job: the cluster terminates it, and kills it some time later."""
+        self._job.cancel(check=False)
+        self._deadline = time.monotonic() + GRACE_SECONDS
+
+    def close(self) -> None:
+        """Wait for the end of a cancelled job."""
+        while time.monotonic() < self._deadline and not self._job.done():
+            time.sleep(self.poll_seconds)
+
+
+def error_of(task: Any) -> str | None:
+    """Return the text of the error of a task that has ended, or nothing."""
+    try:
+        return task.result()
+    except BrokenProcessPool:
+        return "its process was ended from outside; if memory was short, compute fewer cells at once"
+    except Exception as error:  # of submitit: the job's output, whose last line names the error
+        lines = [line for line in str(error).splitlines() if line.strip("- ")]
+        return next((line for line in reversed(lines) if "Error: " in line), lines[0] if lines else "")
+
+
+def cluster_executor(asked: tuple[str, ...], folder: Path) -> "AutoExecutor | None":
+    """Return the executor for jobs of a cluster, or nothing if nothing is asked of one.
+
+    Args:
+        asked: What every job asks for, as NAME=VALUE with names of submitit, such as timeout_min=240.
+        folder: Folder of the study, shared by all nodes; submitit's files are in its folder `jobs`.
+
+    Raises:
+        StudyError: There is no cluster, submitit is missing, or a name or value is invalid.
+    """
+    if not asked:
+        return None
+    with needs_extra("slurm", "--slurm needs submitit", StudyError):
+        from submitit import AutoExecutor
+    values = {name: value for name, _, value in (each.partition("=") for each in asked)}
+    try:
+        executor = AutoExecutor(folder.absolute() / "jobs", cluster=CLUSTER)
+        executor.update_parameters(
+            name=folder.name, **{n: int(v) if v.isdigit() else v for n, v in values.items()}
+        )
+    except (RuntimeError, NameError, AssertionError, ValueError) as error:
+        raise StudyError(f"the cluster refuses such jobs: {error}") from error
+    return executor
 
 
 class Status(Enum):
@@ -65,12 +208,6 @@ class StudyGrid:
         """The cells without a result."""
         return [cell for cell in self._cells if self.status[cell.name] is not Status.DONE]
 
-    @property
-    def share_done(self) -> float:
-        """Share of the cells that have ended."""
-        ended = (Status.DONE, Status.FAILED)
-        return sum(status in ended for status in self.status.values()) / max(len(self.status), 1)
-
     def run(
         self, slots: Sequence[Slot], watch: Callable[[], None] = lambda: None, logs: Path | None = None
     ) -> None:
@@ -79,15 +216,14 @@ class StudyGrid:
         Args:
             slots: Where cells are computed; the first free slot of a kind takes the first ready cell.
             watch: Called after every look at the running cells.
-            logs: Folder for what the cells print in other processes, a file `NAME.log` for each.
+            logs: Folder for what the cells print, a file `NAME.log` for each.
 
         Raises:
             KeyboardInterrupt: If the user stopped it; running cells have then ended in order.
         """
-        is_here = any(slot.is_here for slot in slots)
-        with contextlib.nullcontext() if is_here else StopRequest() as stop:
+        with StopRequest() as stop:
             try:
-                while not (stop and stop.is_set):
+                while not stop.is_set:
                     self._start_cells(slots, logs)
                     watch()
                     if not self._running:
@@ -97,8 +233,8 @@ class StudyGrid:
             finally:
                 self._stop_cells(slots)
                 watch()
-        if stop and stop.is_set and self.missing:
-            raise KeyboardInterrupt
+        if stop.is_set and self.missing:
+            raise KeyboardInterrupt if stop.by == "SIGINT" else Terminated
 
     def require_whole(self) -> None:
         """Raise an error that lists the cells that failed.
@@ -120,7 +256,7 @@ class StudyGrid:
             cell = None if number in self._running else next(ready, None)
             if cell is not None:
                 self.status[cell.name] = Status.RUNNING
-                log = (logs / f"{cell.name}.log").absolute() if logs and not slot.is_here else None
+                log = (logs / f"{cell.name}.log").absolute() if logs else None
                 self._running[number] = cell, slot.submit(compute, cell.work, slot.device, log)
 
     def _end_cells(self) -> None:
@@ -217,3 +353,28 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any], where: str) -
     """Return the names whose values differ, with both values; an empty text if none does."""
     names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     return "; ".join(f"{name}: {before.get(name)} {where}, {now.get(name)} now" for name in names)
+
+
+def _begin() -> None:
+    """Prepare a worker process."""
+    os.setsid()
+    import_files()  # values of the user's own files can then be unpickled
+    end_with_parent()
+
+
+def _call(payload: bytes) -> str | None:
+    import_files()
+    function, args = pickle.loads(payload)
+    return function(*args)
+
+
+@contextlib.contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables for a process that is started within."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)

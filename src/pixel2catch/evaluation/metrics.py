@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
+from pixel2catch.envs.episode import FAILURES, failure
 from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
@@ -91,6 +91,8 @@ def assess(
 def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
     """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
+    Speed, torque and deceleration of the holds are None without a success.
+
     Args:
         trials: The trials.
         object_names: Names of the objects by row of the object table. Default: all objects.
@@ -101,7 +103,12 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
     names = tuple(OBJECTS) if object_names is None else object_names
     record, num_trials = trials.record, len(trials.is_verified)
     object_id, everything = record.object_id, torch.ones_like(trials.is_verified)
-    modes = torch.where(record.is_success, -1, failure(record))
+    modes, caught = torch.where(record.is_success, -1, failure(record)), record.is_success
+    maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}
+    for name, value in maxima.items():
+        if not isfinite(value):
+            raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
+    decelerations = record.peak_deceleration[caught].tolist()
     return {
         **_rates(trials, everything),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
@@ -111,8 +118,10 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
         "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
         "contact_height": _mean(record.contact_height, record.is_hand_contact),
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
-        **_maxima(record),
-        **_rest(record),
+        **maxima,
+        "hold_speed": _mean(record.hold_speed[caught], caught),
+        "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
+        "peak_deceleration": median(decelerations) if decelerations else None,
         "objects": {names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }
 
@@ -131,25 +140,6 @@ def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
         result |= rate(name, int((happened & rows).sum()), num_trials)
     caught = record.is_success & rows
     return result | {"hold_palms": _mean(record.hold_palms[caught], caught)}
-
-
-def _maxima(record: EpisodeRecord) -> dict[str, float]:
-    maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}
-    for name, value in maxima.items():
-        if not isfinite(value):
-            raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
-    return maxima
-
-
-def _rest(record: EpisodeRecord) -> dict[str, float | None]:
-    """Return speed, torque and deceleration of the holds; None without a success."""
-    caught = record.is_success
-    decelerations = record.peak_deceleration[caught].tolist()
-    return {
-        "hold_speed": _mean(record.hold_speed[caught], caught),
-        "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
-        "peak_deceleration": median(decelerations) if decelerations else None,
-    }
 
 
 def _mean(sums: Tensor, counts: Tensor) -> float | None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -20,7 +21,7 @@ from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.evaluation.report import write_files
-from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
+from pixel2catch.evaluation.stress import Axis, Level, Setting, part, together
 from pixel2catch.files import as_json, json_text
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
@@ -46,48 +47,28 @@ class PolicyEntry:
     task: str = "nominal"  #: Name of the task that it was trained for.
 
 
-@dataclass(frozen=True, kw_only=True)
-class PolicyResult:
-    """A policy under a setting, and the file of its metrics."""
-
-    policy: PolicyEntry
-    setting: Setting
-    file: Path
-
-    @property
-    def name(self) -> str:
-        """Name of the cell."""
-        return f"{self.policy.name}-{self.setting.name}"
-
-    def read(self) -> Json | None:
-        """Return the content of the file, if it is there."""
-        return read_row(self.file)
-
-
 def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
     """Return the policies in these folders, or all shipped ones if there are none.
+
+    Each has the name of its ONNX file, its folder, or the run folder around it.
 
     Raises:
         PolicyMismatchError: If a policy does not fit this code.
         InvalidValueError: If two have the same name.
     """
-    found = [_entry(folder) for folder in folders or shipped_policies().values()]
+    found = []
+    for folder in folders or shipped_policies().values():
+        policy, method = load_policy(folder)
+        path = folder.resolve()
+        path = path.parent if path.name == "policy" else path
+        name = path.name if path.is_dir() else path.stem
+        if name in (each.name for each in found):
+            raise InvalidValueError(f"two policies have the name '{name}'; rename one of their folders.")
+        trained = {"method": method.name, "task": policy.contract.task}
+        found.append(PolicyEntry(name=name, folder=folder, **trained))
     if not folders:
         found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
-    names = [each.name for each in found]
-    for name in names:
-        if names.count(name) > 1:
-            raise InvalidValueError(f"two policies have the name '{name}'; rename one of their folders.")
     return tuple(found)
-
-
-def _entry(folder: Path) -> PolicyEntry:
-    """Return a policy, named after its ONNX file, its folder, or the run folder around it."""
-    policy, method = load_policy(folder)
-    resolved = folder.resolve()
-    name = resolved.name if resolved.is_dir() else resolved.stem
-    name = resolved.parent.name if resolved.name == "policy" else name
-    return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
 
 
 def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
@@ -117,26 +98,25 @@ def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> 
     )
 
 
-def plan_results(
-    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path
-) -> tuple[PolicyResult, ...]:
-    """Return all results of a study, setting by setting."""
-    return tuple(
-        PolicyResult(
-            policy=policy, setting=setting, file=out / "cells" / policy.name / f"{setting.name}.json"
-        )
-        for setting in settings
-        for policy in policies
-    )
+def cell_file(out: Path, policy: PolicyEntry, setting: Setting) -> Path:
+    """Return the file with the metrics of a policy under a setting, in the folder of a study."""
+    return out / "cells" / policy.name / f"{setting.name}.json"
 
 
 def policy_cells(
-    results: Sequence[PolicyResult], cfg: EvaluationCfg, *, is_alone: bool = True
+    policies: Sequence[PolicyEntry],
+    settings: Sequence[Setting],
+    out: Path,
+    cfg: EvaluationCfg,
+    *,
+    is_alone: bool = True,
 ) -> list[StudyCell]:
-    """Return the cells of results.
+    """Return the cells of a study, setting by setting.
 
     Args:
-        results: The results.
+        policies: The policies.
+        settings: The settings.
+        out: Folder of the study.
         cfg: The evaluation; its task is replaced by that of each policy.
         is_alone: Whether one cell at a time is computed and may use all processors.
 
@@ -144,26 +124,33 @@ def policy_cells(
         StudyError: If a result was obtained otherwise or is damaged.
     """
     cells = []
-    for each in results:
-        origin = _origin(each, cfg)
-        _require_same(each, origin)
-        work = partial(measure, each, cfg, origin, is_alone)
-        cells.append(StudyCell(name=each.name, work=work, is_done=each.file.exists))
+    for setting, entry in product(settings, policies):
+        policy, method = load_policy(entry.folder)
+        evaluation = replace(cfg, task=setting.level.change(task_of(policy)))
+        origin = {
+            "policy": entry.name,
+            "method": method.name,
+            "policy_sha256": fingerprint(entry.folder),
+            "setting": setting.name,
+            "evaluation": as_json(asdict(evaluation)),
+        }
+        file = cell_file(out, entry, setting)
+        _require_same(file, origin)
+        work = partial(measure, entry.folder, evaluation, is_alone, origin, file)
+        cells.append(StudyCell(name=f"{entry.name}-{setting.name}", work=work, is_done=file.exists))
     return cells
 
 
-def measure(result: PolicyResult, cfg: EvaluationCfg, origin: Json, is_alone: bool, device: str) -> None:
-    """Compute a result on a device, and write it."""
+def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file: Path, device: str) -> None:
+    """Evaluate a policy on a device, and write the metrics to a file, behind what decides them."""
     torch.set_num_threads(1)
-    trials = throw_rounds(*evaluation_of(result, cfg, device), is_alone=is_alone)
-    content = origin | {"metrics": metrics(trials) | {"throws": throw_texts(trials)}}
-    write_files(result.file.parent, {result.file.name: json_text(content)})
-
-
-def throw_texts(trials: Trials) -> dict[str, str]:
-    """Return the events of each throw as texts of 0 and 1."""
+    if device.startswith("cuda"):
+        torch.cuda.set_device(device)  # where PyTorch and Warp capture their graphs
+    trials = throw_rounds(*load_policy(folder, device), replace(cfg, device=device), is_alone=is_alone)
     happened = vars(trials.record) | vars(trials)
-    return {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
+    throws = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
+    content = origin | {"metrics": metrics(trials) | {"throws": throws}}  # texts of 0 and 1
+    write_files(file.parent, {file.name: json_text(content)})
 
 
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
@@ -177,15 +164,6 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     return evaluate(actor, method, cfg, env=env, is_seeded=True)
 
 
-def evaluation_of(
-    result: PolicyResult, cfg: EvaluationCfg, device: str
-) -> tuple[Actor, Method, EvaluationCfg]:
-    """Return the policy of a result on a device, its method, and its evaluation."""
-    policy, method = load_policy(result.policy.folder, device)
-    task = result.setting.level.change(task_of(policy))
-    return policy, method, replace(cfg, device=device, task=task)
-
-
 @contextmanager
 def _one_processor() -> Iterator[None]:
     """Physics that is built within steps in the calling thread alone, later on any free processor."""
@@ -197,29 +175,14 @@ def _one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, processors)
 
 
-def _origin(result: PolicyResult, cfg: EvaluationCfg) -> Json:
-    """Everything that decides the metrics of a result, as JSON."""
-    _, method, evaluation = evaluation_of(result, cfg, "cpu")
-    evaluation = replace(evaluation, device=cfg.device)
-    return {
-        "policy": result.policy.name,
-        "method": method.name,
-        "policy_sha256": fingerprint(result.policy.folder),
-        "setting": result.setting.name,
-        "evaluation": as_json(asdict(evaluation)),
-    }
-
-
-def _require_same(result: PolicyResult, origin: Json) -> None:
-    found = result.read()
-    if found is None:
+def _require_same(file: Path, origin: Json) -> None:
+    """Refuse a result that was obtained otherwise."""
+    if (found := read_row(file)) is None:
         return
-    evaluation = found.get("evaluation", {})
-    evaluation = evaluation | {"task": current_fields(evaluation.get("task", {}))}
-    found = found | {"evaluation": evaluation}
-    before, now = (dict(leaves(each | {"metrics": None})) for each in (found, origin))
-    if changes := differences(before, now, "there"):
+    evaluation = {"task": {}} | found.get("evaluation", {})
+    evaluation["task"] = current_fields(evaluation["task"])
+    before = dict(leaves(found | {"evaluation": evaluation, "metrics": None}))
+    if changes := differences(before, dict(leaves(origin | {"metrics": None})), "there"):
         raise StudyError(
-            f"'{result.file}' was obtained otherwise ({changes}); give its values, or name another folder "
-            "with --out."
+            f"'{file}' was obtained otherwise ({changes}); give its values, or name another --out."
         )

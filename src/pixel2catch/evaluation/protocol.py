@@ -14,21 +14,22 @@ from dataclasses import dataclass, field, replace
 from math import pi
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
-from pixel2catch.evaluation.recorded_throws import CAUGHT, LOST, RecordedThrow
 from pixel2catch.mdp.control_step import JointCommand, put, take
 from pixel2catch.mdp.tensors import mapped, select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_VEL
 
 TRIAL_STEPS = EpisodeCfg().max_steps  #: Control steps in which reaching and success count, as in training.
 HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
@@ -44,6 +45,18 @@ SHAKE_LEAD = (0.058, 0.058)
 """Largest distance of the arm joints' targets from their positions in the shake [rad]: pan moves the palm
 sideways, lift up and down. Source: ours, a peak acceleration of the palm of about 5 m/s² without action
 noise."""
+
+FLIGHT_SPEED = 1.0  #: The object flies from this speed on [m/s]. Source: ours.
+CAUGHT, LOST = "caught", "lost"
+OUTCOMES = {
+    CAUGHT: "caught, and held when shaken",
+    LOST: "caught, but lost in the test of the hold",
+    "never_reached": "missed: the palm never came near",
+    "bounced_off": "missed: bounced off the hand",
+    "dropped": "missed: touched, then dropped",
+    "not_held": "missed: not held near the palm in time",
+}
+"""Outcomes of a throw with a description; all but the first two are the failure modes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,51 +192,51 @@ def evaluate(
     return Trials.concatenate(rounds)
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecordedThrow:
+    """One throw, from its start to the decision of the trial."""
+
+    object_name: str  #: Name of the object.
+    outcome: str  #: Outcome, a key of `OUTCOMES`.
+    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
+    qvel: Float[ndarray, "num_steps nv"]  #: Velocities of the simulation at every control step.
+    box: Float[ndarray, "num_steps 4"]  #: Box that the policy received [px].
+    num_untested: int  #: Control steps before the test of the hold; all steps if there was no success.
+
+    @property
+    def release(self) -> int:
+        """The first control step in which the object flies."""
+        flying = np.linalg.norm(self.qvel[:, OBJECT_VEL], axis=-1) > FLIGHT_SPEED
+        return int(np.flatnonzero(flying)[0]) if flying.any() else len(flying) - 1
+
+
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:
-    """Return the recorded throws of one round; arguments as of `evaluate`."""
-    env = cfg.make_env(method)
+    """Return the throws of one round, each until its decision; arguments as of `evaluate`."""
+    env, rows = cfg.make_env(method), list[tuple[Tensor, ...]]()
+    names, states = env.world.objects.names, [env.world.simulation.bind(name) for name in ("qpos", "qvel")]
+
+    def watch(step: Step, state: RoundState) -> None:
+        seen = (*states, step.measurement.box, state.is_running, state.is_testing)
+        rows.append(tuple(values.cpu().clone() for values in seen))
+
     try:
-        recorder = ThrowRecorder(env)
-        return recorder.throws(run_round(env, actor, recorder.watch))
+        trials = run_round(env, actor, watch)
     finally:
         env.close()
-
-
-class ThrowRecorder:
-    """Records the throws of a round."""
-
-    def __init__(self, env: CatchEnv) -> None:
-        """Prepare to record the environments."""
-        self._names = env.world.objects.names
-        self._state = tuple(env.world.simulation.bind(name) for name in ("qpos", "qvel"))
-        self._rows: list[tuple[Tensor, ...]] = []
-
-    def watch(self, step: Step, state: RoundState) -> None:
-        """Record a control step."""
-        seen = (*self._state, step.measurement.box, state.is_running, state.is_testing)
-        self._rows.append(tuple(values.cpu().clone() for values in seen))
-
-    def throws(self, trials: Trials) -> list[RecordedThrow]:
-        """Return all throws of the round, each until its decision."""
-        record = trials.record
-        failures = [FAILURES[i] for i in failure(record).tolist()]
-        ends = zip(record.is_success.tolist(), trials.is_verified.tolist(), failures, strict=True)
-        outcomes = [(CAUGHT if held else LOST) if caught else why for caught, held, why in ends]
-        names = [self._names[row] for row in record.object_id.tolist()]
-        columns = [torch.stack(column, dim=1).numpy() for column in zip(*self._rows, strict=True)]
-        return [
-            RecordedThrow(
-                object_name=name,
-                outcome=outcome,
-                qpos=qpos[running],
-                qvel=qvel[running],
-                box=box[running],
-                num_untested=int((running & ~testing).sum()),
-            )
-            for name, outcome, qpos, qvel, box, running, testing in zip(
-                names, outcomes, *columns, strict=True
-            )
-        ]
+    record, modes, throws = trials.record, failure(trials.record).tolist(), []
+    columns = (torch.stack(column, dim=1).numpy() for column in zip(*rows, strict=True))
+    for i, (qpos, qvel, box, running, testing) in enumerate(zip(*columns, strict=True)):
+        held = CAUGHT if trials.is_verified[i] else LOST
+        throw = RecordedThrow(
+            object_name=names[int(record.object_id[i])],
+            outcome=held if record.is_success[i] else FAILURES[modes[i]],
+            qpos=qpos[running],
+            qvel=qvel[running],
+            box=box[running],
+            num_untested=int((running & ~testing).sum()),
+        )
+        throws.append(throw)
+    return throws
 
 
 def run_round(

@@ -29,9 +29,8 @@ def write_report(folder: Path, title: str, sections: Sequence[Section], data: Ma
     return ", ".join([*files, *pictures])
 
 
-def table(rows: Sequence[Row], by: tuple[str, str], text: Callable[[Row], str]) -> list[Cells]:
-    """Return a line for each value of the first field, with a column for each value of the second."""
-    down, across = by
+def table(rows: Sequence[Row], down: str, across: str, text: Callable[[Row], str]) -> list[Cells]:
+    """Return a line for each value of one field, with a column for each value of another."""
     columns = dict.fromkeys((row[across] for row in rows), DASH)
     lines: dict[str, dict[str, str]] = {}
     for row in rows:
@@ -39,10 +38,10 @@ def table(rows: Sequence[Row], by: tuple[str, str], text: Callable[[Row], str]) 
     return list(lines.values())
 
 
-def percent(rate: float, interval: Sequence[float], digits: int = 0) -> str:
+def percent(rate: float, interval: Sequence[float]) -> str:
     """Return a rate with its interval, in percent."""
     low, high = (100 * bound for bound in interval)
-    return f"{100 * rate:.1f} [{low:.{digits}f}, {high:.{digits}f}]"
+    return f"{100 * rate:.1f} [{low:.0f}, {high:.0f}]"
 
 
 def read_rows(file: Path) -> list[Row]:

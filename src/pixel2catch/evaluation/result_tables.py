@@ -34,36 +34,24 @@ RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics tha
 
 def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:
     """Yield the tables of one or several sets of objects, by name; of one set also those of each object."""
-    title = f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds"
-    yield terminal_table(title, results_rows(results, method))
-    if len(results) == 1:
-        yield terminal_table("by object", objects_rows(*results.values()))
-    yield terminal_table("failures and contact", quality_rows(results))
-
-
-def results_rows(results: Mapping[str, Metrics], method: str) -> list[Cells]:
-    """Return the rates of sets of objects, each above those of the paper if it has them."""
-    rows = []
+    rows = list[Cells]()
     for name, result in results.items():
         rows.append({"objects": name, **_cells(result)})
         if paper := PAPER.get((method, tuple(result["objects_thrown"]))):
             texts = (f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper)
             rows.append({"objects": "  paper", **dict(zip(MAIN_RATES, texts, strict=True))})
-    return rows
-
-
-def objects_rows(result: Metrics) -> list[Cells]:
-    """Return the rates of each object."""
-    return [{"object": name, **_cells(each)} for name, each in result["objects"].items()]
-
-
-def quality_rows(results: Mapping[str, Metrics]) -> list[Cells]:
-    """Return failure modes and the quality of contacts and holds, with a column for each set of objects."""
+    yield terminal_table(f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds", rows)
+    if len(results) == 1:
+        objects = next(iter(results.values()))["objects"]
+        yield terminal_table(
+            "by object", [{"object": name, **_cells(each)} for name, each in objects.items()]
+        )
     columns = {name: _quality(result) for name, result in results.items()}
-    return [
-        {"": row, **{name: column[row] for name, column in columns.items()}}
+    quality = [
+        {"": row} | {name: each[row] for name, each in columns.items()}
         for row in next(iter(columns.values()))
     ]
+    yield terminal_table("failures and contact", quality)
 
 
 def _cells(rates: Metrics) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Data checks: whether a recording can be fitted, from its clocks, speeds, accelerations and lag."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +69,7 @@ class DataCheck:
 
 def check_recording(recording: Recording) -> list[DataCheck]:
     """Return all checks of a recording, or only those of its clocks and motion if one of them failed."""
-    clocks = [_measurement_times(recording), _command_times(recording)]
+    clocks = list(_clocks(recording))
     if all(clock.is_good for clock in clocks):
         clocks.append(_motion(recording))
     if not all(clock.is_good for clock in clocks):
@@ -83,32 +83,24 @@ def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None
     return DataCheck(name=name, joint=joint, is_good=is_good, detail=found if is_good else found + remedy)
 
 
-def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> DataCheck:
-    span, step = time[-1] - time[0], 1e3 * time_step(time)
-    found = f"{len(time)} times in {span:.1f} s, median step {step:.1f} ms{longest}"
-    wrong = "".join(text for text, is_there in faults.items() if is_there)
-    return _judged(name, not wrong, found, wrong)
-
-
-def _measurement_times(recording: Recording) -> DataCheck:
-    steps = np.diff(recording.t_meas)
-    num_equal, longest = int((steps == 0).sum()), float(steps.max())
-    faults = {
+def _clocks(recording: Recording) -> Iterator[DataCheck]:
+    longest = float(np.diff(recording.t_meas).max())
+    is_long = bool(np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas))
+    meas_faults = {
         f"; fewer than {MIN_SAMPLES} samples: record longer": len(recording.t_meas) < MIN_SAMPLES,
-        f"; {num_equal} times twice: record the controller's time": num_equal > 0,
         f"; a gap of more than {MAX_GAP} s: split the recording there": longest > MAX_GAP,
     }
-    return _clock("measurement times", recording.t_meas, f", longest {1e3 * longest:.1f} ms", faults)
-
-
-def _command_times(recording: Recording) -> DataCheck:
-    num_equal = int((np.diff(recording.t_cmd) == 0).sum())
-    is_long = bool(np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas))
-    faults = {
-        f"; {num_equal} times twice: record the time of sending": num_equal > 0,
-        "; far longer than the measurements: are both in seconds?": is_long,
-    }
-    return _clock("command times", recording.t_cmd, "", faults)
+    cmd_faults = {"; far longer than the measurements: are both in seconds?": is_long}
+    longest_text = f", longest {1e3 * longest:.1f} ms"
+    for name, time, more, remedy, faults in (
+        ("measurement times", recording.t_meas, longest_text, "the controller's time", meas_faults),
+        ("command times", recording.t_cmd, "", "the time of sending", cmd_faults),
+    ):
+        num_equal = int((np.diff(time) == 0).sum())
+        found = f"{len(time)} times in {np.ptp(time):.1f} s, median step {1e3 * time_step(time):.1f} ms{more}"
+        wrong = f"; {num_equal} times twice: record {remedy}" if num_equal else ""
+        wrong += "".join(text for text, is_there in faults.items() if is_there)
+        yield _judged(name, not wrong, found, wrong)
 
 
 def _motion(recording: Recording) -> DataCheck:

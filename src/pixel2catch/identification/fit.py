@@ -16,11 +16,10 @@ from jaxtyping import Bool, Float, Int
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.intervals import (
     BLOCK,
+    FRICTION_DEVIATION,
     LATENCY_DEVIATION,
     block_covariance,
-    block_scores,
     model_covariance,
-    play_deviation,
 )
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import FIT_DT, Encoders, RecordedMotion
@@ -271,7 +270,8 @@ class _Problem:
         for j, is_affected in enumerate(jacobian.directions.affected.T):
             moving = np.flatnonzero(is_affected)
             columns = jacobian.changes[jacobian.source[moving], :, j]
-            scores[:, moving] += block_scores(columns, weight[:, j] * jacobian.residuals[:, j], starts)
+            added = columns * (weight[:, j] * jacobian.residuals[:, j])
+            scores[:, moving] += np.add.reduceat(added, starts, axis=1).T
         steps = jacobian.directions.steps
         covariance = np.einsum("kja,kl,ljb->jab", steps, block_covariance(equations.hessian, scores), steps)
         dynamics, num = self.dynamics(point), self.num_free
@@ -279,10 +279,9 @@ class _Problem:
             dynamics, self._dynamics.armature, self._motion.link_inertia, self._cfg.free, LATENCY_UNIT
         )
         seconds = [np.ptp(recording.t_meas) for recording in self._recordings]
-        beside = [
-            play_deviation(dynamics),
-            *(np.full(len(covariance), LATENCY_DEVIATION / s) for s in seconds),
-        ]
+        # A joint that turns around rests until its command moved by the play and 2 frictionloss / stiffness.
+        play = 2.0 * FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness
+        beside = [play, *(np.full(len(covariance), LATENCY_DEVIATION / s) for s in seconds)]
         for column, deviation in enumerate(beside, start=num):
             covariance[:, column, column] += (deviation / self.unit[column]) ** 2
         return covariance

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from pixel2catch.checks import Range
 from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.identification.checks import DataCheck, check_recording
-from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.fit import LATENCY_UNIT, Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.recording import Recording, groups_of, joints_of
 from pixel2catch.identification.simulation import Encoders, RecordedMotion
@@ -32,8 +32,6 @@ RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "
 
 LEAST_HALF_WIDTH = 0.02  # least half-width of a range of gains (ours; gains drift with temperature and load)
 WELL_KNOWN = 0.1  # largest half-width of an interval of an identified parameter: 10 %, or 1 ms (ours)
-NOTABLE = 0.3  # least share of a weak direction's largest component of a parameter that is named (ours)
-
 
 REMEDIES = {
     "stiffness": ("N·m/rad", "add motion that reaches the torque limit, or a known payload"),
@@ -64,19 +62,17 @@ class FitStart:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedRecording:
-    """A recording and its data checks."""
+    """A recording with its data checks and, after a fit, its simulation."""
 
     recording: Recording
     checks: tuple[DataCheck, ...]
     is_held_out: bool  #: whether it judges the fit instead of being fitted
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimulatedRecording(CheckedRecording):
-    """A recording and its simulation."""
-
-    before: Positions  #: simulated with the dynamics before the fit, at the settled measurements [rad]
-    after: Positions  #: simulated with the fitted dynamics [rad]
+    before: Positions = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  #: simulated before the fit, at the settled measurements [rad]
+    after: Positions = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  #: simulated with the fitted dynamics [rad]
 
     @property
     def time(self) -> Float[np.ndarray, " num_settled"]:
@@ -101,10 +97,10 @@ class Identification:
     start: FitStart
     fit: Fit
     file: DynamicsFile  #: the result for training, with the ranges of its gains
-    motions: tuple[SimulatedRecording, ...]
+    motions: tuple[CheckedRecording, ...]
     physics_dt: float  #: time step of the simulation [s]
 
-    def of(self, is_held_out: bool) -> tuple[SimulatedRecording, ...]:
+    def of(self, is_held_out: bool) -> tuple[CheckedRecording, ...]:
         """Return the motions that were held out, or those that were fitted."""
         return tuple(motion for motion in self.motions if motion.is_held_out == is_held_out)
 
@@ -184,7 +180,7 @@ def identify(
     encoders = perfect, dataclasses.replace(fit.encoders, drift=drift)
     before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
     motions = tuple(
-        SimulatedRecording(**vars(source), before=path_before, after=path_after)
+        dataclasses.replace(source, before=path_before, after=path_after)
         for source, path_before, path_after in zip(sources, before, after, strict=True)
     )
     file = merged_file(fit, start, worse_than_command([each for each in motions if each.is_held_out]))
@@ -206,7 +202,7 @@ def merged_file(fit: Fit, start: FitStart, worse: Sequence[str]) -> DynamicsFile
     )
 
 
-def worse_than_command(motions: Sequence[SimulatedRecording]) -> list[str]:
+def worse_than_command(motions: Sequence[CheckedRecording]) -> list[str]:
     """Return the joints whose command alone predicts these motions better than the fitted simulation."""
     if not motions:
         return []
@@ -214,7 +210,7 @@ def worse_than_command(motions: Sequence[SimulatedRecording]) -> list[str]:
     return [motions[0].recording.joints[j] for j in np.flatnonzero(errors["after"] > errors["command"])]
 
 
-def tracking_errors(motions: Sequence[SimulatedRecording]) -> dict[str, PerJoint]:
+def tracking_errors(motions: Sequence[CheckedRecording]) -> dict[str, PerJoint]:
     """Return the root mean square of predicted minus measured positions of all motions, per joint [rad].
 
     The prediction is the `command`, or the simulation `before` or `after` the fit, this one with the play and
@@ -298,61 +294,20 @@ def short(joint: str) -> str:
     return joint.removesuffix("_joint").replace("_joint_", " ").replace("_", " ")
 
 
-@dataclass(frozen=True, kw_only=True)
-class WeakDirection:
-    """Parameters of a joint that can change together with hardly a change of its motion."""
-
-    joint: str  #: name of the joint
-    parameters: tuple[str, ...]  #: names of the parameters, the one that changes most first
-    half_width: float  #: half of the 95 % interval along the direction, in the coordinates of the fit
-    is_scale: bool  #: whether all of them grow together, so that their ratios are known
-
-    def text(self, joints: str) -> str:
-        """Return a sentence with the direction and its remedy, for joints that share it."""
-        names, first = " and ".join(self.parameters), self.parameters[0]
-        if len(self.parameters) == 1:
-            width = np.exp(min(self.half_width, 9.0))
-            known = (
-                f"{1e3 * self.half_width * LATENCY_UNIT:.1f} ms"
-                if first == "latency"
-                else f"a factor of {width:.3g}"
-            )
-            text = f"{names} of {joints} is known only to {known}"
-        elif self.is_scale:
-            text = f"{names} of {joints} share one scale: only their ratios are known"
-        else:
-            text = f"{names} of {joints} cannot be told apart"
-        fixed = "stiffness" if self.is_scale and "stiffness" in self.parameters else first
-        return f"{text}: fix {fixed} (leave it out of --free), or {REMEDIES[fixed][1]}."
-
-
-def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:
-    """Return the directions in which a joint's parameters have wider intervals than a limit, widest first."""
-    found = []
-    for joint, covariance in zip(fit.dynamics.joints, fit.covariance, strict=True):
-        variances, directions = np.linalg.eigh(covariance)
-        for half_width, along in zip(CONFIDENCE * np.sqrt(variances), directions.T, strict=True):
-            if half_width > limit:
-                order = np.argsort(-np.abs(along))
-                part = [i for i in order if abs(along[i]) > NOTABLE * abs(along[order[0]])]
-                is_scale = all(fit.free[i] in SCALE and along[i] * along[part[0]] > 0 for i in part)
-                weak = WeakDirection(
-                    joint=joint,
-                    parameters=tuple(fit.free[i] for i in part),
-                    half_width=float(half_width),
-                    is_scale=is_scale and len(part) > 1,
-                )
-                found.append(weak)
-    return tuple(sorted(found, key=lambda weak: -weak.half_width))
-
-
 def open_questions(fit: Fit) -> list[str]:
-    """Return what is not identified and the remedy, one sentence for all joints that share it."""
-    groups: dict[tuple[frozenset[str], bool], list[WeakDirection]] = {}
-    for weak in weak_directions(fit):
-        groups.setdefault((frozenset(weak.parameters), weak.is_scale), []).append(weak)
-    questions = []
-    for group in groups.values():
-        joints = {weak.joint for weak in group}
-        questions.append(group[0].text(", ".join(short(j) for j in fit.dynamics.joints if j in joints)))
+    """Return what is not identified and the remedy, one sentence for all joints of a parameter."""
+    known, questions = estimates(fit), []
+    for name in fit.free:
+        widths = known[name].half_width
+        joints = [short(fit.dynamics.joints[j]) for j in np.flatnonzero(widths > WELL_KNOWN)]
+        if joints:
+            worst = float(widths.max())
+            factor = f"a factor of {np.exp(min(worst, 9.0)):.3g}"
+            width = f"{1e3 * LATENCY_UNIT * worst:.1f} ms" if name == "latency" else factor
+            questions.append(
+                f"{name} of {', '.join(joints)} is known only to {width}: leave it out of --free, or "
+                f"{REMEDIES[name][1]}."
+            )
+    if LAG in known and any(known["stiffness"].half_width > WELL_KNOWN):
+        questions.append("The torques may share one scale: the table of their ratios shows what is known.")
     return questions

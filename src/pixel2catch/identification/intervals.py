@@ -7,7 +7,7 @@ of any simulation, whatever the recordings are.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.special import stdtrit
 
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -51,15 +51,6 @@ def block_covariance(hessian: Hessian, scores: Float[np.ndarray, "num_blocks num
     return inverse + factor * inverse @ (scores.T @ scores) @ inverse
 
 
-def block_scores(
-    changes: Float[np.ndarray, "num_directions num_settled"],
-    weighted: Float[np.ndarray, " num_settled"],
-    starts: Int[np.ndarray, " num_blocks"],
-) -> Float[np.ndarray, "num_blocks num_directions"]:
-    """Return the derivatives that each block adds, from those of positions and the weighted residuals."""
-    return np.add.reduceat(changes * weighted, starts, axis=1).T
-
-
 def model_covariance(
     dynamics: JointDynamics,
     armature: Float[np.ndarray, " num_joints"],
@@ -97,12 +88,3 @@ def model_covariance(
     deviations = np.stack((scale, servo, link, cycle))
     alone = np.diag([own.get(name, 0.0) ** 2 for name in free])
     return np.einsum("mja,mjb->jab", deviations, deviations) + alone
-
-
-def play_deviation(dynamics: JointDynamics) -> Float[np.ndarray, " num_joints"]:
-    """Return the deviation of an encoder's play that an error of dry friction causes [rad].
-
-    A joint that turns around stays at rest until its command has moved by the play and
-    2 frictionloss / stiffness.
-    """
-    return 2.0 * FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness

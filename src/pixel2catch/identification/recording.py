@@ -221,43 +221,39 @@ def require_motion(
     groups = groups_of(workcell)
     if unknown := [joint for joint in joints if joint not in groups]:
         raise UnknownNameError("joint", unknown[0], groups)
-    _require_numbers(source, joints, time, (positions, *others))
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if len(backwards):
-        row = int(backwards[0]) + 1
-        raise RecordingError(
-            f"{source}, row {row}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; split "
-            "the recording here, or sort it if two writers shared the file."
-        )
-    reach = np.array([MOTION_RANGES[groups[joint].role].reach for joint in joints])
-    beyond = np.argwhere(np.abs(positions) > reach)
-    if len(beyond):
-        row, column = map(int, beyond[0])
-        raise RecordingError(
-            f"{source}, row {row}, column {joints[column]}: {positions[row, column]:g} rad is beyond the "
-            f"joint's reach of {reach[column]:.2f} rad; if the file is in degrees, convert it to radians."
-        )
-
-
-def _require_numbers(
-    source: str, joints: tuple[str, ...], time: np.ndarray, columns_of: tuple[np.ndarray, ...]
-) -> None:
-    """Refuse arrays of other shapes, and values that are not finite."""
     if time.ndim != 1 or len(time) < 2:
         raise RecordingError(f"{source}: no motion, shape {time.shape}; record two rows at least.")
-    for values in columns_of:
+    for values in (positions, *others):
         if values.shape != (len(time), len(joints)):
             raise RecordingError(
                 f"{source}: shape {values.shape}, but there are {len(time)} times and {len(joints)} joints; "
                 "give every time one row and every joint one column."
             )
-    for columns, values in (*((joints, each) for each in columns_of), (("time",), time[:, None])):
-        if not np.isfinite(values).all():
-            row, column = map(int, np.argwhere(~np.isfinite(values))[0])
-            raise RecordingError(
-                f"{source}, row {row}, column {columns[column]}: {values[row, column]} is not a number; cut "
-                "the recording before this row or record again."
-            )
+        _refuse(source, joints, values, ~np.isfinite(values), "is not a number; cut the recording before it")
+    times, clock = time[:, None], ("time",)
+    _refuse(source, clock, times, ~np.isfinite(times), "is not a number; cut the recording before it")
+    is_back = np.diff(times, axis=0, prepend=times[:1]) < 0
+    _refuse(source, clock, times, is_back, "s is before the row above; split the recording here, or sort it")
+    reach = np.array([MOTION_RANGES[groups[joint].role].reach for joint in joints])
+    too_far = "rad is farther than the joint's reach of {:.2f} rad; if the file is in degrees, convert it"
+    _refuse(source, joints, positions, np.abs(positions) > reach, too_far, reach)
+
+
+def _refuse(
+    source: str,
+    columns: Sequence[str],
+    values: np.ndarray,
+    is_bad: np.ndarray,
+    reason: str,
+    limits: np.ndarray | None = None,
+) -> None:
+    """Raise RecordingError with the first bad value of a table; `limits` of the columns are in the reason."""
+    if is_bad.any():
+        row, column = map(int, np.argwhere(is_bad)[0])
+        reason = reason if limits is None else reason.format(limits[column])
+        raise RecordingError(
+            f"{source}, row {row}, column {columns[column]}: {values[row, column]:g} {reason}."
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,8 +264,8 @@ class Trajectory:
     `times` [s], `positions` [rad], and `header`, a JSON text with the work cell and the targets' origin.
 
     Raises:
-        InvalidValueError: A robot should not follow it; the message names the target.
-        RecordingError: A value is not a number, or times and positions do not fit together.
+        InvalidValueError: Joints are not in order, or it is too short.
+        RecordingError: A value is not a number, or a robot should not follow it; the message names the row.
         UnknownNameError: The work cell has no such joint.
     """
 
@@ -287,16 +283,22 @@ class Trajectory:
             raise InvalidValueError(
                 f"joints are {list(self.joints)}; name each once, in the order {list(known)}"
             )
-        late = np.flatnonzero(np.diff(self.times) <= 0.0)
-        if self.times[0] != 0.0 or len(late):
-            row = int(late[0]) + 1 if len(late) else 0
-            raise InvalidValueError(
-                f"target {row} is due at {self.times[row]:g} s; times must begin at 0 and increase"
-            )
-        self._require_limits([known[name] for name in self.joints])
+        times, positions = self.times[:, None], self.positions
+        is_late = np.diff(times, axis=0, prepend=-1.0) <= 0.0
+        is_late[0] = times[0] != 0.0
+        _refuse("targets", ("time",), times, is_late, "s: times must begin at 0 and increase")
+        specs = [known[name] for name in self.joints]
+        lower, upper, largest = np.array([(spec.lower, spec.upper, largest_step(spec)) for spec in specs]).T
+        excess = np.maximum(lower - positions, positions - upper)
+        steps = np.abs(np.diff(positions, axis=0, prepend=positions[:1]))
         is_end = (self.times <= REST) | (self.times >= self.duration - REST)
-        moves = (np.abs(self.positions - self.positions[0]) > TOLERANCE) & is_end[:, None]
-        self._refuse(moves, f"moves in the first or last {REST:g} s, which must be at rest in the start pose")
+        moves = (np.abs(positions - positions[0]) > TOLERANCE) & is_end[:, None]
+        for is_bad, reason in (
+            (excess > TOLERANCE, "rad is beyond the joint's limits"),
+            (steps > largest + TOLERANCE, "rad is farther from the row above than the servo's speed allows"),
+            (moves, f"rad: the first and last {REST:g} s must be at rest in the start pose"),
+        ):
+            _refuse("targets", self.joints, positions, is_bad, reason)
         if self.duration < 2 * REST:
             raise InvalidValueError(f"it lasts {self.duration:g} s; it needs {REST:g} s of rest at each end")
 
@@ -334,21 +336,4 @@ class Trajectory:
                 times=_numbers(arrays["times"]),
                 positions=_numbers(arrays["positions"]),
                 header=header,
-            )
-
-    def _require_limits(self, specs: Sequence[JointSpec]) -> None:
-        lower, upper = np.array([(spec.lower, spec.upper) for spec in specs]).T
-        excess = np.maximum(lower - self.positions, self.positions - upper)
-        self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
-        steps = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1]))
-        is_far = steps > np.array([largest_step(spec) for spec in specs]) + TOLERANCE
-        self._refuse(is_far, "is farther from the target before than the servo's speed allows")
-
-    def _refuse(self, is_bad: np.ndarray, reason: str) -> None:
-        """Raise InvalidValueError with the first bad target."""
-        if is_bad.any():
-            row, column = map(int, np.argwhere(is_bad)[0])
-            raise InvalidValueError(
-                f"target {row} ({self.times[row]:.3f} s) of {self.joints[column]}, "
-                f"{self.positions[row, column]:.4f} rad, {reason}"
             )

@@ -23,27 +23,15 @@ from pixel2catch.scene.scene import SceneCfg, build_spec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
+STALL = 0.05  # share of a loop's turns that stall. Source: the same.
 PERIOD = 0.008  # turn of a loop [s] (ours, a UR e-series controller's fourth cycle)
+NOISE = 2e-4  # standard deviation of a measured position [rad]. Source: a UR's encoders.
 
 LIMIT_TOLERANCE = 0.005
 """Tolerated excess of a position limit [rad]. Source: ours; in the start pose two joints are at their limits,
 and the motion of others moves them a little."""
 
 HORIZON = 0.1  # largest distance that is measured [m]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recorder:
-    """Two independent loops: one sends commands, one records measurements."""
-
-    noise: float = 2e-4  #: standard deviation of a measured position [rad]. Default: a UR's encoders.
-    stall: float = 0.05  #: share of each loop's turns that take 40 ms
-    read_period: float = PERIOD  #: turn of the loop that records positions [s]
-    #: time step of the simulation [s]; a fit with the same time step finds the true parameters best
-    physics_dt: float = FIT_DT
-
-
-PERFECT = Recorder(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise
 
 
 def turns_of_a_loop(
@@ -56,26 +44,31 @@ def turns_of_a_loop(
 
 
 def simulated_recordings(
-    trajectories: Sequence[Trajectory], truth: JointDynamics, recorder: Recorder, rng: Generator
+    trajectories: Sequence[Trajectory], truth: JointDynamics, rng: Generator, *, is_perfect: bool = False
 ) -> list[Recording]:
-    """Return recordings of a simulated robot that follows trajectories, each from its start pose."""
-    blanks = [_blank(trajectory, recorder, rng) for trajectory in trajectories]
-    motion = RecordedMotion(blanks, recorder.physics_dt)
+    """Return recordings of a simulated robot that follows trajectories, each from its start pose.
+
+    Two independent loops send commands and record positions with noise; both stall. Perfect recordings have
+    every physics step, without stalls and noise.
+    """
+    blanks = [_blank(trajectory, rng, is_perfect) for trajectory in trajectories]
+    motion = RecordedMotion(blanks)
     (simulated,) = motion.simulate([truth])
     recordings = []
     for blank, path in zip(blanks, motion.split(simulated), strict=True):
         q = np.concatenate((blank.q[~is_settled(blank)], path))
-        noise = recorder.noise * rng.standard_normal(q.shape)
+        noise = 0.0 if is_perfect else NOISE * rng.standard_normal(q.shape)
         recordings.append(dataclasses.replace(blank, q=q + noise))
     return recordings
 
 
-def _blank(trajectory: Trajectory, recorder: Recorder, rng: Generator) -> Recording:
+def _blank(trajectory: Trajectory, rng: Generator, is_perfect: bool) -> Recording:
     """Return commands and times of a recording, with the positions of the start pose."""
-    t_cmd = turns_of_a_loop(rng, trajectory.duration, PERIOD, recorder.stall)
+    stall, period = (0.0, FIT_DT) if is_perfect else (STALL, PERIOD)
+    t_cmd = turns_of_a_loop(rng, trajectory.duration, PERIOD, stall)
     t_cmd = np.append(t_cmd, trajectory.duration)
-    start = rng.uniform(0.0, recorder.read_period)
-    t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, recorder.read_period, recorder.stall)
+    start = rng.uniform(0.0, period)
+    t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
     return Recording(
         workcell=trajectory.workcell,
         joints=trajectory.joints,
@@ -88,7 +81,7 @@ def _blank(trajectory: Trajectory, recorder: Recorder, rng: Generator) -> Record
 
 def rehearse(folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, seed: int) -> None:
     """Write recordings of a simulated robot, recording-1.npz and so on, and its dynamics file truth.json."""
-    recordings = simulated_recordings(trajectories, truth, Recorder(), np.random.default_rng((seed, 1)))
+    recordings = simulated_recordings(trajectories, truth, np.random.default_rng((seed, 1)))
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
         recording.save(folder / f"recording-{number}.npz")
@@ -226,7 +219,7 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
     The motion is simulated as in a fit, without contacts; then the distances of every step are measured in
     the whole scene. Without violations there would be no contacts.
     """
-    (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
+    (recording,) = simulated_recordings([trajectory], dynamics, np.random.default_rng(0), is_perfect=True)
     near = clearances(recording.joints, recording.t_meas, recording.q, recording.workcell)
     return Assessment(
         recording=recording,

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.identification.checks import DataCheck
-from pixel2catch.identification.fit import LATENCY_UNIT, Fit
+from pixel2catch.identification.fit import LATENCY_UNIT
 from pixel2catch.identification.identify import (
     RATIOS,
     REMEDIES,
+    CheckedRecording,
     Estimate,
     Identification,
-    SimulatedRecording,
     estimates,
     open_questions,
     short,
@@ -89,7 +89,7 @@ def error_rows(result: Identification) -> list[Cells]:
 
 
 def parameter_rows(result: Identification) -> list[Cells]:
-    """Return every parameter with its 95 % interval, and below it its value before the fit."""
+    """Return parameters and their ratios with 95 % intervals; below, the parameters before the fit."""
     known, rows = estimates(result.fit), []
     found, before = result.fit.dynamics, result.start.before
     for j, joint in enumerate(found.joints):
@@ -101,23 +101,12 @@ def parameter_rows(result: Identification) -> list[Cells]:
             fixed = f"{_number(name, getattr(found, name)[j])} (not fitted)"
             now[column] = _estimate(known[name], j) if name in known else fixed
             old[column] = _number(name, getattr(before, name)[j])
+        now |= {f"{n} [{unit}]": _estimate(known[n], j) for n, unit in RATIOS.items() if n in known}
         rows += [now, old]
     return rows
 
 
-def ratio_rows(fit: Fit) -> list[Cells]:
-    """Return ratios of parameters with their 95 % intervals; there may be no rows."""
-    found = [each for name, each in estimates(fit).items() if name in RATIOS]
-    return [
-        {
-            "joint": short(joint),
-            **{f"{each.name} [{RATIOS[each.name]}]": _estimate(each, j) for each in found},
-        }
-        for j, joint in enumerate(fit.dynamics.joints if found else ())
-    ]
-
-
-def _groups(result: Identification) -> dict[str, tuple[SimulatedRecording, ...]]:
+def _groups(result: Identification) -> dict[str, tuple[CheckedRecording, ...]]:
     return {"held out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
 
 
@@ -199,7 +188,6 @@ def report_sections(result: Identification, circumstances: Mapping[str, Any]) ->
         Section(title="Warnings", text=_listing(warnings(result) or ["none"])),
         Section(title="Tracking error", text=TRACKING, rows=error_rows(result)),
         Section(title="Parameters with 95 % intervals", rows=parameter_rows(result)),
-        Section(title="Ratios with 95 % intervals", rows=ratio_rows(result.fit)),
         Section(title="What is not identified", text=_listing(questions)),
         Section(title=f"Motion: {shown.recording.name} ({roles[shown.is_held_out]})", pictures=pictures),
         *(
@@ -250,7 +238,7 @@ def _parameters(result: Identification, j: int) -> Content:
     return found
 
 
-def joint_picture(motion: SimulatedRecording, column: int) -> bytes:
+def joint_picture(motion: CheckedRecording, column: int) -> bytes:
     """Return a PNG of a joint's positions as commanded, measured and simulated, and its errors."""
     recording, start = motion.recording, motion.recording.t_meas[0]
     paths = {name: getattr(motion, name)[:, column] for name in ("before", "measured", "after")}

@@ -42,7 +42,7 @@ class SensingCfg:
     #: release's, without errors.
     camera: CameraFile = RELEASE_CAMERA
     #: Distance of the true camera from that one, in a random direction [m]. The paper's training has neither
-    #: this error nor those below (ours; values with sources: `envs.tasks`, `evaluation.stress.suite`).
+    #: this error nor those below (ours; values with sources: `envs.tasks`, `evaluation.stress`).
     camera_offset: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Angle between the two, about a random axis [rad].
     camera_turn: Annotated[Amount, Within(0.0, 0.8)] = 0.0

@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from pixel2catch.camera.image import Pixels
 from pixel2catch.checks import OutputFile
-from pixel2catch.evaluation.recorded_throws import CAUGHT, LOST, OUTCOMES, RecordedThrow
+from pixel2catch.evaluation.protocol import CAUGHT, LOST, OUTCOMES, RecordedThrow
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.rendering.room import Bystanders, build_film_room
 from pixel2catch.rendering.video import FORMATS, draw_box, write_film

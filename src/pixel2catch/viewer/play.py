@@ -14,7 +14,7 @@ import viser
 from pixel2catch.checks import Seed
 from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies

@@ -13,7 +13,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, Episode, failure
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_steps
-from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
 from pixel2catch.policy import Policy
