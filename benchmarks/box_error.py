@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
@@ -184,7 +184,7 @@ def _surface(
     body = model.body("object").id
     local = torch.from_numpy(surface_points(OBJECTS[object_name], num_points))
     points = local @ xmat[:, body].view(-1, 3, 3).mT + xpos[:, body, None]
-    directions = ray_directions(RGB_CAMERA, points)
+    directions = points - camera_center(RGB_CAMERA, points)
     hit = simulation.ray(camera_center(RGB_CAMERA, points), directions, OCCLUDER_GROUPS)
     simulation.close()
     return points, is_unoccluded(hit)

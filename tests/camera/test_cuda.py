@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pixel2catch.camera.boxes import box_of_points, perturb_box, pixel_features
-from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project, ray_directions
+from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project
 from pixel2catch.devices import keeping
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -13,7 +13,6 @@ def see(points: torch.Tensor, hit: torch.Tensor, previous: torch.Tensor) -> torc
     """Every function of the camera in one pass, from points to features."""
     pixels, depth = project(RGB_CAMERA, points)
     is_visible = is_unoccluded(hit) & is_in_view(RGB_CAMERA, pixels, depth)
-    is_visible = is_visible & (ray_directions(RGB_CAMERA, points).norm(dim=-1) > 0)
     box = box_of_points(pixels, is_visible, RGB_CAMERA)
     box = perturb_box(box, torch.ones_like(box), RGB_CAMERA)
     return pixel_features(previous, box, RGB_CAMERA)

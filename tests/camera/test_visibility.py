@@ -1,13 +1,7 @@
 import torch
 
-from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project, ray_directions
+from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project
 from pixel2catch.scene.constants import RGB_CAMERA
-
-
-def test_rays_end_at_the_points():
-    points = torch.rand(3, 5, 3, dtype=torch.float64)
-    ends = torch.tensor(RGB_CAMERA.pos, dtype=torch.float64) + ray_directions(RGB_CAMERA, points)
-    torch.testing.assert_close(ends, points)
 
 
 def test_a_miss_or_a_hit_behind_the_point_hides_nothing():

@@ -22,7 +22,7 @@ from pixel2catch.errors import (
 )
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.gradient_step import GradientStep
-from pixel2catch.learning.log import CsvLog, TrainingLog
+from pixel2catch.learning.log import CsvLog
 from pixel2catch.learning.train import train
 from pixel2catch.policy import AgentContract, Policy
 
@@ -199,16 +199,6 @@ def test_nan_in_the_networks_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(GradientStep, "apply", spoil)
     with pytest.raises(NonFiniteError, match=r"value network of agent 'arm'"):
         train(SMALL, ReachingEnv, CONTRACT, tmp_path)
-
-
-def test_one_warning_of_a_value_network_that_does_not_learn(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A constant has a loss of 2, the default scale: 60 updates above, one below, 250 above."""
-    with TrainingLog(TrainCfg(), tmp_path, 0, is_silent=False) as log:
-        for number, loss in enumerate([3.0] * 60 + [1.9] + [3.3] * 250):
-            log.write({"transitions": number, "transitions_per_second": 1.0, "value_loss/arm": loss})
-            assert ("the values of 'arm'" in capsys.readouterr().out) == (number == 160)
 
 
 def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

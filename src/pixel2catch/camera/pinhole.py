@@ -88,19 +88,12 @@ def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     return constant(camera.pos, like.device, like.dtype)
 
 
-def ray_directions(
-    camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
-) -> Float[Tensor, "num_envs num_points 3"]:
-    """Return the rays from the camera's centre to the points, world frame [m]; not normalised."""
-    return points - camera_center(camera, points)
-
-
 def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
     """Return whether the line from the camera to each point is free.
 
-    Distances are where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units of
-    the ray: 1 is at the point, negative is a miss. The object itself is ignored: its far side projects into
-    its own outline.
+    Distances are where the ray from the camera to the point first hits robot or table (`Simulation.ray`), in
+    units of the ray: 1 is at the point, negative is a miss. The object itself is ignored: its far side
+    projects into its own outline.
     """
     return (hit_distance < 0.0) | (hit_distance >= 1.0)
 

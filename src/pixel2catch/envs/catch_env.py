@@ -9,7 +9,7 @@ from torch import Tensor
 from pixel2catch.agents import commands_of
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.detector import Detector, ProjectedDetector
+from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
@@ -86,7 +86,6 @@ class CatchEnv:
         action_sizes: Number of each agent's actions, by name.
         state_size: Length of the value networks' input.
         statistics: Sums over ended episodes.
-        detector: From true state to detections; on the CPU it may be replaced before a `reset`.
     """
 
     def __init__(
@@ -131,7 +130,7 @@ class CatchEnv:
         self._action_bias = by_joint(self.workcell, "action_bias", self.device)
         reward_names = {agent.name: agent.reward_names for agent in method.agents}
         self.statistics = EpisodeStatistics(names, reward_names, self.device)
-        self.detector: Detector = ProjectedDetector(cfg.sensing, self.world, self._generator)
+        self._detector = Detector(cfg.sensing, self.world, self._generator)
         self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
@@ -240,8 +239,8 @@ class CatchEnv:
     def _first_sensor_state(self) -> SensorState:
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        image = self.detector.look(now, self._episode)
-        detection = self.detector.disturbed(image, self._episode)
+        image = self._detector.look(now, self._episode)
+        detection = self._detector.disturbed(image, self._episode)
         started = (torch.zeros_like(joint_pos), joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
         sensors = SensorState(
@@ -292,9 +291,9 @@ class CatchEnv:
         """
         sensors, latency = self._sensors, self._episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
-        image = self.detector.look(truth, self._episode)
+        image = self._detector.look(truth, self._episode)
         exposed = image.exposed_before(select(begun, image, sensors.image), latency - latency.floor())
-        detected = self.detector.disturbed(exposed, self._episode)
+        detected = self._detector.disturbed(exposed, self._episode)
         detection = detected.held(begun | detected.is_seen, sensors.detections.newest)
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, sensors.detections.pushed(detection))

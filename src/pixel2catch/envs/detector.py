@@ -1,6 +1,5 @@
 """From the true state to a `Detection`: the camera and the detector of the object in its images."""
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 
 import torch
@@ -15,27 +14,15 @@ from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
-class Detector(ABC):
-    """Detects the object of every environment, once in every control step."""
-
-    @abstractmethod
-    def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """Return the detection in an image of this moment, without errors of the sensors."""
-
-    @abstractmethod
-    def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """Return the detection with the errors of the sensors."""
-
-
-class ProjectedDetector(Detector):
-    """Projects surface points instead of taking images, and adds the errors of the sensors."""
+class Detector:
+    """Detects objects once in every control step: projects surface points instead of taking images."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
         """Detect in a world; the generator draws the errors of every image."""
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """See `Detector.look`; rays start at the nominal camera."""
+        """Return the detection in an image of this moment, without errors of the sensors."""
         cfg, camera = self._cfg, self._camera(episode)
         points, is_visible = self._world.surface_points(cfg.camera.camera)
         box, is_seen = detect(points, is_visible, cfg.least_visible, camera)
@@ -47,7 +34,7 @@ class ProjectedDetector(Detector):
         )
 
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """See `Detector.disturbed`: noise, and the camera errors of the episode."""
+        """Return the detection with noise and the camera errors of the episode."""
         cfg, wrong, box = self._cfg, episode.camera_errors, detection.box
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=box.device) - 1.0
         scale = 1.0 if wrong is None else wrong.noise_scale[:, None]

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_unoccluded
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.control_step import Columns, Privileged, merged, take
@@ -285,7 +285,7 @@ class CatchWorld:
         if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
             may_hide = self._occluders.may_hide(camera_center(camera, points), pos, self._object_id, geoms)
-        directions = ray_directions(camera, points).to(self.simulation.dtype)
+        directions = (points - camera_center(camera, points)).to(self.simulation.dtype)
         origin = camera_center(camera, directions)
         hit = self.simulation.ray(origin, directions, OCCLUDER_GROUPS, may_hide)
         return points, is_unoccluded(hit)

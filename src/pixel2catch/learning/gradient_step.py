@@ -55,7 +55,7 @@ class GradientStep:
         self._losses_now = self.totals.clone()
         #: Weight of imitation, 0 to 1; changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
-        self._policy_weight = torch.ones((), device=cfg.device)
+        self._policy_weight, self._is_frozen = torch.ones((), device=cfg.device), False
 
     @property
     def learning_rate(self) -> Tensor:
@@ -92,19 +92,17 @@ class GradientStep:
         self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
         self.totals += self._losses_now
 
-    def freeze_policy(self) -> None:
-        """Update only the value network, until `unfreeze_policy`."""
-        self._policy_weight.fill_(0.0)
-
-    def unfreeze_policy(self) -> None:
-        """Update the policy again, with an optimiser state of zeros.
+    def freeze_policy(self, is_frozen: bool) -> None:
+        """Update only the value network, or the policy again, then with an optimiser state of zeros.
 
         Averages of gradients that were 0 would make Adam's first step three times too long.
         """
-        self._policy_weight.fill_(1.0)
-        for parameter in self._networks.parts["policy"]:
-            for value in self.optimizer.state.get(parameter, {}).values():
-                value.zero_()
+        self._policy_weight.fill_(0.0 if is_frozen else 1.0)
+        if self._is_frozen and not is_frozen:
+            for parameter in self._networks.parts["policy"]:
+                for value in self.optimizer.state.get(parameter, {}).values():
+                    value.zero_()
+        self._is_frozen = is_frozen
 
     def load_state_dict(self, state: dict[str, object]) -> None:
         """Restore a state of the optimiser, also of another device."""

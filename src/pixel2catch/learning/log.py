@@ -4,7 +4,6 @@ import csv
 import importlib
 import io
 import os
-from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,6 @@ from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
 WANDB_FILE = "wandb.id"  #: Identifier of the run of Weights & Biases, for --resume.
-LOST_UPDATES = 100  #: Updates with values worse than a constant before a warning. Source: ours.
 Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
@@ -31,8 +29,6 @@ class TrainingLog:
     def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
         """Start after some transitions; a silent log shows and writes nothing."""
         self._console = Console(highlight=False, quiet=is_silent)
-        self._loss_of_constant = cfg.value_loss_scale  # of standardised returns, whose variance is 1
-        self._lost = Counter[str]()
         self._bar = ProgressBar(
             "training",
             cfg.transitions,
@@ -66,25 +62,10 @@ class TrainingLog:
         self._bar.__exit__()
 
     def write(self, row: Row) -> None:
-        """Show and write a row of metrics; warn of value networks that do not learn."""
+        """Show and write a row of metrics."""
         self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         for what, write in self._sinks.items():
             self.attempt(what, partial(write, row))
-        self._warn(row)
-
-    def _warn(self, row: Row) -> None:
-        """Warn once per agent whose values have been worse than a constant for `LOST_UPDATES`."""
-        for name, loss in row.items():
-            if not name.startswith("value_loss/"):
-                continue
-            self._lost[name] = self._lost[name] + 1 if loss > self._loss_of_constant else 0
-            if self._lost[name] == LOST_UPDATES:
-                agent = name.removeprefix("value_loss/")
-                self.say(
-                    f"warning: for {LOST_UPDATES} updates the values of '{agent}' have been worse than a "
-                    f"constant (value loss {loss:.1f}): it learns little and may end in NaN; start again "
-                    "with another --seed or a lower --learning-rate"
-                )
 
     def attempt(self, what: str, write: Callable[[], object]) -> None:
         """Write something; if that fails, print a warning and go on."""

@@ -62,7 +62,6 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
-        self._is_frozen = False
 
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
             return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
@@ -192,8 +191,8 @@ class Mappo:
         cfg = self.cfg
         taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
-        self._freeze_policies(begun < 1.0)
         for step in self.steps.values():
+            step.freeze_policy(begun < 1.0)
             step.teacher_weight.fill_(1.0 - taught * (1.0 - cfg.final_teacher_weight))
             if cfg.schedule == "linear":
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
@@ -268,15 +267,6 @@ class Mappo:
             for target, seen in ((rollout.values, values), (rollout.returns, returns)):
                 scale.learn(*next(moments), seen.numel() * self.workers.size)
                 target.copy_(scale(seen))
-
-    def _freeze_policies(self, is_frozen: bool) -> None:
-        """Update only the value networks, while their values are still untrained."""
-        for step in self.steps.values():
-            if is_frozen:
-                step.freeze_policy()
-            elif self._is_frozen:
-                step.unfreeze_policy()
-        self._is_frozen = is_frozen
 
     @torch.no_grad()
     def export(self) -> Policy:

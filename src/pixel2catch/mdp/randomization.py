@@ -30,10 +30,8 @@ class RandomizationCfg:
     action_bias: Annotated[float, Within(0.0, 50.0)] = 1.0  #: Factor on their bias in an episode.
     #: Largest deviation of each joint from its start position [rad].
     initial_joint_noise: Annotated[float, Within(0.0, 1.0)] = 0.125
-    mass_scale: Annotated[Range, Within(0.01, 100.0)] = (
-        0.5,
-        1.5,
-    )  #: Factor on the object's mass and inertia.
+    #: Factor on the object's mass and inertia.
+    mass_scale: Annotated[Range, Within(0.01, 100.0)] = (0.5, 1.5)
     #: Restitution of contacts with the object.
     restitution: Annotated[Range, Within(0.0, 1.0)] = (0.0, 0.5)
     #: Sliding friction of contacts with the object (release).
