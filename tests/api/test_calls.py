@@ -75,7 +75,6 @@ def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
     wrong: tuple[tuple[type[Exception], str, dict[str, Any]], ...] = (
         (InvalidValueError, "leave out one of them", {"task": has_dynamics, "dynamics": file}),
         (InvalidValueError, "leave out task", {"preset": experiment, "task": "wide"}),
-        (InvalidValueError, "set env.sensing.latency_steps", {"latency_steps": (1, 3)}),
         (UnknownNameError, "Did you mean 'num_envs'", {"num_env": 3}),
     )
     for error, words, given in wrong:

@@ -85,15 +85,10 @@ class Checkpoint:
         """Put a learner and the random generators into this state.
 
         Raises:
-            CheckpointError: It does not fit this learner, or is of another task.
+            CheckpointError: It does not fit this learner.
             PolicyMismatchError: It was trained under another contract; the message names the fields.
         """
         self.contract.require(mappo.contract)
-        if self.contract.task != mappo.contract.task:
-            raise CheckpointError(
-                f"checkpoint '{self.path}' is of a training for the task '{self.contract.task}', not "
-                f"'{mappo.contract.task}'; leave out --task, or name another folder."
-            )
         random, device = self.state["random"], mappo.cfg.device
         with files.reading("checkpoint", self.path, FIX, CheckpointError):
             try:

@@ -168,24 +168,12 @@ PRESETS: dict[str, TrainCfg] = {
 `paper` as the release. `learning.experiment.preset` adds the environments."""
 
 
-GONE: dict[str, str] = {
-    "latency_steps": "env.sensing.latency_steps",
-    "physics_hz": "physics_stages for several rates, or env.scene.physics_hz for one",
-    "cone": "env.scene.cone",
-    "multiccd": "env.scene.multiccd",
-}
-"""Fields of earlier revisions of `TrainCfg`, and where they are. See docs/changes.md."""
-
-
 def require_known(names: Iterable[str]) -> None:
     """Check that names are fields of `TrainCfg`.
 
     Raises:
         UnknownNameError: One is not.
-        InvalidValueError: One is a field that moved.
     """
     for name in names:
-        if name in GONE:
-            raise InvalidValueError(f"'{name}' moved: set {GONE[name]}. See docs/changes.md.")
         if name not in TrainCfg.__dataclass_fields__:
             raise UnknownNameError("option", name, TrainCfg.__dataclass_fields__)

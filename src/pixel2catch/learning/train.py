@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.devices import DeviceTime
 from pixel2catch.envs.catch_env import CatchEnv, Observation
-from pixel2catch.errors import CheckpointError, NonFiniteError, PolicyMismatchError
+from pixel2catch.errors import CheckpointError, NonFiniteError
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
@@ -89,27 +89,6 @@ def train(
         return training.run()
 
 
-def _fitting(env: CatchEnv, cfg: TrainCfg, contract: PolicyContract) -> CatchEnv:
-    """Return environments that fit the configuration and the contract, or close them.
-
-    Raises:
-        PolicyMismatchError: They do not fit; the message names the field.
-    """
-    agents = contract.agents.items()
-    sizes = {
-        "num_envs": (cfg.num_envs, env.num_envs),
-        "observation_sizes": ({name: each.num_inputs for name, each in agents}, env.observation_sizes),
-        "action_sizes": ({name: len(each.joints) for name, each in agents}, env.action_sizes),
-    }
-    for name, (expected, found) in sizes.items():
-        if expected != found:
-            env.close()
-            raise PolicyMismatchError(
-                f"{name}: configuration and contract have {expected}, the environments {found}."
-            )
-    return env
-
-
 class _Training:
     def __init__(
         self,
@@ -125,7 +104,7 @@ class _Training:
         self.record, self.progress = record, progress
         self.share, self.make_env = workers.share(cfg), make_env
         self.rate = cfg.rate_at(progress.transitions)
-        self.env = _fitting(make_env(self.share, self.rate), self.share, contract)
+        self.env = make_env(self.share, self.rate)
         torch.manual_seed(cfg.seed)
         self.mappo = Mappo(self.share, self.env, contract, workers)
         self.row: Row = {}
@@ -199,7 +178,7 @@ class _Training:
             return False
         self.env.close()
         self.rate = rate
-        self.env = _fitting(self.make_env(self.share, rate), self.share, self.contract)
+        self.env = self.make_env(self.share, rate)
         return True
 
     def _log_row(self, log: TrainingLog) -> None:
