@@ -9,11 +9,11 @@ from pixel2catch.checks import require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation import loading
 from pixel2catch.evaluation.metrics import Metrics, assess
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.learning.config import TrainCfg, require_known
+from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import Experiment, require_run
 from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.train import TrainResult
@@ -146,7 +146,8 @@ def train(
         UnknownNameError: A name is in no catalogue, or there is no such option.
         Pixel2CatchError: As `learning.train.train`.
     """
-    require_known(options)
+    if unknown := [*(options.keys() - TrainCfg.__dataclass_fields__.keys())]:
+        raise UnknownNameError("option", unknown[0], TrainCfg.__dataclass_fields__)
     given = {"dynamics": dynamics, "camera": camera}
     files = {key: Path(file) for key, file in given.items() if file is not None}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None

@@ -120,7 +120,7 @@ class Reproduce:
     def _experiment(self) -> "Experiment":
         """Return the configuration of all trainings; seed and device are replaced in each."""
         from pixel2catch.cli.main import parse_options
-        from pixel2catch.learning.config import GONE, TrainCfg, require_known
+        from pixel2catch.learning.config import TrainCfg
         from pixel2catch.learning.experiment import Experiment
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
@@ -128,7 +128,6 @@ class Reproduce:
         for option in self.training:
             name, _, value = option.partition("=")
             if name not in free and name != "task" and not name.startswith("env."):
-                require_known({name} & GONE.keys())
                 raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
             args += [f"--{name.replace('_', '-')}", *value.split(",")]
         train = parse_options("train", args, hidden=())

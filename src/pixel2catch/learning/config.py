@@ -1,7 +1,6 @@
 """How a policy learns, and the presets; imports nothing heavy, as the command line reads it."""
 
 import dataclasses
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +13,7 @@ from pixel2catch.checks import (
     Within,
     require_valid,
 )
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import InvalidValueError
 
 Transitions = Annotated[int, Within(1, 1_000_000_000_000)]  #: Control steps of all environments.
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
@@ -166,14 +165,3 @@ PRESETS: dict[str, TrainCfg] = {
 }
 """How each preset learns: `fast` on a GPU, `large` on one with much memory or on several, `cpu` without one,
 `paper` as the release. `learning.experiment.preset` adds the environments."""
-
-
-def require_known(names: Iterable[str]) -> None:
-    """Check that names are fields of `TrainCfg`.
-
-    Raises:
-        UnknownNameError: One is not.
-    """
-    for name in names:
-        if name not in TrainCfg.__dataclass_fields__:
-            raise UnknownNameError("option", name, TrainCfg.__dataclass_fields__)
