@@ -1,7 +1,7 @@
 """`pixel2catch deploy`: let a policy catch with a robot, or with its digital twin."""
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -20,7 +20,6 @@ from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.control_loop import ControlLoop
     from pixel2catch.deployment.policy_pipeline import PolicyPipeline
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.scene.constants import CameraSpec
@@ -72,6 +71,7 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.servo.link import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
+            from pixel2catch.servo.status_words import sentence
         set_niceness(CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
@@ -85,33 +85,25 @@ class Deploy:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             connection = self.link.connect(profile, self.record, "jpeg", stack, is_dry_run=self.dry_run)
             control_loop = ControlLoop(pipeline, camera, connection, profile, executor)
-            begin = connection.clock.now()
-            ended_by = self._run_until_signal(control_loop, lambda: connection.clock.now() - begin)
+            begin, hear = connection.clock.now(), saying_changes()
+
+            def report(status: dict[str, Any]) -> None:
+                if self.json:
+                    print(json_text(status, indent=None), end="", flush=True)
+                else:
+                    hear(sentence(status), connection.clock.now() - begin)
+
+            gc.collect()
+            gc.freeze()  # later collections skip what exists now
+            with StopRequest() as stop:
+                control_loop.run(lambda: stop.is_set, report)
         summary = control_loop.statistics.summary()
         if self.json:
-            print(json_text({"summary": summary, "ended_by": ended_by}, indent=None), end="")
+            print(json_text({"summary": summary, "ended_by": stop.by}, indent=None), end="")
         else:
-            print("\n".join([*summary_lines(summary), f"ended by {ended_by}"]))
+            print("\n".join([*summary_lines(summary), f"ended by {stop.by}"]))
         if connection.recording:
             connection.recording.require_whole()
-
-    def _run_until_signal(self, control_loop: "ControlLoop", elapsed: Callable[[], float]) -> str:
-        """Run until a signal, whose name is returned; print the status when it changes."""
-        from pixel2catch.servo.status_words import sentence
-
-        gc.collect()
-        gc.freeze()  # later collections skip what exists now
-        hear = saying_changes()
-
-        def report(status: dict[str, Any]) -> None:
-            if self.json:
-                print(json_text(status, indent=None), end="", flush=True)
-            else:
-                hear(sentence(status), elapsed())
-
-        with StopRequest() as stop:
-            control_loop.run(lambda: stop.is_set, report)
-        return stop.by
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:

@@ -148,7 +148,15 @@ class Doctor:
         if self.json:
             print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
-            self._print(checks)
+            table = Table("check", "", "found")
+            for each in checks:
+                style = STYLES[each.state]
+                table.add_row(each.name, Text(each.state, style=style), Text(each.found, style=style))
+            bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
+            fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
+            console = results_console()
+            console.print(table)
+            console.print(f"To correct: {', '.join(bad)}." if bad else fine)
         if any(check.is_needed and check.state == "BAD" for check in checks):
             sys.exit(EXIT_BAD)
 
@@ -179,14 +187,3 @@ class Doctor:
             *(check(f"extra {name}", partial(packages, name)) for name in extras if name not in OURS),
             *([check("DDS", dds)] if importlib.util.find_spec("cyclonedds") else []),
         ]
-
-    def _print(self, checks: list[Check]) -> None:
-        table = Table("check", "", "found")
-        for each in checks:
-            style = STYLES[each.state]
-            table.add_row(each.name, Text(each.state, style=style), Text(each.found, style=style))
-        console = results_console()
-        console.print(table)
-        bad = [check.name for check in checks if check.state == "BAD" and check.is_needed]
-        fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
-        console.print(f"To correct: {', '.join(bad)}." if bad else fine)

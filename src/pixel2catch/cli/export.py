@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from tyro.conf import Positional
 
@@ -73,17 +73,12 @@ class Export:
         with needs_extra("lerobot"):
             import pyarrow  # noqa: F401 (what writes the files)
         prepare("cpu")
-        is_recording = self.source is not None and is_bag(self.source)
-        said = self._write_recording(out) if is_recording else self._write_throws(out)
-        print(f"wrote {out}: {said}")
-
-    def _write_recording(self, out: Path) -> str:
-        with needs_extra("deployment"):
-            from pixel2catch.datasets.recordings import write_recording
-        num_runs, num_steps = write_recording(out, cast(Path, self.source), self.robot.load())
-        return f"{num_runs} runs of the policy, {num_steps} control steps"
-
-    def _write_throws(self, out: Path) -> str:
+        if self.source is not None and is_bag(self.source):
+            with needs_extra("deployment"):
+                from pixel2catch.datasets.recordings import write_recording
+            num_runs, num_steps = write_recording(out, self.source, self.robot.load())
+            print(f"wrote {out}: {num_runs} runs of the policy, {num_steps} control steps")
+            return
         from pixel2catch.datasets.throws import write_throws
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -102,4 +97,4 @@ class Export:
             find_gl_backend()
         say(f"throwing {self.throws} times ...")
         counts = write_throws(out, cfg, policy, method, images=self.images)
-        return "{} throws, {} caught; {} control steps".format(*counts)
+        print("wrote {}: {} throws, {} caught; {} control steps".format(out, *counts))

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from pixel2catch.ros2.transport import Clock, Transport
     from pixel2catch.servo.limits import ServoLimits
 
+REACH = {
+    LOOPBACK: "the digital twin on this machine; for a robot: --network INTERFACE",
+    ROS: "what ROS 2 reaches",
+    ANY: "everything that DDS reaches",
+}
 NODE = "pixel2catch"  #: Name of the node; the servo's ends in `_servo`.
 
 
@@ -53,21 +58,14 @@ class Network:
         clock = RealClock(self.clock)
         with make_transport(node, self.network, clock) as transport:
             domain = os.environ.get("ROS_DOMAIN_ID") or 0
-            say(f"network: {self.network}, {self._reach}; ROS_DOMAIN_ID {domain}")
+            reach = REACH.get(self.network, "everything on this interface")
+            say(f"network: {self.network}, {reach}; ROS_DOMAIN_ID {domain}")
             yield transport, clock
 
     @property
     def is_twin(self) -> bool:
         """Whether only the digital twin can be reached: DDS on this machine reaches no driver."""
         return self.network == LOOPBACK
-
-    @property
-    def _reach(self) -> str:
-        if self.is_twin:
-            return "the digital twin on this machine; for a robot: --network INTERFACE"
-        if self.network == ROS:
-            return "what ROS 2 reaches"
-        return "everything that DDS reaches" if self.network == ANY else "everything on this interface"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,9 +40,16 @@ class Play:
         if self.web:
             with needs_extra("viewer"):
                 from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
-            files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
-            first = {"policy": self.policy, "objects": self.objects, "seed": self.seed}
-            serve_until_interrupted(PlayCfg(page=self.page, **first, **files))
+            serve_until_interrupted(
+                PlayCfg(
+                    page=self.page,
+                    policy=self.policy,
+                    objects=self.objects,
+                    seed=self.seed,
+                    dynamics=self.task.dynamics,
+                    camera=self.task.camera,
+                )
+            )
             return
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws

@@ -19,12 +19,8 @@ if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome
 
 REPORT = "report.json"  #: The report's file in the output folder; the output of both processes is beside it.
-LOCKSTEP_ONLY = (
-    "perception_ms",
-    "perception_jitter_ms",
-    "clock_error_ms",
-    "plain",
-)  #: Fields that need `lockstep`.
+LOCKSTEP_ONLY = ("perception_ms", "perception_jitter_ms", "clock_error_ms", "plain")
+"""Fields that need `lockstep`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +44,12 @@ class Rehearse:
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
-        _require_one_kind(cfg)
+        changed = (name for name in LOCKSTEP_ONLY if getattr(cfg, name) != getattr(RehearsalCfg, name))
+        given = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        if given and not cfg.lockstep:
+            raise InvalidValueError(f"{given} needs --lockstep: add it")
+        if cfg.lockstep and cfg.clock != 1.0:
+            raise InvalidValueError("--clock is for real time: leave out --clock or --lockstep")
         if not cfg.plain:
             find_gl_backend()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -70,19 +71,6 @@ class Rehearse:
         print("\n".join(_lines(report)), flush=True)
         write_atomically({self.out / REPORT: json_text(report).encode()})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
-
-
-def _require_one_kind(cfg: RehearsalCfg) -> None:
-    """Refuse options of one kind of rehearsal in the other."""
-    given = [
-        f"--{name.replace('_', '-')}"
-        for name in LOCKSTEP_ONLY
-        if getattr(cfg, name) != getattr(RehearsalCfg, name)
-    ]
-    if given and not cfg.lockstep:
-        raise InvalidValueError(f"{', '.join(given)} needs --lockstep: add it")
-    if cfg.lockstep and cfg.clock != 1.0:
-        raise InvalidValueError("--clock is for real time: leave out --clock or --lockstep")
 
 
 def in_words(outcome: "Outcome") -> str:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting
     from pixel2catch.perception.sources import ImageFit
-    from pixel2catch.perception.tracker import Prompter
     from pixel2catch.scene.constants import CameraSpec
 
 VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
@@ -101,9 +100,12 @@ class Track:
                     f"the labels are for images of {labels.width} by {labels.height} px ({labels.video}), "
                     f"these have {wide} by {high}: give the labels of this video."
                 )
+        args = self.perception
+        args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # checks box and region
+        box, region = args.box and fit.box(args.box), args.region and fit.box(args.region)
         tracker = ObjectTracker(
-            self.perception.make_segmenter(is_live=is_camera(self.source), say=say),
-            self._prompter(fit, camera),
+            args.make_segmenter(is_live=is_camera(self.source), say=say),
+            replace(args, box=box, region=region).make_prompter(camera),
             robot=RobotMask(workcell, camera) if workcell else None,
             camera=camera,
             limits=PlausibilityCfg.up_to(self.object_radius),
@@ -145,13 +147,6 @@ class Track:
                 "table has boxes in these pixels; --box, --region and --truth are in the file's."
             )
         return fit, camera
-
-    def _prompter(self, fit: "ImageFit", camera: "CameraSpec") -> "Prompter":
-        """The prompter; box and region are given in the pixels of the file."""
-        args = self.perception
-        args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # checks their range
-        box, region = args.box and fit.box(args.box), args.region and fit.box(args.region)
-        return replace(args, box=box, region=region).make_prompter(camera)
 
     def _write(
         self, sightings: "Iterator[Sighting]", camera: "CameraSpec", notes: list[str]

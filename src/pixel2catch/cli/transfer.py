@@ -61,8 +61,8 @@ class Transfer:
             trials=self.throws // at_once,
             seed=self.seed,
         )
-        engines, restitutions = (tuple(dict.fromkeys(each)) for each in (self.engines, self.restitution))
-        settings = transfer_settings(engines, restitutions)
+        restitutions = tuple(dict.fromkeys(self.restitution))
+        settings = transfer_settings(tuple(dict.fromkeys(self.engines)), restitutions)
         settings = tuple(self.task.beneath(each, "transfer") for each in settings)
         policies, slots = self.policies or (policy_folder(None),), cpu_slots(self.jobs, "cpu", (), self.out)
 
