@@ -111,8 +111,8 @@ def test_targets_of_policies_with_ages_are_those_of_the_environment(method: str)
 
 
 def measured(controller: PolicyController) -> Measurement:
-    assert controller.measurement is not None
-    return controller.measurement
+    assert controller.history is not None
+    return controller.history.now
 
 
 def test_a_throw_begins_as_an_episode():
@@ -125,7 +125,7 @@ def test_a_throw_begins_as_an_episode():
     assert measured(controller).action.any()
     assert torch.equal(measured(controller).joint_pos_target, first)
     controller.reset()
-    assert controller.measurement is None
+    assert controller.history is None
     assert torch.equal(controller.step(HOME, BOX), first)
 
 

@@ -50,7 +50,7 @@ def image(stamp: float, by: float = 0.0) -> Image:
 
 
 def see(pipeline: PolicyPipeline, image: Image, now: float) -> Box:
-    box = pipeline.perceive(image, now)
+    box = pipeline.tracker.step(image, now)
     pipeline.add_box(box)
     return box
 
@@ -134,8 +134,8 @@ def test_a_new_throw_starts_as_a_new_pipeline():
 
 
 def policy_boxes(controller: PolicyController) -> BoxHistory:
-    assert controller.measurement is not None
-    return controller.measurement.boxes
+    assert controller.history is not None
+    return controller.history.now.boxes
 
 
 def test_a_policy_with_ages_gets_the_measured_boxes_with_their_ages():

@@ -11,14 +11,7 @@ from typing import TypeVar
 import pytest
 
 from pixel2catch.deployment.recorder import TARGETS, BagRecorder
-from pixel2catch.servo.link import (
-    LOOP_PRIORITY,
-    RECORDER_PRIORITY,
-    SERVO_PRIORITY,
-    give_way,
-    scheduled,
-    set_real_time,
-)
+from pixel2catch.servo.link import LOOP_PRIORITY, RECORDER_PRIORITY, give_way, scheduled, set_real_time
 
 T = TypeVar("T")
 
@@ -40,10 +33,6 @@ def real_time_place() -> tuple[int, int]:
 
 USUAL, FIRST = (os.SCHED_OTHER, 0), (os.SCHED_FIFO, LOOP_PRIORITY)
 needs_permission = pytest.mark.skipif(in_thread(real_time_place) != FIRST, reason="the system refuses it")
-
-
-def test_the_servo_has_priority_over_the_policy_and_both_over_the_recording():
-    assert SERVO_PRIORITY > LOOP_PRIORITY > RECORDER_PRIORITY > 0
 
 
 def test_a_usual_thread_stays_one():

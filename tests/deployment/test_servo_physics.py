@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -85,16 +86,8 @@ def test_a_swing_and_a_stop_of_the_nominal_arm():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("is_identified", [True, False])
 @pytest.mark.parametrize("share", [1.0, 0.25])
-@pytest.mark.parametrize("lag", [0.06, 0.1, 0.14])
+@pytest.mark.parametrize(("lag", "is_identified"), [(0.02, True), *product((0.06, 0.1, 0.14), (True, False))])
 def test_a_swing_and_a_stop_at_any_lag(lag: float, share: float, is_identified: bool):
     with physical_lab(lag, share, is_identified=is_identified) as lab:
-        check_swings(lab, share)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("share", [1.0, 0.25])
-def test_a_swing_and_a_stop_at_a_short_lag(share: float):
-    with physical_lab(0.02, share) as lab:
         check_swings(lab, share)

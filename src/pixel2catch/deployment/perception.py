@@ -270,11 +270,11 @@ class PerceptionRunner:
     def _start(self, image: Image, received: float, now: float) -> None:
         self._waiting, self._started = None, {"exposed": image.stamp, "received": received, "begun": now}
         if self._executor:
-            self._running = self._executor.submit(self._pipeline.perceive, image, now)
+            self._running = self._executor.submit(self._pipeline.tracker.step, image, now)
         else:
             self._running, self._due = Future(), now + self._duration()
-            self._running.set_result(self._pipeline.perceive(image, now))
-        self._running.add_done_callback(lambda _: self._pipeline.settle())  # while the policy decides
+            self._running.set_result(self._pipeline.tracker.step(image, now))
+        self._running.add_done_callback(lambda _: self._pipeline.tracker.settle())  # while the policy decides
 
     def _finish(self) -> Box | None:
         if not (self._running and self._running.done() and self._clock.now() >= self._due - ROUNDING):

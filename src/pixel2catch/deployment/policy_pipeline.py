@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
-from pixel2catch.camera.image import Box, Image, Verdict
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.errors import DeploymentError, PolicyMismatchError
 from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
 from pixel2catch.mdp.observations import observe
@@ -47,7 +47,7 @@ class PolicyController:
         self.is_arm = np.zeros(len(self.joints), dtype=bool)  #: Whether each joint is an arm's.
         for columns in workcell.of_role("arm"):
             self.is_arm[columns] = True
-        self._history: History | None = None
+        self.history: History | None = None  #: Measurements of this throw; None before its first step.
         self._action: Float[Tensor, "1 num_joints"] = torch.zeros(1, len(self.joints))
         self._target: Float[Tensor, "1 num_joints"] | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
@@ -55,13 +55,8 @@ class PolicyController:
 
     def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
         """Start a new throw from these joint targets [rad]; None for the measured positions."""
-        self._history, self._action, self._target = None, torch.zeros_like(self._action), joint_pos_target
+        self.history, self._action, self._target = None, torch.zeros_like(self._action), joint_pos_target
         self._policy.reset()
-
-    @property
-    def measurement(self) -> Measurement | None:
-        """Measurement of the last step; None before the first."""
-        return None if self._history is None else self._history.now
 
     @torch.inference_mode()
     def step(
@@ -73,13 +68,13 @@ class PolicyController:
             joint_pos: Measured joint positions in joint order [rad].
             boxes: As many boxes as the method remembers.
         """
-        past, now = self._history, self._measure(joint_pos, boxes)
+        past, now = self.history, self._measure(joint_pos, boxes)
         history = History(past.before, past.now, now) if past else History(now, now, now)
         layouts = self.method.layouts
         actions = self._policy.act(observe(layouts, history))
         self._action = put([(layout.joints, actions[name]) for name, layout in layouts.items()])
         self._target = self._action_map.joint_pos_target(self._action, now.joint_pos)
-        self._history = history
+        self.history = history
         return self._target
 
     def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> Measurement:
@@ -190,8 +185,8 @@ FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is 
 class PolicyPipeline:
     """Perception and policy, without network and clock.
 
-    `perceive` and `settle` may run in another thread than the rest, one after the other. While `perceive`
-    runs, `point` must not be called.
+    The tracker may run in another thread than the rest. While it processes an image, `point` must not be
+    called.
     """
 
     def __init__(
@@ -202,13 +197,11 @@ class PolicyPipeline:
         camera: CameraSpec = RGB_CAMERA,
         robot: RobotMask | None = None,
     ) -> None:
-        """Start before the first throw, for objects up to the largest of the policy's training.
-
-        The prompter points the object out; motion where the robot mask covers the image is ignored.
-        """
+        """Start before the first throw, for objects up to the largest of the policy's training."""
         limits = PlausibilityCfg.up_to(controller.object_radius)
         self._controller, self._prompter = controller, prompter
-        self._tracker = ObjectTracker(
+        #: From images to boxes. It ignores motion where the robot mask covers the image.
+        self.tracker = ObjectTracker(
             segmenter, prompter, robot=robot, camera=camera, limits=limits, waits=True
         )
         #: Whether the policy gets the age of each box. Without, all its boxes have the same age.
@@ -234,21 +227,9 @@ class PolicyPipeline:
 
     def point(self, prompt: BoxPrompt | None) -> None:
         """Start a new throw of the perception, with the operator's prompt if there is one."""
-        self._tracker.reset()
+        self.tracker.reset()
         if prompt is not None:
             self._prompter.give(prompt)
-
-    def perceive(self, image: Image, now: float) -> Box:
-        """Return the box of an image, at a time by the clock of its stamp [s].
-
-        Raises:
-            PerceptionError: The first image has the wrong size.
-        """
-        return self._tracker.step(image, now)
-
-    def settle(self) -> None:
-        """Learn from the last image what no decision waits for; else the next `perceive` does it."""
-        self._tracker.settle()
 
     def add_box(self, box: Box) -> None:
         """Keep the box of an image for the policy.
