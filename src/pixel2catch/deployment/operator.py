@@ -75,18 +75,13 @@ def read_prompt(data: bytes) -> BoxPrompt:
     Raises:
         DeploymentError: It is not a box in an image.
     """
-    try:
+    with suppress(DeploymentError, ValueError, TypeError, KeyError, OverflowError):
         xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
-    except (DeploymentError, ValueError, TypeError, KeyError, OverflowError) as error:
-        raise DeploymentError(
-            f'a prompt is not {{"box": [xmin, ymin, xmax, ymax]}} in pixels ({error}).'
-        ) from error
-    if not (-inf < xmin < xmax < inf and -inf < ymin < ymax < inf):
-        raise DeploymentError(
-            f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty or infinite: give xmin < xmax, "
-            "ymin < ymax."
-        )
-    return BoxPrompt(box=(xmin, ymin, xmax, ymax))
+        if -inf < xmin < xmax < inf and -inf < ymin < ymax < inf:
+            return BoxPrompt(box=(xmin, ymin, xmax, ymax))
+    raise DeploymentError(
+        'a prompt is not {"box": [xmin, ymin, xmax, ymax]} in pixels, with xmin < xmax and ymin < ymax.'
+    )
 
 
 SWITCH_TIME = 0.04
