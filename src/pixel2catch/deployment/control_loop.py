@@ -267,8 +267,8 @@ class SteppedServo:
         recording: DeploymentRecorder | None,
     ) -> None:
         """Use the nodes of servo and control loop, which may be the same."""
-        self._ends, self.profile = link(), setup.profile
-        (loop_end, servo_end), (node, loop_node) = self._ends, nodes
+        self._ends = loop_end, servo_end = link()
+        node, loop_node = nodes
         self._servo = Servo(servo_end, node, setup, clock)
         self.connection = Connection(
             transport=loop_node, servo=loop_end, servo_dt=setup.limits.dt, clock=clock, recording=recording
