@@ -106,7 +106,6 @@ class Renderer(AbstractContextManager["Renderer"]):
 
         Raises:
             DeviceUnavailableError: No OpenGL back end works.
-            KeyError: The model has no such camera; the message has the names of all.
         """
         # `mujoco.Renderer` opens its context with this class, which MUJOCO_GL would choose.
         gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
@@ -119,7 +118,7 @@ class Renderer(AbstractContextManager["Renderer"]):
         is_covered = np.isin(self.model.geom_bodyid, seen) & (self.model.geom_group == COLLISION_GROUP)
         self.model.geom_group[is_covered] = UNDRAWN_GROUP
         self._data = mujoco.MjData(self.model)
-        self._camera = _camera(self.model, view)
+        self._view = view
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
@@ -166,8 +165,7 @@ class Renderer(AbstractContextManager["Renderer"]):
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
-        camera = _camera(self.model, view) if view else self._camera
-        self._renderer.update_scene(self._data, camera, self._option)
+        self._renderer.update_scene(self._data, _camera(view or self._view), self._option)
         if path is not None:
             _add_path(self._renderer.scene, path)
         return self._renderer.render()
@@ -186,13 +184,12 @@ def _add_path(scene: mujoco.MjvScene, path: np.ndarray) -> None:
         scene.ngeom += 1
 
 
-def _camera(model: mujoco.MjModel, view: Viewpoint) -> mujoco.MjvCamera:
+def _camera(view: Viewpoint) -> mujoco.MjvCamera | str:
+    """Return the camera as `mujoco.Renderer` takes it."""
+    if view.camera is not None:
+        return view.camera
     camera = mujoco.MjvCamera()
-    if view.camera is None:
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value
-        camera.lookat[:] = view.lookat
-        camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
-        return camera
-    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-    camera.fixedcamid = model.camera(view.camera).id
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value
+    camera.lookat[:] = view.lookat
+    camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
     return camera

@@ -18,13 +18,9 @@ from pixel2catch.robots.poses import (
     inertial_of,
     pose_of,
     principal_axes,
-    sphere_points,
     vertices_of,
 )
 from pixel2catch.scene.cfg import restitution_of
-
-ELLIPSOID_POINTS = 200
-"""Points of the convex hull that replaces an ellipsoid. Source: ours; PhysX accepts at most 255."""
 
 REFUSED = (
     *("neq", "ntendon", "nflex", "nhfield", "npair", "nmocap"),
@@ -136,6 +132,7 @@ def _refuse(model: mujoco.MjModel) -> None:
         "servos without limits": not model.actuator_ctrllimited.all()
         or not model.actuator_forcelimited.all(),
         "signed distance fields": (model.geom_type > int(mujoco.mjtGeom.mjGEOM_MESH)).any(),
+        "ellipsoids": (model.geom_type == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)).any(),
         "a reference angle other than 0": model.qpos0[model.jnt_qposadr[is_hinge]].any(),
     }
     if found := [name for name, is_there in faults.items() if is_there]:
@@ -196,14 +193,10 @@ def _geoms(model: mujoco.MjModel, data: mujoco.MjData, bodies: ndarray, origin: 
 
 
 def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
-    kind, size = mujoco.mjtGeom(model.geom_type[geom]), np.array(model.geom_size[geom])
-    vertices = vertices_of(model, geom)
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * sphere_points(ELLIPSOID_POINTS)
     return Geom(
-        type=kind,
-        size=size,
-        vertices=vertices,
+        type=mujoco.mjtGeom(model.geom_type[geom]),
+        size=np.array(model.geom_size[geom]),
+        vertices=vertices_of(model, geom),
         pose=pose,
         contype=int(model.geom_contype[geom]),
         conaffinity=int(model.geom_conaffinity[geom]),
