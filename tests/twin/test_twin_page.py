@@ -46,14 +46,14 @@ def shown() -> Iterator[Shown]:
 
 def test_buttons_prepare_and_throw(shown: Shown):
     shown.go_on()
-    assert shown.twin["throw"] == "the room is empty"
+    assert "the room is empty" in shown.twin["throw"]
     shown.page._handle({"do": "prepare"})
     shown.go_on(300)
     assert shown.bench.lab.phase is Phase.HELD
     assert shown.twin["seed"] == 1
     shown.page._handle({"do": "throw"})
     shown.go_on(30)
-    assert shown.twin["throw"] == f"{shown.bench.lab.object_name} flies"
+    assert f"{shown.bench.lab.object_name} flying" in shown.twin["throw"]
     shown.page._handle({"do": "throw"})
     shown.go_on(30)
     assert "prepare one" in shown.twin["trouble"]

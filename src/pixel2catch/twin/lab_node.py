@@ -245,6 +245,7 @@ class LabNode:
         return {
             **self.lab.truth(),
             "outcome": self.lab.outcome,
+            "summary": self.summary(),
             "halted": not self.is_running,
             "safety_mode": self.safety_mode,
             "halts": sum(arm.num_halts for arm in self.arms),

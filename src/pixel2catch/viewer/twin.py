@@ -27,27 +27,12 @@ from pixel2catch.viewer.visitors import HeldButton
 
 REQUESTS = "catch, seed, show, prepare, throw, protective_stop, resume"  #: Requests of the twin's page.
 
-PHASES: dict[str, str] = {
-    Phase.EMPTY: "the room is empty",
-    Phase.HELD: "the thrower holds {object}",
-    Phase.FLYING: "{object} flies",
-    Phase.OVER: "{object} {outcome}",
-}
-"""Phases of a throw in words."""
-
 
 @final
 class TwinPage:
     """The page; `update` refreshes it."""
 
-    def __init__(
-        self,
-        cfg: PageCfg,
-        profile: Profile,
-        transport: Transport,
-        clock: Clock,
-        button: HeldButton | None = None,
-    ) -> None:
+    def __init__(self, cfg: PageCfg, profile: Profile, transport: Transport, clock: Clock) -> None:
         """Serve the page, with the clock of twin and deployment."""
         #: One operator for page and throws, because the servo obeys only one.
         self.operator = RehearsalOperator(transport, profile.operator, clock)
@@ -55,16 +40,11 @@ class TwinPage:
         self.seed = 0  #: Seed of the next throw.
         self.outcomes: dict[str, str] = {}  #: Outcomes of throws by number.
         self._problem = ""
+        title, button = "Pixel2Catch twin", HeldButton()
+        #: The operator's page.
         self.page = OperatorPage(
-            cfg,
-            "Pixel2Catch twin",
-            profile,
-            transport,
-            clock,
-            self.operator,
-            button=button or HeldButton(),
-            more=self._handle,
-        )  #: The operator's page.
+            cfg, title, profile, transport, clock, self.operator, button=button, more=self._handle
+        )
 
     def update(self) -> None:
         """Show new messages, and pass on the state of the switch."""
@@ -95,15 +75,13 @@ class TwinPage:
         return self.seed - 1
 
     def _words(self, truth: dict[str, Any]) -> dict[str, Any]:
-        known = {name: truth.get(name) for name in ("object", "outcome")}
-        words = PHASES.get(truth.get("phase", ""))
         outcomes = [*self.outcomes.values()]
         said = (self._problem.partition(":")[0], str(truth.get("refused", "")))
         halted = "the robot's program is halted: press resume" if truth.get("halted") else ""
         num_caught = sum(outcome == "caught" for outcome in outcomes)
         return {
             "seed": self.seed,
-            "throw": words.format(**known) if words else "no message from the twin",
+            "throw": truth.get("summary", "no message from the twin"),
             "result": f"{outcomes[-1]}; {num_caught} of {len(outcomes)} caught" if outcomes else "none",
             "trouble": "; ".join(filter(None, (*said, halted))),
             "is_busy": self._is_in_trial,
