@@ -208,11 +208,6 @@ class LabNode:
         """Whether the programs of all arms run."""
         return all(arm.is_running for arm in self.arms)
 
-    @property
-    def safety_mode(self) -> int:
-        """The highest of all arms, which is normal if none stopped."""
-        return max(arm.safety_mode for arm in self.arms)
-
     def cycle(self, start: float, num_late: int = 0) -> None:
         """Publish, take commands, and simulate until the next cycle.
 
@@ -223,7 +218,7 @@ class LabNode:
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)
-        self._status.publish(self.num_cycles, self.safety_mode, self.is_running)
+        self._status.publish(self.num_cycles, self.arms[0].safety_mode, self.is_running)
         for image in self.camera.take(self.time):
             self._image.publish(messages.image(image.pixels, start + image.stamp))
             if self._info:
@@ -247,7 +242,7 @@ class LabNode:
             "outcome": self.lab.outcome,
             "summary": self.summary(),
             "halted": not self.is_running,
-            "safety_mode": self.safety_mode,
+            "safety_mode": self.arms[0].safety_mode,
             "halts": sum(arm.num_halts for arm in self.arms),
             "ignored": sum(part.driver.num_ignored + part.num_refused for part in self._parts),
             "late_images": self.camera.num_late,
@@ -258,7 +253,8 @@ class LabNode:
     def summary(self) -> str:
         """Return one line that changes with every event."""
         lab = self.lab
-        robot = "program runs" if self.is_running else f"program halted, safety mode {self.safety_mode}"
+        halted = f"program halted, safety mode {self.arms[0].safety_mode}"
+        robot = "program runs" if self.is_running else halted
         thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
         refused = f", refused: {self._refused}" if self._refused else ""
         return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
