@@ -116,40 +116,27 @@ class OutputFolder(Requirement):
         require_place(name, value)
 
 
-Count = Annotated[int, Within(1, 10_000_000)]
-"""How many of something."""
-Seed = Annotated[int, Within(0, 2**32 - 1)]
-"""Seed of a random generator."""
-Share = Annotated[float, Within(0.0, 1.0)]
-"""A part of something."""
+Count = Annotated[int, Within(1, 10_000_000)]  #: How many of something.
+Seed = Annotated[int, Within(0, 2**32 - 1)]  #: Seed of a random generator.
+Share = Annotated[float, Within(0.0, 1.0)]  #: A part of something.
 Positive = Annotated[float, Within(0.0, is_open=True)]
-"""A number greater than 0."""
-AtMostFull = Annotated[float, Within(0.0, 1.0, is_open=True)]
-"""A factor on a speed that may be lowered."""
+AtMostFull = Annotated[float, Within(0.0, 1.0, is_open=True)]  #: A factor on a speed that may be lowered.
 NotNegative = Annotated[float, Within(0.0)]
-"""A number that is 0 or more."""
-PhysicsRate = Annotated[
-    float,
-    Within(30.0, 30_000.0),
-    Meets(lambda rate: abs(rate / 30.0 - round(rate / 30.0)) < 1e-6, "it must be a multiple of 30"),
-]
-"""Physics steps in a second, a multiple of the control rate."""
-Range = Annotated[tuple[float, float], IN_ORDER]
-"""Smallest and largest number of a uniform draw."""
-Amount = float | Range
-"""A number, or the range from which every episode draws its own, uniformly."""
-Device = Annotated[
-    str, Meets(re.compile(r"cpu|cuda(:\d{1,3})?").fullmatch, "it must be cpu, cuda, or cuda:1 and so on")
-]
-"""Where something is computed."""
-NewFolder = Annotated[Path, OutputFolder(is_empty=True)]
-"""A folder for results, which is made or empty."""
-ResultsFolder = Annotated[Path, OutputFolder()]
-"""A folder for results, in which there may be some."""
-FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]
-"""A film to write, or stills of it."""
-DynamicsPath = CameraPath = Annotated[Path, InputFile()]
-"""Files that `identify` and `calibrate` write."""
+Range = Annotated[tuple[float, float], IN_ORDER]  #: Smallest and largest number of a uniform draw.
+Amount = float | Range  #: A number, or the range from which every episode draws its own, uniformly.
+
+CONTROL_RATE_MULTIPLE = Meets(
+    lambda rate: abs(rate / 30.0 - round(rate / 30.0)) < 1e-6, "it must be a multiple of 30"
+)
+PhysicsRate = Annotated[float, Within(30.0, 30_000.0), CONTROL_RATE_MULTIPLE]  #: Physics steps in a second.
+DEVICE = Meets(re.compile(r"cpu|cuda(:\d{1,3})?").fullmatch, "it must be cpu, cuda, or cuda:1 and so on")
+Device = Annotated[str, DEVICE]  #: Where something is computed.
+
+NewFolder = Annotated[Path, OutputFolder(is_empty=True)]  #: A folder for results, which is made or empty.
+ResultsFolder = Annotated[Path, OutputFolder()]  #: A folder for results, in which there may be some.
+FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]  #: A film to write, or its stills.
+DynamicsPath = CameraPath = RobotModelPath = Annotated[Path, InputFile()]
+"""Files that `identify` and `calibrate` write, and a maker's model of a part of the robot, URDF or MJCF."""
 
 
 def require_valid(values: Any, path: str = "") -> None:

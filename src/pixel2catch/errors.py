@@ -11,23 +11,15 @@ class Pixel2CatchError(Exception):
 
 
 class UnknownNameError(Pixel2CatchError):
-    """A name that is in no catalogue.
+    """A name of a kind, such as "method", that is not among the valid names."""
 
-    Args:
-        kind: Kind of the name, such as "object" or "method".
-        name: The given name.
-        valid: The valid names.
-        other: Other valid input.
-    """
-
-    def __init__(self, kind: str, name: str, valid: Iterable[str], other: str = "") -> None:
+    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
         """Compose the message with the closest name and all valid names."""
         names = list(valid)
         name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]} ..."
         close = get_close_matches(name, names, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
-        all_valid = ", ".join([*names, other] if other else names)
-        super().__init__(f"unknown {kind} '{name}'.{hint} Valid: {all_valid}.")
+        super().__init__(f"unknown {kind} '{name}'.{hint} Valid: {', '.join(names)}.")
 
 
 class InvalidValueError(Pixel2CatchError, ValueError):

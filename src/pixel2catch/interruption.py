@@ -3,27 +3,21 @@
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from multiprocessing import parent_process
 from types import FrameType
-from typing import Any
 
-Handlers = dict[signal.Signals, Any]
+Handler = Callable[[int, FrameType | None], None]
 
 
 class Terminated(KeyboardInterrupt):
     """A termination signal arrived; handled like Ctrl-C."""
 
 
-@contextmanager
-def raise_on_termination() -> Iterator[None]:
+def raise_on_termination() -> AbstractContextManager[None]:
     """Raise `Terminated` in this context, in the main thread, when a termination signal arrives."""
-    previous = _installed(_terminations(), _terminate)
-    try:
-        yield
-    finally:
-        _restore(previous)
+    return _handling(_terminations(), _terminate)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
@@ -36,39 +30,35 @@ def _terminations() -> list[signal.Signals]:
     return [signal.SIGTERM] if is_ignored else [signal.SIGTERM, signal.SIGHUP]
 
 
-def _installed(numbers: list[signal.Signals], handler: Callable[[int, FrameType | None], None]) -> Handlers:
-    """Set a handler in the main thread, the only one that receives signals; return the previous handlers."""
-    if threading.current_thread() is not threading.main_thread():
-        return {}
-    return {number: signal.signal(number, handler) for number in numbers}
+@contextmanager
+def _handling(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[None]:
+    """Handle signals in this context, in the main thread, the only one that receives them."""
+    is_main = threading.current_thread() is threading.main_thread()
+    previous = {number: signal.signal(number, handler) for number in numbers if is_main}
+    try:
+        yield
+    finally:
+        for number, old in previous.items():
+            signal.signal(number, old)
 
 
-def _restore(handlers: Handlers) -> None:
-    while handlers:
-        signal.signal(*handlers.popitem())
-
-
-class StopRequest:
+class StopRequest(ExitStack):
     """A request to stop by a signal. Use it as a context around the work."""
 
     def __init__(self) -> None:
         """Start without a request."""
+        super().__init__()
         self.is_set = False
         self.by = ""  #: Name of the signal, such as SIGTERM.
-        self._previous: Handlers = {}
 
     def __enter__(self) -> "StopRequest":
-        """Install the handlers."""
-        self._previous = _installed([signal.SIGINT, *_terminations()], self._request)
+        """Handle the first signal; later ones act as before."""
+        self.enter_context(_handling((signal.SIGINT, *_terminations()), self._request))
         return self
-
-    def __exit__(self, *_: object) -> None:
-        """Restore the previous handlers."""
-        _restore(self._previous)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.is_set, self.by = True, signal.Signals(number).name
-        _restore(self._previous)
+        self.close()
 
 
 def end_with_parent() -> None:

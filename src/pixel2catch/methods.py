@@ -44,15 +44,11 @@ class Method:
         Raises:
             UnknownNameError: No agent has such a term.
         """
-        names = {
-            f"{part.name}.{term.name}"
-            for agent in self.agents
-            for part in agent.parts
-            for term in part.reward
-        }
+        agents = self.agents
+        names = {f"{part.name}.{term.name}" for each in agents for part in each.parts for term in part.reward}
         for name in set(weights) - names:
             raise UnknownNameError("reward term", name, sorted(names))
-        return replace(self, agents=tuple(agent.with_weights(weights) for agent in self.agents))
+        return replace(self, agents=tuple(agent.with_weights(weights) for agent in agents))
 
     @cached_property
     def layouts(self) -> dict[str, observations.ObservationLayout]:
@@ -86,25 +82,22 @@ MEMORIES: dict[str, Memory] = {
 """Memories by name. Source: ours, for latencies that differ, and for more of a flight than two frames."""
 
 
-def find_memory(name: str) -> Memory:
-    """Return the memory of a name, which may end in its number of boxes, such as `boxes5`.
+def remembering(method: Method, memory: str) -> Method:
+    """Return the method with a memory, such as `fit`, or `boxes5` with a number of boxes.
+
+    Without pixel features the memory is the age of the images.
 
     Raises:
         UnknownNameError: With the valid names.
     """
-    found = re.fullmatch(r"([a-z_]*)([1-9]\d?)?", name)
+    found = re.fullmatch(r"([a-z_]*)([1-9]\d?)?", memory)
     if not found or found[1] not in MEMORIES:
-        raise UnknownNameError("memory", name, [*MEMORIES, "the same with a number of boxes, such as boxes5"])
-    memory = MEMORIES[found[1]]
-    return replace(memory, num_boxes=int(found[2])) if found[2] else memory
-
-
-def remembering(method: Method, memory: str) -> Method:
-    """Return the method with a memory; without pixel features it is the age of the images."""
-    kept = find_memory(memory)
-    kept = kept if method.pixel_features else MEMORIES["age"]
+        valid = [*MEMORIES, "the same with a number of boxes, such as boxes5"]
+        raise UnknownNameError("memory", memory, valid)
+    kept = MEMORIES[found[1] if method.pixel_features else "age"]
+    num_boxes = int(found[2]) if found[2] and method.pixel_features else kept.num_boxes
     agents = tuple(replace(agent, memory=kept.terms) for agent in method.agents)
-    return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=kept.num_boxes)
+    return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=num_boxes)
 
 
 ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
