@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, Episode, write_dataset
+from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, write_dataset
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS = len(UR5E_ALLEGRO.joints)
@@ -20,8 +20,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Episodes of two steps and of one, with pictures of one colour."""
     folder = tmp_path_factory.mktemp("lerobot") / "data set"
     pictures = [np.full((48, 64, 3), color, np.uint8) for color in COLORS]
-    cup = Episode(task="Catch the cup.", columns=columns(1.0, 3.0), images=pictures[:2])
-    ball = Episode(task="Catch the ball.", columns=columns(-2.0), images=pictures[2:])
+    cup = ("Catch the cup.", columns(1.0, 3.0), pictures[:2])
+    ball = ("Catch the ball.", columns(-2.0), pictures[2:])
     assert write_dataset(folder, UR5E_ALLEGRO, [cup, ball]) == (2, 3)
     return folder
 

@@ -12,7 +12,6 @@ FOLDER/videos/KEY/chunk-000/...        the images of all episodes, one after the
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,26 +36,23 @@ IMAGES = "observation.images.rgb"  #: Image of the robot's camera.
 FPS = round(1.0 / CONTROL_DT)  #: Control steps per second.
 FILE = "chunk-000/file-000"  #: Name of the only file of data, of episodes, and of images.
 VIDEO = f"videos/{IMAGES}/{FILE}.mp4"
-IMAGE_AXES = ("height", "width", "channels")
 PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"  #: Pattern of such names in the format.
 TASK_NAMES = "__index_level_0__"  #: Column that pandas reads as the names of the rows.
 GOP = 2  #: Images from one that is stored whole to the next, for random access. Source: LeRobot.
+INDEX = {"name": None, "field_name": TASK_NAMES, "pandas_type": "unicode", "numpy_type": "object"}
+PANDAS = {"index_columns": [TASK_NAMES], "columns": [INDEX], "pandas_version": "2.0.0"}
+"""Metadata of the table of tasks, from which pandas takes the names of the rows."""
 SAMPLED = (5, 16)  #: Statistics use every 5th image, and every 16th row and column. Source: ours.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Episode:
-    """Control steps, at least one."""
-
-    task: str  #: In words.
-    columns: Mapping[str, np.ndarray]  #: Numbers or booleans by feature, (num_steps, size).
-    images: Iterable[Pixels] = ()  #: One for each step, or none.
+Episode = tuple[str, Mapping[str, np.ndarray], Iterable[Pixels]]
+"""A task in words, numbers or booleans by feature, (num_steps, size), and an image for each step, or none."""
 
 
 def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episode]) -> tuple[int, int]:
     """Write a data set of a work cell's robots into a new or empty folder.
 
-    Images are written at once, everything else at the end. All episodes have the same features.
+    Images are written at once, everything else at the end. All episodes have the same features, and steps.
 
     Returns:
         The number of episodes, and of control steps.
@@ -65,120 +61,127 @@ def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episo
         InvalidValueError: The folder is not empty or cannot be made.
     """
     require_free_folder(folder)
-    written, samples, shape = list[Episode](), list[np.ndarray](), list[int]()
-    with ExitStack() as stack:
-        video: VideoWriter | None = None
-        for episode in episodes:
-            written.append(episode)
-            for number, image in enumerate(episode.images):
-                if video is None:
-                    video = stack.enter_context(VideoWriter(_placed(folder, VIDEO), fps=FPS, gop=GOP))
-                    shape = list(image.shape)
-                video.write(image)
-                every, stride = SAMPLED
-                if number % every == 0:
-                    samples.append(image[::stride, ::stride].reshape(-1, 3))
-    tasks = list(dict.fromkeys(episode.task for episode in written))
-    columns = _columns(written, tasks)
+    tasks, parts, images = list[str](), list[Mapping[str, np.ndarray]](), _Images(folder)
+    with images:
+        for task, columns, pictures in episodes:
+            tasks.append(task)
+            parts.append(columns)
+            images.add(pictures)
+    lengths = np.array([len(part[DONE]) for part in parts])
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns = _columns(joined, lengths, tasks)
+    _write_tables(folder, columns, _episodes(lengths, tasks, has_video=bool(images.samples)), tasks)
     features = {name: (str(column.dtype), list(column.shape[1:])) for name, column in columns.items()}
     statistics = {name: _statistics(column) for name, column in columns.items()}
-    if samples:
-        features[IMAGES] = ("video", shape)
-        shares = _statistics(np.concatenate(samples) / 255.0)  # of full brightness, (3, 1, 1)
-        statistics[IMAGES] = {name: [[[value]] for value in values] for name, values in shares.items()}
-        statistics[IMAGES]["count"] = [len(samples)]
-    _write_tables(folder, columns, written, tasks, has_video=bool(samples))
-    counts = {"episodes": len(written), "frames": len(columns["index"]), "tasks": len(tasks)}
-    info = _info(workcell, features, counts, has_video=bool(samples))
-    for name, content in (("info", info), ("stats", statistics)):
+    if images.samples:
+        features[IMAGES], statistics[IMAGES] = ("video", images.shape), images.statistics()
+    contents = {"info": _info(workcell, features, lengths, tasks), "stats": statistics}
+    for name, content in contents.items():
         (folder / "meta" / f"{name}.json").write_text(json_text(content))
-    return counts["episodes"], counts["frames"]
+    return len(parts), int(lengths.sum())
 
 
-def _placed(folder: Path, name: str) -> Path:
-    """Return the path of a file, whose folder is made."""
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path
+class _Images(ExitStack):
+    """The video of a data set, and the pixels of some of its images."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._path, self._video = folder / VIDEO, None
+        self.shape = list[int]()
+        self.samples = list[np.ndarray]()  #: Of each image that counts in the statistics, (num_pixels, 3).
+
+    def add(self, images: Iterable[Pixels]) -> None:
+        """Write the images of an episode."""
+        every, stride = SAMPLED
+        for number, image in enumerate(images):
+            if self._video is None:
+                self._path.parent.mkdir(parents=True)
+                self._video = self.enter_context(VideoWriter(self._path, fps=FPS, gop=GOP))
+                self.shape = list(image.shape)
+            self._video.write(image)
+            if number % every == 0:
+                self.samples.append(image[::stride, ::stride].reshape(-1, 3))
+
+    def statistics(self) -> dict[str, Any]:
+        """Return statistics of shares of full brightness, (3, 1, 1); images are counted."""
+        shares = _statistics(np.concatenate(self.samples) / 255.0)
+        shaped = {name: np.reshape(values, (-1, 1, 1)).tolist() for name, values in shares.items()}
+        return shaped | {"count": [len(self.samples)]}
 
 
-def _columns(episodes: Sequence[Episode], tasks: Sequence[str]) -> dict[str, np.ndarray]:
+def _columns(
+    joined: Mapping[str, np.ndarray], lengths: np.ndarray, tasks: Sequence[str]
+) -> dict[str, np.ndarray]:
     """Return every feature over all steps, (num_steps, size)."""
-    lengths = [len(episode.columns[DONE]) for episode in episodes]
-    frame = np.concatenate([np.arange(length) for length in lengths])
+    frame, names = np.concatenate([np.arange(length) for length in lengths]), list(dict.fromkeys(tasks))
     columns = {
         "timestamp": (frame / FPS).astype(np.float32),
         "frame_index": frame,
-        "episode_index": np.repeat(np.arange(len(episodes)), lengths),
+        "episode_index": np.repeat(np.arange(len(lengths)), lengths),
         "index": np.arange(len(frame)),
-        "task_index": np.repeat([tasks.index(each.task) for each in episodes], lengths),
+        "task_index": np.repeat([names.index(task) for task in tasks], lengths),
     }
-    for name in episodes[0].columns:
-        values = np.concatenate([each.columns[name] for each in episodes])
+    for name, values in joined.items():
         columns[name] = values if values.dtype == bool else values.astype(np.float32)
     return {name: values.reshape(len(frame), -1) for name, values in columns.items()}
 
 
+def _episodes(lengths: np.ndarray, tasks: Sequence[str], *, has_video: bool) -> dict[str, Any]:
+    """Return the columns of the table of episodes."""
+    end, zeros = np.cumsum(lengths), np.zeros(len(lengths), dtype=int)
+    begin = end - lengths
+    table = {"episode_index": np.arange(len(lengths)), "tasks": [[task] for task in tasks], "length": lengths}
+    table |= {"dataset_from_index": begin, "dataset_to_index": end}
+    files = ["data", "meta/episodes", *([f"videos/{IMAGES}"] if has_video else [])]
+    table |= {f"{file}/{kind}_index": zeros for file in files for kind in ("chunk", "file")}
+    times = {f"{files[-1]}/from_timestamp": begin / FPS, f"{files[-1]}/to_timestamp": end / FPS}
+    return table | times if has_video else table
+
+
 def _write_tables(
-    folder: Path,
-    columns: Mapping[str, np.ndarray],
-    episodes: Sequence[Episode],
-    tasks: Sequence[str],
-    *,
-    has_video: bool,
+    folder: Path, columns: Mapping[str, np.ndarray], episodes: Mapping[str, Any], tasks: Sequence[str]
 ) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    rows, begin = list[dict[str, Any]](), 0
-    files = ["data", "meta/episodes", *([f"videos/{IMAGES}"] if has_video else [])]
-    for number, episode in enumerate(episodes):
-        end = begin + len(episode.columns[DONE])
-        row: dict[str, Any] = {"episode_index": number, "tasks": [episode.task], "length": end - begin}
-        row |= {f"{file}/{kind}_index": 0 for file in files for kind in ("chunk", "file")}
-        row |= {"dataset_from_index": begin, "dataset_to_index": end}
-        times = {f"{files[-1]}/from_timestamp": begin / FPS, f"{files[-1]}/to_timestamp": end / FPS}
-        rows.append(row | times if has_video else row)
-        begin = end
-    steps = {
-        name: pyarrow.FixedSizeListArray.from_arrays(values.reshape(-1), values.shape[1])
-        if values.shape[1] > 1
-        else values[:, 0]
-        for name, values in columns.items()
-    }
-    names = pyarrow.table({"task_index": np.arange(len(tasks)), TASK_NAMES: tasks})
-    for name, table in {
+    names = list(dict.fromkeys(tasks))
+    named = pyarrow.table({"task_index": np.arange(len(names)), TASK_NAMES: names})
+    flat = {name: pyarrow.array(values.reshape(-1)) for name, values in columns.items()}
+    sizes = {name: values.shape[1] for name, values in columns.items()}
+    rows = pyarrow.FixedSizeListArray.from_arrays
+    steps = {name: each if sizes[name] == 1 else rows(each, sizes[name]) for name, each in flat.items()}
+    tables = {
         f"data/{FILE}": pyarrow.table(steps),
-        f"meta/episodes/{FILE}": pyarrow.Table.from_pylist(rows),
-        "meta/tasks": names.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
-    }.items():
-        parquet.write_table(table, _placed(folder, f"{name}.parquet"))
-
-
-INDEX = {"name": None, "field_name": TASK_NAMES, "pandas_type": "unicode", "numpy_type": "object"}
-PANDAS = {"index_columns": [TASK_NAMES], "columns": [INDEX], "pandas_version": "2.0.0"}
-"""Metadata of the table of tasks, from which pandas takes the names of the rows."""
+        f"meta/episodes/{FILE}": pyarrow.table(episodes),
+        "meta/tasks": named.replace_schema_metadata({"pandas": json.dumps(PANDAS)}),
+    }
+    for name, table in tables.items():
+        path = folder / f"{name}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        parquet.write_table(table, path)
 
 
 def _info(
     workcell: WorkcellSpec,
     features: Mapping[str, tuple[str, list[int]]],
-    counts: Mapping[str, int],
-    *,
-    has_video: bool,
+    lengths: np.ndarray,
+    tasks: Sequence[str],
 ) -> dict[str, Any]:
-    seen = ["xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES]
-    names = {STATE: workcell.joint_names, ACTION: workcell.joint_names, SEEN: seen, IMAGES: IMAGE_AXES}
-    return {f"total_{name}": count for name, count in counts.items()} | {
+    joints, seen = workcell.joint_names, ["xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES]
+    names = {STATE: joints, ACTION: joints, SEEN: seen, IMAGES: ("height", "width", "channels")}
+    return {
         "codebase_version": "v3.0",
         "robot_type": workcell.name,
+        "total_episodes": len(lengths),
+        "total_frames": lengths.sum(),
+        "total_tasks": len({*tasks}),
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": FPS,
-        "splits": {"train": f"0:{counts['episodes']}"},
+        "splits": {"train": f"0:{len(lengths)}"},
         "data_path": f"data/{PATTERN}.parquet",
-        "video_path": f"videos/{{video_key}}/{PATTERN}.mp4" if has_video else None,
+        "video_path": f"videos/{{video_key}}/{PATTERN}.mp4" if IMAGES in features else None,
         "features": {
             name: {"dtype": kind, "shape": shape, "names": names.get(name)}
             for name, (kind, shape) in features.items()

@@ -10,7 +10,7 @@ import torch
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.camera.image import Pixels
-from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, Episode, write_dataset
+from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, write_dataset
 from pixel2catch.deployment.recorder import SERVO, TARGETS
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
@@ -21,6 +21,7 @@ from pixel2catch.servo.link import Command, JointTargets, Mode
 from pixel2catch.workcells import find_workcell
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
+TASK = "Catch the thrown object."
 
 
 def write_recording(folder: Path, recording: Path, profile: Profile) -> tuple[int, int]:
@@ -62,13 +63,10 @@ def write_recording(folder: Path, recording: Path, profile: Profile) -> tuple[in
         DONE: np.append(is_first[1:], True),
     }
     pictures = _pictures(recording, profile, np.searchsorted(images, times, side="right") - 1)
+    ends = pairwise([*np.flatnonzero(is_first).tolist(), len(run)])
     episodes = (
-        Episode(
-            task="Catch the thrown object.",
-            columns={name: values[begin:end] for name, values in columns.items()},
-            images=islice(pictures, end - begin),
-        )
-        for begin, end in pairwise([*np.flatnonzero(is_first).tolist(), len(run)])
+        (TASK, {name: values[begin:end] for name, values in columns.items()}, islice(pictures, end - begin))
+        for begin, end in ends
     )
     return write_dataset(folder, find_workcell(profile.workcell), episodes)
 

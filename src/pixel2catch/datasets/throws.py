@@ -94,7 +94,7 @@ def write_throws(
         qpos, features = recorder.columns(row)
         features[SUCCESS] = features[DONE] & bool(record.is_success[row])
         pictures = _pictures(qpos, cfg.task.scene, name) if images else ()
-        return Episode(task=f"Catch the thrown object: {name}.", columns=features, images=pictures)
+        return f"Catch the thrown object: {name}.", features, pictures
 
     episodes = (episode(row, name) for row, name in enumerate(names))
     num_throws, num_steps = write_dataset(folder, env.workcell, episodes)
