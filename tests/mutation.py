@@ -5,6 +5,7 @@ import io
 import json
 import random
 import zipfile
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -86,44 +87,34 @@ def _change_entry(holder: Any, key: Any, rng: random.Random) -> None:
 
 def changed_json(data: bytes, rng: random.Random) -> bytes:
     """A JSON text with another content, or of another form."""
-    match rng.randrange(8):
-        case 0:
-            return changed_bytes(data, rng)
-        case 1:
-            return rng.choice(
-                (b"\xef\xbb\xbf" + data, data.decode().encode("utf-16"), data.replace(b"\n", b"\r\n"))
-            )
-        case 2:
-            deep = rng.choice((40, 900, 100_000))
-            return rng.choice(
-                (b"[" * deep + b"]" * deep, b'{"a":' * deep, data[:-2] + b',"x":' + b"[" * deep)
-            )
-        case 3:
-            start = data.find(b"{") + 1
-            return data[:start] + rng.choice((b'"a":1,"a":1,', b'"x":1e999,', b'"\\ud800":1,')) + data[start:]
-    return json.dumps(changed_value(json.loads(data), rng)).encode()
+    deep, start = rng.choice((40, 900, 100_000)), data.find(b"{") + 1
+    forms = [
+        (b"\xef\xbb\xbf" + data, data.decode().encode("utf-16"), data.replace(b"\n", b"\r\n")),
+        (b"[" * deep + b"]" * deep, b'{"a":' * deep, data[:-2] + b',"x":' + b"[" * deep),
+        [data[:start] + entry + data[start:] for entry in (b'"a":1,"a":1,', b'"x":1e999,', b'"\\ud800":1,')],
+    ]
+    return _changed_text(data, json.loads(data), forms, rng)
 
 
 def changed_yaml(data: bytes, rng: random.Random) -> bytes:
     """A YAML text with another content, or of another form."""
-    match rng.randrange(8):
-        case 0:
-            return changed_bytes(data, rng)
-        case 1:
-            bomb = "a: &a [x, x, x]\n" + "".join(
-                f"{b}: &{b} [*{a}, *{a}, *{a}]\n" for a, b in pairwise("abcdefghi")
-            )
-            return rng.choice((bomb.encode() + data, data + bomb.encode(), b"&a [*a]"))
-        case 2:
-            return rng.choice(
-                (b"!!python/object/apply:os.system [id]", b"- !!timestamp x", b"? {a: 1}\n: 2", b"%TAG ! x")
-            )
-        case 3:
-            return data + rng.choice(
-                (b"\nname: again\n", b"\n---\na: 1", b"\n" + b"[" * 90_000, b"\nx: 0x" + b"f" * 9000)
-            )
-    content = changed_value(yaml.safe_load(data), rng)
-    return json.dumps(content).encode()  # JSON is YAML
+    bomb = b"a: &a [x, x, x]\n"
+    bomb += "".join(f"{b}: &{b} [*{a}, *{a}, *{a}]\n" for a, b in pairwise("abcdefghi")).encode()
+    ends = (b"\nname: again\n", b"\n---\na: 1", b"\n" + b"[" * 90_000, b"\nx: 0x" + b"f" * 9000)
+    forms = [
+        (bomb + data, data + bomb, b"&a [*a]"),
+        (b"!!python/object/apply:os.system [id]", b"- !!timestamp x", b"? {a: 1}\n: 2", b"%TAG ! x"),
+        [data + end for end in ends],
+    ]
+    return _changed_text(data, yaml.safe_load(data), forms, rng)
+
+
+def _changed_text(data: bytes, content: Any, forms: Sequence[Sequence[bytes]], rng: random.Random) -> bytes:
+    """In half of the cases other content as JSON, which is YAML; else other bytes, or another form."""
+    case = rng.randrange(8)
+    if case == 0:
+        return changed_bytes(data, rng)
+    return rng.choice(forms[case - 1]) if case <= 3 else json.dumps(changed_value(content, rng)).encode()
 
 
 def changed_npz(data: bytes, rng: random.Random) -> bytes:
