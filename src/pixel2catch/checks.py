@@ -135,8 +135,7 @@ Device = Annotated[str, DEVICE]  #: Where something is computed.
 NewFolder = Annotated[Path, OutputFolder(is_empty=True)]  #: A folder for results, which is made or empty.
 ResultsFolder = Annotated[Path, OutputFolder()]  #: A folder for results, in which there may be some.
 FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]  #: A film to write, or its stills.
-DynamicsPath = CameraPath = RobotModelPath = Annotated[Path, InputFile()]
-"""Files that `identify` and `calibrate` write, and a maker's model of a part of the robot, URDF or MJCF."""
+DynamicsPath = CameraPath = Annotated[Path, InputFile()]  #: Files that `identify` and `calibrate` write.
 
 
 def require_valid(values: Any, path: str = "") -> None:
