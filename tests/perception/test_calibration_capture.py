@@ -91,29 +91,20 @@ def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, sprea
     assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
 
 
-class Robot(threading.Thread):
-    """A camera and an arm on the network: it shows a pose until its image is there, then the next."""
-
-    def __init__(self, folder: Path, num: int) -> None:
-        super().__init__(daemon=True)
-        self._folder, self.done = folder, threading.Event()
-        self._poses = list(poses(num, seed=2))
-
-    def run(self) -> None:
-        clock = RealClock()
-        with make_transport("camera_and_arm", LOOPBACK, clock) as node:
-            image, state = (
-                node.publisher(topic) for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic)
-            )
-            for number, joint_pos in enumerate(self._poses, start=1):
-                picture = image_of(joint_pos, number)
-                while not (self._folder / f"pose{number:02d}.png").exists():
-                    if self.done.wait(0.05):
-                        return
-                    stamp = clock.stamp()
-                    state.publish(messages.joint_state(JOINTS, joint_pos, stamp))
-                    image.publish(messages.image(picture, stamp))
-            os.kill(os.getpid(), signal.SIGINT)  # as an operator who has had enough
+def show_poses(folder: Path, num: int, done: threading.Event) -> None:
+    """Be a camera and an arm on the network: show a pose until its image is there, then the next."""
+    clock, topics = RealClock(), (PROFILE.camera.image, PROFILE.robots[0].state_topic)
+    with make_transport("camera_and_arm", LOOPBACK, clock) as node:
+        image, state = map(node.publisher, topics)
+        for number, joint_pos in enumerate(poses(num, seed=2), start=1):
+            picture = image_of(joint_pos, number)
+            while not (folder / f"pose{number:02d}.png").exists():
+                if done.wait(0.05):
+                    return
+                stamp = clock.stamp()
+                state.publish(messages.joint_state(JOINTS, joint_pos, stamp))
+                image.publish(messages.image(picture, stamp))
+        os.kill(os.getpid(), signal.SIGINT)  # as an operator who has had enough
 
 
 @pytest.mark.slow
@@ -122,13 +113,14 @@ def test_a_camera_on_the_network_is_calibrated_as_the_arm_moves(
 ):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
-    robot = Robot(tmp_path / "views", num=8)
+    done = threading.Event()
+    robot = threading.Thread(target=show_poses, args=(tmp_path / "views", 8, done), daemon=True)
     robot.start()
     args = ["--live", "--intrinsics", tmp_path / "lens.json", "--capture", tmp_path / "views"]
     try:
         assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
     finally:
-        robot.done.set()
+        done.set()
         robot.join(PATIENCE)
     printed = capsys.readouterr()
     assert "8 of 15: wrote pose08.png" in printed.err

@@ -1,6 +1,7 @@
 """The camera's pose from corners of a board in the hand, against the truth."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def errors(result: Calibration) -> tuple[float, float]:
     return float(np.linalg.norm(np.subtract(found.pos, RGB_CAMERA.pos))), turn.magnitude()
 
 
-def normalised(num: int, seeds: range, **errors: float) -> np.ndarray:
+def normalised(num: int, seeds: range, **errors: Any) -> np.ndarray:
     """Errors of the camera's position and orientation over their stated deviations, a row a calibration."""
     truth = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
     rows = []

@@ -8,15 +8,7 @@ from typing import Any
 import numpy as np
 import perception_on_clips
 import pytest
-from composites import (
-    HEIGHT,
-    WIDTH,
-    Flight,
-    Thing,
-    film,
-    paint,
-    true_box,
-)
+from composites import HEIGHT, WIDTH, Flight, Thing, film, paint, true_box
 from filmed import save_labels, save_video
 
 from pixel2catch.perception.labels import Label, Labels
@@ -47,17 +39,12 @@ def test_clips_in_a_folder_are_compared(
 ):
     shown = film([ROOM], BALL, FLIGHT, 20)
     save_video(tmp_path / "throw.mp4", shown.images)
-    images = tuple(
-        Label(image=i, time=i / 30.0, phase=truth.phase, box=truth.box)
-        for i, truth in enumerate(shown.truths)
-        if truth
-    )
-    labels = Labels(
-        video="throw.mp4", width=WIDTH, height=HEIGHT, rate=30.0, object="red ball", images=images
-    )
+    known = [(i, truth) for i, truth in enumerate(shown.truths) if truth]
+    images = tuple(Label(image=i, time=i / 30.0, phase=each.phase, box=each.box) for i, each in known)
+    size = {"width": WIDTH, "height": HEIGHT, "rate": 30.0}
+    labels = Labels(video="throw.mp4", object="red ball", images=images, **size)
     save_labels(tmp_path / "throw.json", labels)
-    out = tmp_path / "out" / "clips.json"
-    out.parent.mkdir()
+    out = tmp_path / "clips.out"
     arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,color", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", arguments)
     perception_on_clips.main()

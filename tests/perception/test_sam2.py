@@ -45,17 +45,6 @@ def remembered_bytes(value: object, seen: set[int] | None = None) -> int:
     return remembered_bytes(vars(value), seen) if hasattr(value, "__dict__") else 0
 
 
-def test_memory_is_constant_after_what_the_model_reads(folder: Path) -> None:
-    segmenter = Sam2Segmenter(folder, "cpu")
-    run(segmenter, random_images(20))
-    at_20 = remembered_bytes(segmenter)
-    for image in random_images(20):
-        segmenter.track(image)
-    assert remembered_bytes(segmenter) == at_20
-    # The features of one image, 205 kB, and 16 memories of 7 kB, with some bookkeeping.
-    assert 300_000 < at_20 < 350_000
-
-
 def test_deleted_memory_is_never_used(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = random_images(40)
     segmenter = Sam2Segmenter(folder, "cpu")
@@ -87,6 +76,8 @@ def test_a_lost_object_is_found_again(folder: Path) -> None:
         sizes.append(remembered_bytes(segmenter))
     assert [result.mask is None for result in results] == 18 * [False] + 3 * [True] + 3 * [False]
     assert len(set(sizes[17:])) == 1
+    # The features of one image, 205 kB, and 16 memories of 7 kB, with some bookkeeping.
+    assert 300_000 < sizes[-1] < 350_000
 
 
 @pytest.mark.slow

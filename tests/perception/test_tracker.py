@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 import painted
 import pytest
-from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
+from painted import NUM_EMPTY, RED, Disc
 
 from pixel2catch.camera.image import Box, Edges, Image, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
@@ -161,15 +161,7 @@ def test_a_new_throw_starts_without_the_old_box_and_its_stamps():
     assert (second.verdict, second.is_elsewhere) == (Verdict.SEEN, False)
 
 
-BLANK = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
 BALL = Disc(path=painted.thrown(0, 20), radius=9.0)
-
-
-def red_boxes(*boxes: tuple[int, int, int, int]) -> np.ndarray:
-    image = BLANK.copy()
-    for xmin, ymin, xmax, ymax in boxes:
-        image[ymin:ymax, xmin:xmax] = RED
-    return image
 
 
 def first_prompt(
@@ -187,18 +179,18 @@ def first_prompt(
 
 def test_a_persons_prompt_is_used_once_and_comes_before_the_colour():
     click, later = BoxPrompt(box=(3.0, 4.0, 9.0, 9.0)), BoxPrompt(box=(5.0, 6.0, 9.0, 9.0))
-    prompter, red = Prompter(click, colors=REDS), red_boxes((30, 10, 50, 20))
+    prompter, red = Prompter(click, colors=REDS), picture((30, 10, 50, 20))
     box = BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
-    assert [prompter.look(red), prompter.look(red), prompter.look(BLANK)] == [click, box, None]
+    assert [prompter.look(red), prompter.look(red), prompter.look(picture())] == [click, box, None]
     prompter.give(later)
-    assert [prompter.look(BLANK), prompter.look(BLANK)] == [later, None]
+    assert [prompter.look(picture()), prompter.look(picture())] == [later, None]
     prompter.give(later)
     prompter.reset()  # a new throw: only the place that is known for all throws counts
-    assert prompter.look(BLANK) == click
+    assert prompter.look(picture()) == click
 
 
 def test_the_largest_thing_of_a_colour_in_the_region_of_interest_is_pointed_out():
-    image = red_boxes((30, 10, 50, 20), (200, 100, 205, 105))
+    image = picture((30, 10, 50, 20), (200, 100, 205, 105))
     assert Prompter(colors=REDS).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
     region = (190.0, 90.0, 220.0, 120.0)
     assert Prompter(colors=REDS, region=region).look(image) == BoxPrompt(box=(200.0, 100.0, 205.0, 105.0))
@@ -244,13 +236,12 @@ def test_the_robots_own_motion_is_not_found():
 
 def specks(number: int, generator: np.random.Generator) -> ImageMotion:
     """Motion of 3 by 3 px at random places of an image of the camera."""
-    shape = RGB_CAMERA.height, RGB_CAMERA.width
-    moving = np.zeros(shape, dtype=bool)
-    for row, column in zip(*(generator.integers(0, size - 3, number) for size in shape), strict=True):
-        moving[row : row + 3, column : column + 3] = True
-    blank = np.zeros(shape, dtype=np.uint8)
-    image = np.zeros((*shape, 3), dtype=np.uint8)
-    return ImageMotion(image=image, difference=blank, moving=moving, unknown=np.zeros(shape, dtype=bool))
+    image = picture()
+    unknown = np.zeros(image.shape[:2], dtype=bool)
+    moving = unknown.copy()
+    for place in zip(*(generator.integers(0, size - 3, number) for size in moving.shape), strict=True):
+        moving[tuple(slice(start, start + 3) for start in place)] = True
+    return ImageMotion(image=image, difference=image[..., 0], moving=moving, unknown=unknown)
 
 
 @pytest.mark.parametrize("number", [3, 20, 400])

@@ -75,21 +75,17 @@ class PerceptionArgs:
         Raises:
             InvalidValueError: An option is missing, or it is too slow for a camera.
         """
-        if self.segmenter == "sam2":
-            return self._make_sam2(is_live, say)
-        if self.segmenter == "color":
-            from pixel2catch.perception.segmenter import ColorThreshold
+        from pixel2catch.perception.background import BackgroundSubtraction
+        from pixel2catch.perception.segmenter import ColorThreshold
 
+        if self.segmenter == "background":
+            return BackgroundSubtraction()
+        if self.segmenter == "color":
             if (colors := self._colors()) is None:
                 raise InvalidValueError(
                     "the segmenter color needs the object's hues: --color 340 20 for red."
                 )
             return ColorThreshold(colors)
-        from pixel2catch.perception.background import BackgroundSubtraction
-
-        return BackgroundSubtraction()
-
-    def _make_sam2(self, is_live: bool, say: Callable[[str], None] | None) -> "Segmenter":
         if self.checkpoint is None:
             raise InvalidValueError("the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model.")
         from pixel2catch.perception.sam2 import Sam2Segmenter

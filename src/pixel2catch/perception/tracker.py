@@ -170,11 +170,6 @@ class TrackState:
     #: segmenter can find it again, the prompter does not look for another one.
     is_at_robot: bool = False
 
-    @property
-    def is_valid(self) -> bool:
-        """Whether the object was seen in this throw."""
-        return self.seen_stamp > -inf
-
     def update(self, found: Box, stamp: float, ignored: Mask | None) -> None:
         """Take over the result for an image; without a new box, the last one is held."""
         if found.verdict is not Verdict.SEEN:
@@ -246,7 +241,7 @@ class ObjectTracker:
             found,
             stamp=-inf if image is None else image.stamp,
             edges=state.edges,
-            is_valid=state.is_valid,
+            is_valid=state.seen_stamp > -inf,
             age=now - state.seen_stamp,
         )
 
@@ -317,8 +312,8 @@ class ObjectTracker:
         verdict = judge(self._limits, self._camera, blobs[0]) if blobs else Verdict.TOO_SMALL
         if verdict is not Verdict.SEEN:
             return replace(found, verdict=verdict)
-        edges, steps = blobs[0].box, (stamp - state.seen_stamp) / CONTROL_DT
-        is_far = state.is_valid and is_jump(self._limits, edges, state.edges, steps)
+        edges, steps = blobs[0].box, (stamp - state.seen_stamp) / CONTROL_DT  # infinite before the first
+        is_far = is_jump(self._limits, edges, state.edges, steps)
         if is_far and state.is_continued:
             return replace(found, verdict=Verdict.JUMP)
         is_elsewhere = is_far or state.has_jumped

@@ -177,13 +177,22 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     )
     used = corners.of(is_used)
     poses = _fit(used, rough.camera, rough.board)
-    _require_turns(poses)
+    if np.linalg.cond(poses.jacobian / np.linalg.norm(poses.jacobian, axis=0)) > LARGEST_CONDITION:
+        raise PerceptionError(
+            "the images do not tell where the camera stands, because the hand turned about one axis only; "
+            "add images with the wrist turned about others."
+        )
     square_ratio = _square_ratio(used, poses)
     fit = _fit_with_common(used, poses, SQUARE_ERROR)
     errors = used.errors(fit.camera, fit.board, fit.common)
     every = corners.rms(fit.camera, fit.board, fit.common)
+    x, y, z = fit.camera[:3, 3].tolist()
+    rotation = Rotation.from_matrix(fit.camera[:3, :3])
+    qw, qx, qy, qz = rotation.as_quat(canonical=True, scalar_first=True).tolist()
+    camera = replace(lens.camera, pos=(x, y, z), quat=(qw, qx, qy, qz))
+    covariance = tuple(map(tuple, _covariance(fit, used, lens).tolist()))
     return Calibration(
-        file=_camera_file(fit.camera, _covariance(fit, used, lens), lens),
+        file=replace(lens, camera=camera, pose_covariance=covariance),
         views=tuple(
             ViewError(name=view.name, rms=float(rms), is_used=bool(used))
             for view, rms, used in zip(views, every, is_used, strict=True)
@@ -313,15 +322,6 @@ def _moved(pose: Pose, step: np.ndarray) -> Pose:
     return _pose(Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + step[:3])
 
 
-def _require_turns(poses: _Fit) -> None:
-    """Refuse images that do not determine the pose."""
-    if np.linalg.cond(poses.jacobian / np.linalg.norm(poses.jacobian, axis=0)) > LARGEST_CONDITION:
-        raise PerceptionError(
-            "the images do not tell where the camera stands, because the hand turned about one axis only; "
-            "add images with the wrist turned about others."
-        )
-
-
 def _covariance(fit: _Fit, corners: _Corners, lens: CameraFile) -> np.ndarray:
     """Covariance (6, 6) of the camera's pose: of the images, of the common parameters, of the lens."""
     gain = np.linalg.pinv(fit.jacobian)
@@ -355,10 +355,3 @@ def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
     changes -= changes.mean(axis=0)
     num = len(numbers)
     return (num - 1) / num * (num - 2) / (num - 4) * changes.T @ changes
-
-
-def _camera_file(pose: Pose, covariance: np.ndarray, lens: CameraFile) -> CameraFile:
-    x, y, z = pose[:3, 3].tolist()
-    w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
-    camera = replace(lens.camera, pos=(x, y, z), quat=(w, i, j, k))
-    return replace(lens, camera=camera, pose_covariance=tuple(map(tuple, covariance.tolist())))
