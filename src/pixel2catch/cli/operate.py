@@ -1,6 +1,5 @@
 """`pixel2catch operate`: the operator's switch and page beside `deploy`."""
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +16,7 @@ from pixel2catch.interruption import StopRequest
 from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.operator import OperatorConsole, Press
-    from pixel2catch.ros2.profile import Profile
-    from pixel2catch.ros2.transport import Clock, Transport
+    from pixel2catch.deployment.operator import Press
     from pixel2catch.viewer.operator_page import OperatorPage
 
 
@@ -53,6 +50,7 @@ class Operate:
         """Operate until Ctrl-C, and print changes."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, Switches, operate_by_keys
+            from pixel2catch.servo.status_words import sentence
         if self.device is None and not self.web:
             raise InvalidValueError(
                 "there is no switch: name an input device, such as /dev/input/event3, or add --web."
@@ -66,37 +64,28 @@ class Operate:
             if page:
                 stack.callback(page.close)
                 say(f"open {page.address} in a browser")
+            say_change = saying_changes()
+
+            def report(presses: "list[Press]", status: dict[str, Any]) -> None:
+                for press in presses:
+                    say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
+                if status:
+                    say_change(sentence(status))
+                if page and switches:
+                    page.update()
+
             say(f"listening to {self.device or 'the page'}; Ctrl-C ends it, and stops the robot")
-            stop, report = stack.enter_context(StopRequest()), _report(page if switches else None)
+            stop = stack.enter_context(StopRequest())
             if switches:
                 hold, arm, halt = ((key,) for key in self.keys) if self.keys else KEYS
                 operate_by_keys(console, switches, (hold, arm, halt), clock, lambda: stop.is_set, report)
             elif page:
                 page.operate(lambda: stop.is_set, lambda status: report([], status))
 
-    def _open(
-        self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
-    ) -> "OperatorPage":
+    def _open(self, *inputs: Any) -> "OperatorPage":
         """Open the page; its button is the switch if there is no device."""
         with needs_extra("viewer"):
             from pixel2catch.viewer.operator_page import OperatorPage
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
-        return OperatorPage(self.page, "Pixel2Catch operator", profile, node, clock, console, button=button)
-
-
-def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":
-    """Return a function that prints changes, and refreshes a page."""
-    from pixel2catch.servo.status_words import sentence
-
-    say_change = saying_changes()
-
-    def report(presses: "list[Press]", status: dict[str, Any]) -> None:
-        for press in presses:
-            say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
-        if status:
-            say_change(sentence(status))
-        if page:
-            page.update()
-
-    return report
+        return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button)

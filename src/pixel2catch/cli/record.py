@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from pixel2catch.deployment.control_loop import Connection
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.ros2.profile import Profile, RobotPart
 
@@ -53,10 +52,21 @@ class Record:
             from pixel2catch.servo.status_words import sentence
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
-        profile = self._profile(trajectory)
+        profile = self.link.robot.load()
+        if self.lockstep:
+            with needs_extra("twin"):
+                from pixel2catch.twin.lab_node import twin_profile
+            profile = twin_profile(trajectory.workcell)
         profile.require(trajectory.joints)
         with ExitStack() as stack:
-            connection = self._connection(trajectory, profile, stack)
+            if self.lockstep:
+                from pixel2catch.twin.stepped import recorded_in_step
+
+                limits = self.link.limits(profile)
+                twin = recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out)
+                connection = stack.enter_context(twin)
+            else:
+                connection = self.link.connect(profile, self.out, "none", stack)
             targets, duration = whole_robot(trajectory), trajectory.duration
             say(f"{duration:.0f} s of motion; waiting to be armed")
             limit = connection.clock.now() + duration + PATIENCE
@@ -86,21 +96,6 @@ class Record:
         return (
             f"pixel2catch identify {self.out} ... --robot {part.name} {source} --out identified-{part.name}"
         )
-
-    def _profile(self, trajectory: "Trajectory") -> "Profile":
-        if self.lockstep is None:
-            return self.link.robot.load()
-        with needs_extra("twin"):
-            from pixel2catch.twin.lab_node import twin_profile
-        return twin_profile(trajectory.workcell)
-
-    def _connection(self, trajectory: "Trajectory", profile: "Profile", stack: ExitStack) -> "Connection":
-        if self.lockstep is None:
-            return self.link.connect(profile, self.out, "none", stack)
-        from pixel2catch.twin.stepped import recorded_in_step
-
-        limits = self.link.limits(profile)
-        return stack.enter_context(recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out))
 
 
 def whole_robot(trajectory: "Trajectory") -> "Callable[[float], np.ndarray]":

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tyro.conf import Fixed, Positional, Suppress
 
@@ -13,9 +13,6 @@ from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.own_files import import_files
-
-if TYPE_CHECKING:
-    from pixel2catch.learning.experiment import Experiment
 
 METHOD = "proposed"  #: What is trained where no method is named.
 
@@ -67,6 +64,11 @@ class Train:
         given = _scanned(args)
         if "--help" in args or "-h" in args:  # at once, without the task
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
+        import torch
+
+        from pixel2catch.learning.experiment import preset, require_run
+        from pixel2catch.workcells import find_workcell
+
         import_files()
         files: dict[str, Any] = {
             name: Path(file) for name in ("dynamics", "camera") if (file := getattr(given, name))
@@ -75,9 +77,16 @@ class Train:
         method = args[0] if args and not args[0].startswith("-") else None
         folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
         if given.resume:
-            experiment, method = _run(folder, given, files, method)
+            workcell = find_workcell(given.workcell).name if given.workcell else None
+            names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
+            run = require_run(folder, **files, **names)
+            experiment, method = run.experiment, run.method
         else:
-            experiment = _preset(given, files)
+            device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
+            name = given.preset or ("fast" if device.startswith("cuda") else "cpu")
+            start = {"start": Path(given.start)} if given.start else {}
+            task, options = given.task or "nominal", {"device": device, **start, **files}
+            experiment = preset(name, task, workcell=given.workcell, **options)
         if "scene.physics_hz" in given_fields(args):  # one rate throughout
             if given.physics_stages is not None:
                 raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
@@ -121,29 +130,6 @@ class Train:
 
 def _folder(method: str, seed: int | str) -> Path:
     return Path("runs") / f"{method}-seed{seed}"
-
-
-def _preset(given: argparse.Namespace, files: dict[str, Any]) -> "Experiment":
-    import torch
-
-    from pixel2catch.learning.experiment import preset
-
-    device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
-    name = given.preset or ("fast" if device.startswith("cuda") else "cpu")
-    options: dict[str, Any] = {"device": device} | ({"start": Path(given.start)} if given.start else {})
-    return preset(name, given.task or "nominal", workcell=given.workcell, **files, **options)
-
-
-def _run(
-    folder: Path, given: argparse.Namespace, files: dict[str, Any], method: str | None
-) -> "tuple[Experiment, str]":
-    from pixel2catch.learning.experiment import require_run
-    from pixel2catch.workcells import find_workcell
-
-    workcell = find_workcell(given.workcell).name if given.workcell else None
-    names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
-    run = require_run(folder, **files, **names)
-    return run.experiment, run.method
 
 
 def _scanned(args: Sequence[str]) -> argparse.Namespace:
