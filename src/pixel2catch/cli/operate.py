@@ -67,8 +67,7 @@ class Operate:
             say_change = saying_changes()
 
             def report(presses: "list[Press]", status: dict[str, Any]) -> None:
-                for press in presses:
-                    say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
+                _say_presses(presses)
                 if status:
                     say_change(sentence(status))
                 if page and switches:
@@ -89,3 +88,8 @@ class Operate:
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
         return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button)
+
+
+def _say_presses(presses: "list[Press]") -> None:
+    for press in presses:
+        say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
