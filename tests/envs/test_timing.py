@@ -17,7 +17,6 @@ from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import find_method
-from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
 
 ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)
@@ -89,20 +88,6 @@ def test_no_box_is_measured_in_a_blackout_however_late_images_are():
         env = make(8, sensing=sensing, throws=AT_ONCE, episode=EpisodeCfg(max_steps=40))
         stale = torch.stack([boxes.age[:, 0] - late for boxes, _ in remembered(env, 27)])
         assert stale.amax(dim=0).tolist() == [4.0] * 8, late
-
-
-def test_a_wrong_clock_shifts_all_ages_of_an_episode():
-    """20 ms are 0.6 control steps, earlier or later."""
-    env = make(16, sensing=replace(ANY, clock_error=0.02), throws=HOVERING, episode=EpisodeCfg(max_steps=3))
-    shifts, number = [], torch.arange(METHOD.num_boxes)
-    for boxes, latency in remembered(env, 6):
-        shift = boxes.age - latency - number
-        torch.testing.assert_close(shift, shift[:, :1].expand_as(shift), atol=1e-5, rtol=0)
-        shifts.append(shift[:, 0])
-    torch.testing.assert_close(shifts[0].abs(), torch.full((16,), 0.02 / CONTROL_DT))
-    torch.testing.assert_close(shifts[0], shifts[1])
-    assert len(shifts[0].sign().unique()) == 2
-    assert not torch.allclose(shifts[0], shifts[-1])  # another episode has another clock
 
 
 def test_the_jitter_of_a_stamp_stays_with_its_box():

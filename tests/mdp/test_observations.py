@@ -71,19 +71,6 @@ def test_layout(agent: AgentSpec):
     assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))
 
 
-def test_pixel_features_by_hand():
-    """Centre (320, 120) of 640 x 480 after (310, 115); size (32, 24) after (20, 30)."""
-    frame = ObservationInputs(
-        before=seeing([[300.0, 100.0, 320.0, 130.0]], [1.0]).now,
-        now=seeing([[304.0, 108.0, 336.0, 132.0]], [1.0]).now,
-        joints=ARM.joints,
-        palms=ARM.palms,
-        pixel_columns=pixel_columns(PROPOSED.pixel_features),
-    )
-    expected = torch.tensor([[0.5, 0.25, 10.0, 5.0, 12.0, -6.0]])
-    torch.testing.assert_close(observations.pixels(frame), expected)
-
-
 def test_journal_adds_palm_displacement_and_targets():
     arm = METHODS["journal"].agents[0]
     older, newer = observation(arm, METHODS["journal"])[:, :68].split(34, dim=-1)

@@ -93,18 +93,14 @@ def test_clone_unfolds_shared_and_expanded_memory():
     assert pair.first[:, 1:].eq(0.0).all()
 
 
-def detection(mark: float, num_envs: int = 1) -> Detection:
+def detection(mark: float) -> Detection:
     return Detection(
-        box=torch.full((num_envs, 4), mark),
-        object_pos=torch.full((num_envs, 3), -mark),
-        is_seen=torch.ones(num_envs, dtype=torch.bool),
-        stale=torch.zeros(num_envs),
-        age_error=torch.zeros(num_envs),
+        box=torch.full((1, 4), mark),
+        object_pos=torch.full((1, 3), -mark),
+        is_seen=torch.ones(1, dtype=torch.bool),
+        stale=torch.zeros(1),
+        age_error=torch.zeros(1),
     )
-
-
-def line(longest: int = 2, num_envs: int = 1) -> DelayLine[Detection]:
-    return DelayLine.filled(detection(0.0, num_envs), longest)
 
 
 def delivered(detections: DelayLine[Detection], *latency: float) -> list[float]:
@@ -128,23 +124,17 @@ def test_detections_arrive_in_order_and_none_is_lost(marks, latency):
 )
 def test_a_detection_does_not_arrive_before_its_time(latency, expected):
     """Of 1, 2, 3 the newest that is old enough: what lies between two control steps waits for the later."""
-    detections = line()
+    detections = DelayLine.filled(detection(0.0), 2)
     for mark in (1.0, 2.0, 3.0):
         detections = detections.pushed(detection(mark))
     assert delivered(detections, latency) == [expected]
 
 
-def sent(*numbers: float, num_envs: int = 1) -> DelayLine[Tensor]:
-    """Targets of 19 joints, one number after another."""
-    targets = DelayLine.filled(torch.full((num_envs, 19), numbers[0]), len(numbers) - 1)
-    for number in numbers[1:]:
-        targets = targets.pushed(torch.full((num_envs, 19), number))
-    return targets
-
-
 def test_interpolation_by_hand():
     """Of 8, 2, 5, 1, the newest last: 1 + 0.25 (5 - 1) = 2, (5 + 2) / 2 = 3.5, 2 + 0.75 (8 - 2) = 6.5."""
     delay = torch.tensor([0.0, 0.25, 1.5, 2.75, 3.0])
-    arrived = sent(8.0, 2.0, 5.0, 1.0, num_envs=5).interpolated(delay)
+    targets = DelayLine.filled(torch.full((5, 19), 8.0), 3)
+    for number in (2.0, 5.0, 1.0):
+        targets = targets.pushed(torch.full((5, 19), number))
     expected = torch.tensor([1.0, 2.0, 3.5, 6.5, 8.0])[:, None].expand(5, 19)
-    torch.testing.assert_close(arrived, expected)
+    torch.testing.assert_close(targets.interpolated(delay), expected)

@@ -56,23 +56,6 @@ def test_draws_fill_their_ranges(values, bounds):
         assert high - 0.01 * (high - low) < drawn[:, column].max() <= high
 
 
-def test_ranges_are_those_of_the_task():
-    assert dataclasses.asdict(CFG) == {
-        "release_x": (2.4, 2.9),
-        "release_y": (-0.3, 0.3),
-        "release_z": (0.75, 0.85),
-        "aim_x": (0.65, 0.85),
-        "aim_y": (-0.35, 0.35),
-        "aim_z": (0.9, 1.1),
-        "peak_z": (1.6, 1.9),
-        "clearance": 0.2,
-        "hover_steps": (5, 19),
-        "speed_deviation": 0.0,
-        "angle_deviation": 0.0,
-        "spin": 0.0,
-    }
-
-
 def test_hover_takes_every_number_of_steps_from_first_to_last():
     assert set(throws().hover_steps.tolist()) == set(range(5, 20))
 
