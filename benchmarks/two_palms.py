@@ -80,7 +80,7 @@ class Script:
 
     def act(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The action of every agent; the script knows more than its observations."""
-        env, steps = self._env, self._env._episode.record.steps
+        env, steps = self._env, self._env.episode.record.steps
         if not self._is_planned:
             self._plan()
         time = (steps - self._hover_steps).double() * CONTROL_DT
@@ -108,9 +108,9 @@ class Script:
 
     def _plan(self) -> None:
         """Where and when the object is met, and the arms' joints there, before and after."""
-        env, throw = self._env, self._env._episode.throw
+        env, throw = self._env, self._env.episode.throw
         radii = self._tensor([OBJECTS[name].radius for name in env.world.objects.names])
-        objects = env._episode.record.object_id
+        objects = env.episode.record.object_id
         sizes, radius = _sizes(env)[objects], radii[objects]
         catch = {name: rows[sizes] for name, rows in self._table.items()}
         pos, speed = throw.pos.double(), throw.lin_vel.double()

@@ -138,7 +138,7 @@ def quiet_throws(policy_name: str | None) -> dict[str, Any]:
     )
     env = CatchEnv(quiet, method, num_envs=NUM_THROWS, seed=3)
     observation = env.reset()
-    episodes = drawn(env._episode, env.world.objects.names)
+    episodes = drawn(env.episode, env.world.objects.names)
     steps = []
     for _ in range(NUM_STEPS):
         actions = policy.act(observation.policy)

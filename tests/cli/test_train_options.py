@@ -108,8 +108,8 @@ def test_what_is_set_reaches_the_environment():
     assert cfg.variants[0].sensing == TASKS["wide"].variants[0].sensing
     env = CatchEnv(dataclasses.replace(cfg, variants=()), METHODS["only_center"], num_envs=64)
     try:
-        assert set(env._episode.parameters.latency.tolist()) == {1.0, 2.0, 3.0}
-        assert set(env._episode.throw.hover_steps.tolist()) == {7}
+        assert set(env.episode.parameters.latency.tolist()) == {1.0, 2.0, 3.0}
+        assert set(env.episode.throw.hover_steps.tolist()) == {7}
     finally:
         env.close()
 

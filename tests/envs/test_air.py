@@ -57,10 +57,10 @@ def test_air_slows_throws_which_arrive_all_the_same():
     """The thrower makes up for the drag of a light object: within 2 cm at 120 Hz, of about 30 cm."""
     still = RandomizationCfg(mass_scale=(0.5, 0.5))
     env, plain = make(8, replace(still, air_density=1.2), SceneCfg()), make(8, still, SceneCfg())
-    assert torch.equal(env._episode.throw.aim, plain._episode.throw.aim)
-    speed, aim = env._episode.throw.lin_vel.norm(dim=-1), env._episode.record.aim.clone()
-    assert ((speed / plain._episode.throw.lin_vel.norm(dim=-1)) > 1.005).all()
-    steps = 2 + plain._episode.throw.flight_time() / CONTROL_DT
+    assert torch.equal(env.episode.throw.aim, plain.episode.throw.aim)
+    speed, aim = env.episode.throw.lin_vel.norm(dim=-1), env.episode.record.aim.clone()
+    assert ((speed / plain.episode.throw.lin_vel.norm(dim=-1)) > 1.005).all()
+    steps = 2 + plain.episode.throw.flight_time() / CONTROL_DT
     path = [env.world.privileged(env.world.quiet_log()).object_pos]
     path += [env.world.privileged(step.log).object_pos for step in rollout(env, 32)]
     for row in range(8):

@@ -89,10 +89,10 @@ def test_a_measured_camera_is_another_one_in_every_episode():
         shifts.append((step.measurement.box - known.measurement.box)[:, 0])
     assert 5.0 < shifts[0].std() < 8.0
     torch.testing.assert_close(shifts[0], shifts[1], atol=0.05, rtol=0)
-    assert env._episode.camera_errors is not None
-    before = env._episode.camera_errors.camera.center.clone()
+    assert env.episode.camera_errors is not None
+    before = env.episode.camera_errors.camera.center.clone()
     list(rollout(env, 1))
-    assert (env._episode.camera_errors.camera.center != before).any(dim=-1).all()
+    assert (env.episode.camera_errors.camera.center != before).any(dim=-1).all()
 
 
 def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():

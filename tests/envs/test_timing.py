@@ -42,7 +42,7 @@ def measured(num_steps: int, **changes: Any) -> list[Measurement]:
 def remembered(env: CatchEnv, num_steps: int) -> Iterator[tuple[BoxHistory, Tensor]]:
     """The boxes after each step, and the latency of the episodes (num_envs, 1)."""
     for step in rollout(env, num_steps):
-        yield clone(step.measurement.boxes), env._episode.parameters.latency[:, None].clone()
+        yield clone(step.measurement.boxes), env.episode.parameters.latency[:, None].clone()
 
 
 def test_a_box_between_two_latencies_is_the_mean_of_both():

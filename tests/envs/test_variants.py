@@ -171,7 +171,7 @@ def test_value_networks_see_the_draws_where_the_task_says_so():
             step = env.step({name: torch.zeros(3, size) for name, size in env.action_sizes.items()})
             assert step.observation.state.shape == (3, env.state_size)
             assert step.observation.state.isfinite().all()
-            told = drawn_parameters(env._episode) if value_sees_parameters else torch.zeros(3, 0)
+            told = drawn_parameters(env.episode) if value_sees_parameters else torch.zeros(3, 0)
             assert torch.equal(step.observation.state[:, 130:-21], told)
         sizes.append(env.state_size)
     assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 69 + 4]

@@ -119,7 +119,7 @@ def test_training_gives_the_numbers_of_skrl(
     mappo, metrics = Mappo(cfg, env, CONTRACT), {}
     for progress in (0.0, 0.25, 0.5, 0.75):
         roll_out(mappo, env)
-        metrics = mappo.update(progress)
+        metrics = mappo.named(mappo.update(progress).tolist())
     assert tuple(metrics.values())[:9] == pytest.approx(FROZEN[name], rel=1e-3, abs=1e-5)
     weights = torch.cat([tensor.flatten() for tensor in mappo.export().parameters()])
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
@@ -144,7 +144,7 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
     metrics = []
     for mappo in (plain, compiled):
         torch.manual_seed(0)
-        metrics.append(mappo.update(0.0))
+        metrics.append(mappo.named(mappo.update(0.0).tolist()))
     assert metrics[1] == pytest.approx(metrics[0], rel=1e-3)
     torch.testing.assert_close(
         compiled.export().state_dict(), plain.export().state_dict(), rtol=1e-3, atol=1e-5
@@ -163,7 +163,7 @@ def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.Mon
         mappo, env = Mappo(cfg, ReachingEnv(cfg), CONTRACT), ReachingEnv(cfg)
         for progress in (0.0, 0.5):
             roll_out(mappo, env)
-            metrics = mappo.update(progress)
+            metrics = mappo.named(mappo.update(progress).tolist())
         outcomes.append((metrics, mappo.export().state_dict()))
     assert outcomes[0][0] == pytest.approx(outcomes[1][0], rel=1e-4)
     for name, tensor in outcomes[0][1].items():
@@ -192,7 +192,7 @@ def test_adaptive_learning_rate(target: float, changes: float) -> None:
     )
     mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     roll_out(mappo, ReachingEnv(cfg))
-    assert mappo.update(0.0)["learning_rate/hand"] == pytest.approx(1e-3 * changes)
+    assert mappo.named(mappo.update(0.0).tolist())["learning_rate/hand"] == pytest.approx(1e-3 * changes)
     if target < 1.0:
         for _ in range(3):
             roll_out(mappo, ReachingEnv(cfg))

@@ -73,7 +73,7 @@ def check_halves_learn_as_the_whole(workers: Workers, recurrent: int) -> None:
     for _ in range(NUM_UPDATES):
         roll_out(whole, env)
         give_half(whole, half, workers.rank)
-        expected, found = whole.update(0.0), half.update(0.0)
+        expected, found = (each.named(each.update(0.0).tolist()) for each in (whole, half))
         for name, value in expected.items():
             torch.testing.assert_close(found[name], value, rtol=10 * rtol, atol=atol)
     expected, found = all_tensors(whole), all_tensors(half)

@@ -85,6 +85,7 @@ class CatchEnv:
         observation_sizes: Length of each agent's observation, by name.
         action_sizes: Number of each agent's actions, by name.
         state_size: Length of the value networks' input.
+        episode: The present episode of each environment; the next step overwrites its tensors.
         statistics: Sums over ended episodes.
     """
 
@@ -133,7 +134,7 @@ class CatchEnv:
         self._detector = Detector(cfg.sensing, self.world, self._generator)
         self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
-        self._episode = clone(self._draw_episode())
+        self.episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
         self._sensors = self._first_sensor_state()
         simulation = self.world.simulation
@@ -143,11 +144,6 @@ class CatchEnv:
         self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
         self.state_size = observation.state.shape[1]
-
-    @property
-    def episode(self) -> Episode:
-        """Return the present episode of each environment; the next step overwrites its tensors."""
-        return self._episode
 
     def seed(self, seed: int) -> None:
         """Seed all draws; the next `reset` begins the episodes of this seed."""
@@ -160,8 +156,8 @@ class CatchEnv:
         rollouts hold all parts of episodes. Source: Bharthulwar et al. 2025; by hovering (ours).
         """
         longer = STAGGER_STEPS if is_staggered else 0
-        assign(self._episode, self._draw_episode(self.cfg.with_longer_hovering(longer)))
-        self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
+        assign(self.episode, self._draw_episode(self.cfg.with_longer_hovering(longer)))
+        self.world.reset(self._everywhere, self.episode.parameters, self.episode.throw)
         self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
         assign(self._sensors, self._first_sensor_state())
@@ -211,16 +207,16 @@ class CatchEnv:
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """Advance by a control step in memory that keeps its address: a device records and replays it."""
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
-        disturbed = action + self._episode.parameters.action_bias + self._action_noise * noise
+        disturbed = action + self.episode.parameters.action_bias + self._action_noise * noise
         target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
         commands = self._commands.pushed(target)
-        late = commands.interpolated(self._episode.command_delay)
-        log = self.world.run(late, self._episode.drag)
+        late = commands.interpolated(self.episode.command_delay)
+        log = self.world.run(late, self.episode.drag)
         command = (action, target)
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
-        record = self._episode.record.advanced(transition, log, self.world.arms, self.world.palms)
+        record = self.episode.record.advanced(transition, log, self.world.arms, self.world.palms)
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))
@@ -239,8 +235,8 @@ class CatchEnv:
     def _first_sensor_state(self) -> SensorState:
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        image = self._detector.look(now, self._episode)
-        detection = self._detector.disturbed(image, self._episode)
+        image = self._detector.look(now, self.episode)
+        detection = self._detector.disturbed(image, self.episode)
         started = (torch.zeros_like(joint_pos), joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
         sensors = SensorState(
@@ -257,7 +253,7 @@ class CatchEnv:
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
     def _transition(self, command: LastAction, log: StepExtremes) -> Transition:
-        now, record = self.world.privileged(log), self._episode.record
+        now, record = self.world.privileged(log), self.episode.record
         return Transition(
             before=self._sensors.now,
             now=now,
@@ -277,11 +273,11 @@ class CatchEnv:
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release objects whose hovering is over."""
         fresh = self._draw_episode()
-        assign(self._episode.record, record)
-        write(ended, fresh, self._episode)
+        assign(self.episode.record, record)
+        write(ended, fresh, self.episode)
         self.world.reset(ended, fresh.parameters, fresh.throw)
-        is_released = self._episode.record.steps == self._episode.throw.hover_steps
-        self.world.release(is_released, self._episode.throw)
+        is_released = self.episode.record.steps == self.episode.throw.hover_steps
+        self.world.release(is_released, self.episode.throw)
         self.world.simulation.forward(ended | is_released)
 
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastAction, log: StepExtremes) -> None:
@@ -289,11 +285,11 @@ class CatchEnv:
 
         Images are exposed a fraction of a control step earlier, and arrive after whole ones.
         """
-        sensors, latency = self._sensors, self._episode.parameters.latency
+        sensors, latency = self._sensors, self.episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
-        image = self._detector.look(truth, self._episode)
+        image = self._detector.look(truth, self.episode)
         exposed = image.exposed_before(select(begun, image, sensors.image), latency - latency.floor())
-        detected = self._detector.disturbed(exposed, self._episode)
+        detected = self._detector.disturbed(exposed, self.episode)
         detection = detected.held(begun | detected.is_seen, sensors.detections.newest)
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, sensors.detections.pushed(detection))
@@ -321,7 +317,7 @@ class CatchEnv:
 
     def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
         """Return the age of a delivered detection, by its stamp [control steps]."""
-        return self._episode.parameters.latency + detection.stale + detection.age_error
+        return self.episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
         return BoxHistory.begun(detection.box, self._age(detection), self.method.num_boxes)
@@ -335,7 +331,7 @@ class CatchEnv:
     ) -> Measurement:
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
-        joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
+        joint_pos = joint_pos + self.episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
         palm_pos, palm_quat = self.world.geometry.palm_poses(joint_pos)
         return Measurement(
             boxes=boxes,
@@ -352,7 +348,7 @@ class CatchEnv:
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
-        drawn = (drawn_parameters(self._episode),) if self.cfg.value_sees_parameters else ()
+        drawn = (drawn_parameters(self.episode),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *drawn, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

@@ -19,10 +19,6 @@ SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "hold_palms", "peak_decelerat
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
 
 
-def _of_one_process(values: Tensor) -> Tensor:
-    return values
-
-
 class EpisodeStatistics:
     """Sums over ended episodes, and over the reward terms of every step, since the last `pop`."""
 
@@ -66,8 +62,8 @@ class EpisodeStatistics:
 
     def pop(
         self,
-        total: Callable[[Tensor], Tensor] = _of_one_process,
-        largest: Callable[[Tensor], Tensor] = _of_one_process,
+        total: Callable[[Tensor], Tensor] = torch.clone,
+        largest: Callable[[Tensor], Tensor] = torch.clone,
     ) -> dict[str, float]:
         """Return rates and means since the last call, NaN without episodes; wait for the device.
 

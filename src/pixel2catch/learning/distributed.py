@@ -100,7 +100,8 @@ class Workers:
         if self.size == 1 or not self.any(failure is not None):
             return
         messages: list[str | None] = [None] * self.size
-        dist.all_gather_object(messages, failure and _message(failure))
+        kind = "" if isinstance(failure, Pixel2CatchError) else f"{type(failure).__name__}: "
+        dist.all_gather_object(messages, failure and f"{kind}{failure}")
         failed = [f"process {rank}: {each}" for rank, each in enumerate(messages) if each is not None]
         self.is_agreed = True
         if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
@@ -180,9 +181,3 @@ def _own_device(device: str, local_rank: int | None) -> str:
             "use 'cpu', or a device that is there, and with torchrun no more processes than devices."
         )
     return f"cuda:{number}"
-
-
-def _message(failure: Exception) -> str:
-    if isinstance(failure, Pixel2CatchError):
-        return str(failure)
-    return f"{type(failure).__name__}: {failure}"

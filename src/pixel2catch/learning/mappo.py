@@ -174,10 +174,6 @@ class Mappo:
         """Discard the transitions since the last update."""
         self._num_steps = 0
 
-    def update(self, progress: float) -> dict[str, float]:
-        """Update after a full rollout and return the metrics; `progress` is from 0 to 1."""
-        return self.named(self.launch_update(progress).tolist())
-
     def named(self, metrics: list[list[float]]) -> dict[str, float]:
         """Return metrics by name, from the `METRICS` of every agent."""
         return {
@@ -186,7 +182,7 @@ class Mappo:
             for name, value in zip(METRICS, row, strict=True)
         }
 
-    def launch_update(self, progress: float) -> Tensor:
+    def update(self, progress: float) -> Tensor:
         """Launch an update; return the `METRICS`, a row per agent. Only the kl schedule waits."""
         cfg = self.cfg
         taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0

@@ -90,11 +90,6 @@ class ActorCritic(nn.Module):
         }
         return {**parts, "policy": [self.log_std, *parts["policy"]]}
 
-    def mean_of(self, observations: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the mean actions for observations, and the new hidden state."""
-        features, hidden_state = gru_step(self.policy_gru, self.observation_scale(observations), hidden_state)
-        return self.policy(features), hidden_state
-
     def value_of(self, states: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the values of states, (num_envs,), and the new hidden state."""
         features, hidden_state = gru_step(self.value_gru, self.state_scale(states), hidden_state)
@@ -104,7 +99,8 @@ class ActorCritic(nn.Module):
         self, observations: Tensor, states: Tensor, policy_state: Tensor, value_state: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Draw actions; return them, their log probability, the values, and both new hidden states."""
-        mean, policy_state = self.mean_of(observations, policy_state)
+        features, policy_state = gru_step(self.policy_gru, self.observation_scale(observations), policy_state)
+        mean = self.policy(features)
         actions = mean + self.log_std.exp() * torch.randn_like(mean)
         values, value_state = self.value_of(states, value_state)
         return actions, self.log_prob(mean, actions), values, policy_state, value_state

@@ -198,7 +198,7 @@ class _Training:
     def _update(self, started: float, begun: DeviceTime) -> None:
         """Learn, then wait for the device, check everything, and make a row of metrics."""
         collected = DeviceTime(self.workers.device)
-        metrics = self.mappo.launch_update(self.progress.transitions / self.cfg.transitions)
+        metrics = self.mappo.update(self.progress.transitions / self.cfg.transitions)
         updated = DeviceTime(self.workers.device)
         given = launch_sums(rollout_quantities(self.mappo, self.contract))
         found = launch_sums(update_quantities(self.mappo, metrics))
