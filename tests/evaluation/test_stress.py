@@ -1,8 +1,10 @@
-"""The stress suite: its settings, the same throws for all, the report by hand, and the command."""
+"""Stress and transfer: settings, the same throws for all, reports by hand, and the commands."""
 
+import importlib.util
 import json
 import os
 import pickle
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -15,12 +17,20 @@ from torch import Tensor
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, cell_file, find_policies, throw_rounds
-from pixel2catch.evaluation.policy_report import result_rows, stress_sections
+from pixel2catch.evaluation.metrics import rate
+from pixel2catch.evaluation.policy_cells import (
+    AS_TRAINED,
+    EVENTS,
+    PolicyEntry,
+    cell_file,
+    find_policies,
+    throw_rounds,
+    transfer_settings,
+)
+from pixel2catch.evaluation.policy_report import result_rows, stress_sections, transfer_sections
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row, read_rows
-from pixel2catch.evaluation.stress import AXES, select_settings
+from pixel2catch.evaluation.stress import AXES, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.reports import as_markdown
@@ -30,6 +40,9 @@ EARLIER = Path(__file__).parents[2] / "experiments" / "results"
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()
 SIZE = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s", "sphere_l")
+
+ENGINES = ("mujoco", "physx")
+NEEDS_PHYSX = pytest.mark.skipif(importlib.util.find_spec("sapien") is None, reason="SAPIEN is not installed")
 
 
 class Still:
@@ -177,27 +190,37 @@ def test_policies_have_names_of_their_own(policies: list[str]):
     assert "proposed" in {each.method for each in find_policies([])}
 
 
-def rates(successes: int, trials: int = 200) -> dict[str, Any]:
-    interval = list(wilson_interval(successes, trials))
-    shown = {name: successes / trials for name in EVENTS}
-    return {"trials": trials, **shown, **{f"{name}_interval": interval for name in EVENTS}}
+def content(caught: str) -> dict[str, Any]:
+    """A cell in which throws are caught or dropped."""
+    found: dict[str, Any] = {"trials": len(caught), "failures": {"dropped": caught.count("0") / len(caught)}}
+    for name in EVENTS:
+        found |= rate(name, caught.count("1"), len(caught))
+    return {"metrics": found | {"throws": dict.fromkeys(EVENTS.values(), caught)}}
 
 
-def rows_of(folder: Path, successes: dict[str, list[int]], *axes: str, task: str = "nominal") -> list[Row]:
-    """Successes by method, setting by setting."""
-    policies = [PolicyEntry(name=f"{m}-seed0", folder=Path("."), method=m, task=task) for m in successes]
-    settings = select_settings(axes)
-    numbers = [number for row in zip(*successes.values(), strict=True) for number in row]
-    for (setting, policy), number in zip(product(settings, policies), numbers, strict=True):
+def rows_of(
+    folder: Path, methods: dict[str, str], settings: Sequence[Setting], *caught: str, task: str = "nominal"
+) -> list[Row]:
+    """Rows of policies with their methods, whose throws are given setting by setting."""
+    policies = [
+        PolicyEntry(name=name, folder=Path(name), method=method, task=task)
+        for name, method in methods.items()
+    ]
+    for (setting, policy), each in zip(product(settings, policies), caught, strict=True):
         file = cell_file(folder, policy, setting)
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps({"metrics": rates(number)}))
-    return result_rows(policies, settings, folder, lambda _: "nominal")
+        file.write_text(json.dumps(content(each)))
+    return result_rows(policies, settings, folder, lambda each: replace(each, axis=settings[0].axis).name)
+
+
+def of_200(number: int) -> str:
+    return "1" * number + "0" * (200 - number)
 
 
 def test_a_table_by_hand(tmp_path: Path):
     """Means over two settings; 180 of 200 is 90.0 % with the interval 85 to 93."""
-    rows = rows_of(tmp_path, {"proposed": [180, 20], "only_wh": [10, 0]}, "nominal", "edge_noise")
+    methods, settings = {"one": "proposed", "two": "only_wh"}, select_settings(("nominal", "edge_noise"))
+    rows = rows_of(tmp_path, methods, settings, *map(of_200, (180, 10, 20, 0)))
     text = as_markdown("Stress suite", stress_sections(rows))
     assert "| nominal | 90.0 [85, 93] | 5.0 [3, 9] |" in text
     assert "| mean over settings | 50.0 | 2.5 |" in text
@@ -206,12 +229,79 @@ def test_a_table_by_hand(tmp_path: Path):
 @pytest.mark.parametrize(("task", "mount"), [("nominal", False), ("wide", True)])
 def test_what_a_policy_was_not_trained_on_is_marked(task: str, mount: bool, tmp_path: Path):
     """Camera mount: not in the nominal task, but in the wide one; edge noise in neither."""
-    rows = rows_of(tmp_path, {"proposed": [180] * 5}, "edge_noise", "together", task=task)
+    settings = select_settings(("edge_noise", "together"))
+    rows = rows_of(tmp_path, {"one": "proposed"}, settings, *[of_200(180)] * 5, task=task)
     marks = {row["setting"]: row["is_trained_on"] for row in rows}
     assert (marks["edge_noise-10"], marks["together-camera_mount"]) == (False, mount)
     text = as_markdown("Stress suite", stress_sections(rows))
     assert "| edge noise 10 px | 90.0 [85, 93] † |" in text
     assert ("| together camera mount | 90.0 [85, 93] |" in text) == mount
+
+
+def test_settings_change_the_engine_and_the_restitution_alone():
+    settings = transfer_settings(ENGINES, (0.0, 0.25))
+    assert [each.name for each in settings] == ["mujoco-0", "physx-0", "mujoco-0.25", "physx-0.25"]
+    changed = settings[3].level.change(TASK)
+    assert (changed.scene.engine, changed.randomization.restitution) == ("physx", (0.25, 0.25))
+    assert (changed.sensing, changed.throws) == (TASK.sensing, TASK.throws)
+    home, other = transfer_settings(ENGINES, ())
+    assert home.level.change(TASK) == TASK
+    assert (other.level.label, other.level.change(TASK).randomization) == (AS_TRAINED, TASK.randomization)
+
+
+def test_the_tables_compare_each_engine_with_home(tmp_path: Path):
+    """Intervals are Wilson's, of four throws."""
+    methods = {"one": "proposed", "two": "proposed"}
+    rows = rows_of(tmp_path, methods, transfer_settings(ENGINES, (0.5,)), "1111", "1100", "0111", "1110")
+    text = as_markdown("Transfer", transfer_sections(rows))
+    assert "| one | 0.5 | mujoco | 100.0 [51, 100] |" in text
+    assert "| one | 0.5 | physx | 75.0 [30, 95] | 75.0 [30, 95] | 75.0 [30, 95] | -25.0 [" in text
+    assert "| 0, 1 | 1 |" in text.splitlines()[-1]
+
+
+def test_nothing_bounces_in_drake(tmp_path: Path):
+    """Its cells at other restitutions are left out, unless home has no other engine's restitution then."""
+    settings = transfer_settings(("mujoco", "drake"), (0.0, 0.25))
+    assert [each.name for each in settings] == ["mujoco-0", "drake-0", "mujoco-0.25"]
+    for engines, restitutions in ((("mujoco", "drake"), (0.25,)), (("drake", "mujoco"), (0.0, 0.25))):
+        with pytest.raises(InvalidValueError, match="'drake': give --restitution 0"):
+            transfer_settings(engines, restitutions)
+    rows = rows_of(tmp_path, {"one": "proposed"}, settings, "11", "10", "01")
+    assert "| one | 0 | drake | 50.0 [" in as_markdown("Transfer", transfer_sections(rows))
+
+
+def transfer(policies: list[str], out: Path, *options: str) -> list[str]:
+    return ["transfer", policies[1], "--throws", "2", "--objects", "cube_s", "--out", str(out), *options]
+
+
+def test_transfer_at_home(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """The cell has the events of each throw."""
+    options = ("--engines", "mujoco", "--restitution", "0", "--env.scene.physics-hz", "30")
+    assert main(transfer(policies, tmp_path, *options)) == 0
+    assert "1 of 1: second-mujoco-0 done" in capsys.readouterr().err
+    metrics = json.loads((tmp_path / "cells/second/mujoco-0.json").read_text())["metrics"]
+    assert (metrics["trials"], len(metrics["throws"]["is_success"])) == (2, 2)
+    assert metrics["throws"]["is_tracked"].count("1") == 2 * metrics["tracking_rate"]
+
+
+@NEEDS_PHYSX
+def test_transfer_away(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(transfer(policies, tmp_path, "--env.scene.physics-hz", "120")) == 0
+    assert f"| second | {AS_TRAINED} | physx |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
+        (("--engines", "mujoco", "--throws", "30"), "throws is 30"),
+        (("--engines", "mujoco", "--restitution", "1.5"), "restitution is 1.5"),
+    ],
+)
+def test_refused_options(policies, tmp_path, capsys, options, message):
+    assert main(transfer(policies, tmp_path / "out", *options)) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,13 @@
-"""Hand-made recordings: joints that follow sines with a known lag."""
+"""Recordings: joints that follow sines with a known lag, and simulated joints of known dynamics."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from pixel2catch.identification.excitation import RATE, Envelope, multisine, steps
 from pixel2catch.identification.recording import Recording, joints_of, specs_of
+from pixel2catch.identification.simulation import SETTLING, RecordedMotion
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 JOINT_SPECS = specs_of(UR5E_ALLEGRO)
@@ -11,6 +16,7 @@ ARM = ROBOTS["ur5e"]
 LAG = 0.06
 FREQUENCIES = 1.1 + 0.13 * np.arange(6)
 AMPLITUDE = 0.25
+NOISE = 2e-4
 
 
 def position(time: np.ndarray, joints: tuple[str, ...] = ARM) -> np.ndarray:
@@ -50,3 +56,39 @@ def assert_same(got: Recording, expected: Recording, tolerance: float = 0.0) -> 
         if one is not None:
             assert one.dtype == np.float64
             np.testing.assert_allclose(one, other, rtol=0, atol=tolerance, err_msg=name)
+
+
+def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np.ndarray:
+    """Times of a loop of which 5 % of the turns take 40 ms."""
+    turns = np.where(rng.random(int(seconds / period)) < 0.05, 0.04, period)
+    times = np.cumsum(turns) - turns[0]
+    return times[times < seconds]
+
+
+def excitation(
+    rng: np.random.Generator, joints: tuple[str, ...], seconds: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half sines and half steps of `excite` at full speed, sent at 125 Hz: times and positions [rad]."""
+    t_cmd = stalled_clock(rng, seconds, 1 / RATE)
+    envelope = Envelope.of(joints, 1.0, {})
+    num = int(seconds * RATE) // 2 + 1
+    targets = envelope.center + np.concatenate([signal(rng, envelope, num) for signal in (multisine, steps)])
+    return t_cmd, targets[(t_cmd * RATE).astype(int)]
+
+
+def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:
+    """Measurements with noise at 125 Hz by a clock that stalls; the robot rests at first."""
+    t_cmd, q_cmd = excitation(rng, truth.joints, seconds - SETTLING)
+    t_meas = stalled_clock(rng, seconds, 0.008)
+    q = np.repeat(q_cmd[:1], len(t_meas), axis=0)
+    blank = Recording(joints=truth.joints, t_cmd=SETTLING + t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
+    (path,) = RecordedMotion([blank], physics_dt).simulate([truth])
+    q[-len(path) :] = path
+    return replace(blank, q=q + NOISE * rng.standard_normal(q.shape))
+
+
+def tracking_error(recordings: list[Recording], dynamics: JointDynamics, physics_dt: float) -> np.ndarray:
+    """Root mean square of simulated minus measured positions, per joint [rad]."""
+    motion = RecordedMotion(recordings, physics_dt)
+    (simulated,) = motion.simulate([dynamics])
+    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))

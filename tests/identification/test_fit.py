@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_truth import NOISE, record, tracking_error
+from recorded import NOISE, record, tracking_error
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics

@@ -67,12 +67,10 @@ class CheckedRecording:
     recording: Recording
     checks: tuple[DataCheck, ...]
     is_held_out: bool  #: whether it judges the fit instead of being fitted
-    before: Positions = field(
-        default_factory=lambda: np.zeros((0, 0))
-    )  #: simulated before the fit, at the settled measurements [rad]
-    after: Positions = field(
-        default_factory=lambda: np.zeros((0, 0))
-    )  #: simulated with the fitted dynamics [rad]
+    #: simulated before the fit, at the settled measurements [rad]
+    before: Positions = field(default_factory=lambda: np.zeros((0, 0)))
+    #: simulated with the fitted dynamics [rad]
+    after: Positions = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def time(self) -> Float[np.ndarray, " num_settled"]:

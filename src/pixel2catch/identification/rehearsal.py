@@ -4,7 +4,7 @@ For rehearsals with known dynamics, and before a real robot follows a trajectory
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -225,30 +225,22 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
         recording=recording,
         clearances=near,
         checks=tuple(check for check in check_recording(recording) if check.name == "excitation"),
-        violations=(*_limit_violations(recording), *_clearance_violations(recording, near)),
+        violations=tuple(_violations(recording, near)),
     )
 
 
-def _limit_violations(recording: Recording) -> list[Violation]:
-    violations, speed = [], np.diff(recording.q, axis=0) / FIT_DT
+def _violations(recording: Recording, near: Sequence[Clearance]) -> Iterator[Violation]:
+    groups, speed = groups_of(recording.workcell), np.diff(recording.q, axis=0) / FIT_DT
     for column, joint in enumerate(recording.joints):
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
-            violations.append(
-                Violation(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,))
-            )
+            yield Violation(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,))
         if top > spec.velocity_limit:
             text = f"{joint} reaches {top:.2f} rad/s of {spec.velocity_limit:.2f}"
-            violations.append(Violation(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top))
-    return violations
-
-
-def _clearance_violations(recording: Recording, near: Sequence[Clearance]) -> list[Violation]:
-    groups, violations = groups_of(recording.workcell), []
+            yield Violation(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top)
     for clearance in near:
         if not clearance.is_kept:
             role = "hand" if clearance.is_of_hand else "arm"
             moved = tuple(joint for joint in recording.joints if groups[joint].role == role)
-            violations.append(Violation(text=clearance.sentence(), joints=moved or recording.joints))
-    return violations
+            yield Violation(text=clearance.sentence(), joints=moved or recording.joints)
