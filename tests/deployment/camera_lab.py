@@ -1,21 +1,32 @@
-"""A laboratory with a camera and an operator; what goes wrong in it is chosen by a word."""
+"""A laboratory with a camera and an operator, and a deployment; what goes wrong is chosen by a word."""
 
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from loop_lab import BOX, moved, picture
+from loop_lab import BOX, PROFILE, RED, EverythingRed, moved, picture
+from servo_rows import LIMITS
 from wire_lab import WireLab
 
+from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
+from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Command, JointTargets, set_niceness
+from pixel2catch.servo.process import ServoSetup
+from pixel2catch.workcells import find_workcell
 
 DT = 0.002
 IMAGE_TICKS = round(CONTROL_DT / DT)
@@ -40,7 +51,7 @@ class CameraLab(WireLab):
         super().__init__(transport, NoControlLoop(), profile, clock)  # type: ignore[arg-type]
         self._images = transport.publisher(profile.camera.image)
         self._prompts = transport.publisher(profile.operator.prompt)
-        self._num_steps, self._stamp, self.jump = 0, 0.0, 0.0
+        self._num_steps, self._stamp, self.jump, self.drift = 0, 0.0, 0.0, 0.0
         self.is_object_there = True
         self.pixels: np.ndarray | None = None
         self.faults: dict[str, Callable[[], Any]] = {
@@ -69,9 +80,10 @@ class CameraLab(WireLab):
         self._num_steps += 1
 
     def _picture(self) -> np.ndarray:
-        """Return the scene; a box that jumps is elsewhere in every second picture."""
+        """Return the scene; a box that jumps is elsewhere in every second picture, one that drifts in all."""
         is_away = self._num_steps // IMAGE_TICKS % 2
-        return picture(moved(self.jump * is_away) if self.is_object_there else None)
+        by = self.jump * is_away + self.drift * self._num_steps
+        return picture(moved(by) if self.is_object_there else None)
 
 
 def run_laboratory(words: Connection, rate: float) -> None:
@@ -118,3 +130,66 @@ class Arming(ABC):
             return self.status["mode"] in modes
 
         self.until(is_in_mode)
+
+
+def default_pipeline(segmenter: Segmenter) -> PolicyPipeline:
+    """Return a pipeline with the default policy."""
+    policy, _ = load_policy(None)
+    controller = PolicyController(policy, find_workcell(PROFILE.workcell))
+    return PolicyPipeline(controller, segmenter, Prompter())
+
+
+class SteppedBench(Arming, AbstractContextManager["SteppedBench"]):
+    """Deployment and laboratory: receives statuses and commands, and controls the laboratory."""
+
+    def __init__(self, pipeline: PolicyPipeline | None = None, tape: BagRecorder | None = None) -> None:
+        self.clock, self.broker = StepClock(self.wait_until), Broker()
+        self.clock.time = 1000.0
+        self.lab_node = self.broker.node(self.clock)
+        self.laboratory = CameraLab(self.lab_node, PROFILE, self.clock)
+        node = self.broker.node(self.clock)
+        self._statuses = node.subscription(PROFILE.operator.status, 50)
+        self._commands = node.subscription(PROFILE.robots[0].command_topic, 50, only_watches=True)
+        self.status: dict[str, Any] = {"mode": "", "found": []}
+        self.commands: list[tuple[float, np.ndarray]] = []
+        nodes = self.broker.node(self.clock), self.broker.node(self.clock)
+        recording = DeploymentRecorder(tape, nodes[1], PROFILE, self.clock, "raw") if tape else None
+        setup = ServoSetup(profile=PROFILE, limits=LIMITS, is_dry_run=tape is not None)
+        self.servo = SteppedServo(setup, nodes, self.clock, recording)
+        connection, pipeline = self.servo.connection, pipeline or default_pipeline(EverythingRed(RED))
+        self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=lambda: 0.01)
+        self.does_policy_hang = False
+
+    def say(self, word: str) -> None:
+        self.laboratory.faults[word]()
+
+    def wait_until(self, moment: float) -> None:
+        while self.clock.time < moment - 1e-9:
+            self.clock.time += LIMITS.dt
+            self.laboratory.step()
+            self.servo.tick()
+            if not self.does_policy_hang:
+                self.loop.poll()
+            for message in self._statuses.take():
+                self.status = json.loads(messages.read_text(message.data))
+            self.commands += [
+                (each.arrival, messages.read_float_array(each.data)) for each in self._commands.take()
+            ]
+
+    def until(self, holds: Callable[[], bool], seconds: float = 3.0) -> None:
+        end = self.clock.time + seconds
+        while not holds():
+            assert self.clock.time < end, self.status
+            self.wait(LIMITS.dt)
+
+    def wait(self, seconds: float) -> None:
+        self.wait_until(self.clock.time + seconds)
+
+    def run(self) -> None:
+        """The operator arms and points, and the policy moves the arm."""
+        self.arm()
+        self.say("point")
+        self.until(lambda: self.status["mode"] == "run")
+
+    def __exit__(self, *exception: object) -> None:
+        self.servo.close()

@@ -20,7 +20,6 @@ from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.segmenter import (
-    BoxPrompt,
     ColorRange,
     ColorThreshold,
     ImageMotion,
@@ -57,17 +56,11 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
     return image
 
 
-class EverythingRed(Segmenter):
+class EverythingRed(ColorThreshold):
     """Finds everything that is red."""
-
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        return self.track(image, motion)
 
     def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
         return Segmentation(mask=RED.mask(image), score=1.0)
-
-    def reset(self) -> None:
-        pass
 
 
 def remembering(method: str = "shared_reward+boxes") -> PolicyController:

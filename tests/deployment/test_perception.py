@@ -27,7 +27,6 @@ from pixel2catch.perception.segmenter import (
     ColorThreshold,
     ImageMotion,
     Segmentation,
-    Segmenter,
 )
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import Topic
@@ -251,31 +250,21 @@ def test_an_image_that_waits_for_too_long_is_dropped():
         assert (ends - stamps - took - LATENCY).max() <= most + 2.0 * TICK
 
 
-class SuspendedSegmenter(Segmenter):
+class SuspendedSegmenter(ColorThreshold):
     """Waits in every image until it may go on."""
 
     def __init__(self) -> None:
-        self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
-        self.settled_by = SimpleQueue[str]()
-
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        self._wait()
-        return self._segmenter.start(image, prompt, motion)
+        super().__init__(RED)
+        self.has_begun, self.may_go_on, self.settled_by = Event(), Event(), SimpleQueue[str]()
 
     def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
-        self._wait()
-        return self._segmenter.track(image, motion)
-
-    def settle(self) -> None:
-        self.settled_by.put(current_thread().name)
-
-    def reset(self) -> None:
-        self._segmenter.reset()
-
-    def _wait(self) -> None:
         self.has_begun.set()
         assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()
+        return super().track(image, motion)
+
+    def settle(self) -> None:
+        self.settled_by.put(current_thread().name)
 
 
 class ThreadBench:

@@ -250,7 +250,7 @@ def test_a_box_that_jumps_never_reaches_the_policy_as_motion(has_ages: bool):
     """Another thing, 250 px off, is refused until it can be the same; then it is one that stands still."""
     policy, _ = load_policy(Path("proposed"))
     controller = remembering() if has_ages else PolicyController(policy, UR5E_ALLEGRO)
-    pipeline = pointed(new_pipeline(EverythingRed(), controller))
+    pipeline = pointed(new_pipeline(EverythingRed(RED), controller))
     verdicts, boxes = list[str](), list[torch.Tensor]()
     for step in range(8):
         stamp = step * CONTROL_DT
@@ -267,7 +267,7 @@ def test_a_box_that_jumps_never_reaches_the_policy_as_motion(has_ages: bool):
 
 
 def test_a_box_that_jumps_again_and_again_is_a_problem():
-    pipeline = pointed(new_pipeline(EverythingRed()))
+    pipeline = pointed(new_pipeline(EverythingRed(RED)))
     for step in range(2 * NUM_JUMPS):
         see(pipeline, image(step * CONTROL_DT, 150.0 * (step % 2)), step * CONTROL_DT)
     assert "jumps" in pipeline.sight.problem

@@ -1,83 +1,36 @@
 """A replay decides what the recorded deployment decided."""
 
 import json
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
-from wire_lab import WireLab
+from camera_lab import SteppedBench, default_pipeline
+from loop_lab import HOME, PROFILE, RED, new_pipeline, remembering
 
 from paper_robot import JOINTS
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
-from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
+from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.deployment.replay import compare, played, recorded_targets, replay
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.segmenter import ColorThreshold
-from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import compress, compressed_topic
 from pixel2catch.scene.constants import RGB_CAMERA
-from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import JointTargets, link
-from pixel2catch.servo.process import ServoSetup
-from pixel2catch.workcells import find_workcell
+from pixel2catch.servo.link import JointTargets
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 EPOCH = 1_790_000_000.0
-PERIOD = 17
-"""Ticks from image to image."""
 
 
-def new_pipeline(controller: PolicyController | None = None) -> PolicyPipeline:
-    policy, _ = load_policy(None)
-    controller = controller or PolicyController(policy, find_workcell(PROFILE.workcell))
-    return PolicyPipeline(controller, ColorThreshold(RED), Prompter())
-
-
-def record(folder: Path, images: ImageStorage, pipeline: PolicyPipeline) -> None:
+def record(folder: Path, pipeline: PolicyPipeline) -> None:
     """A second of a robot that stands still, and an object that moves through the image."""
-    broker, clock = Broker(), StepClock(lambda moment: go_on_until(moment))
-    clock.time = EPOCH
-    laboratory, node = broker.node(clock), broker.node(clock)
-    camera = laboratory.publisher(PROFILE.camera.image)
-    prompt = laboratory.publisher(PROFILE.operator.prompt)
-    with BagRecorder(folder) as recorder, ExitStack() as stack:
-        nobody, somebody = link()
-        stack.callback(nobody.close)
-        stack.callback(somebody.close)
-        lab = WireLab(broker.node(clock), nobody, PROFILE, clock)
-        lab.silent.add("control loop")
-        recording = DeploymentRecorder(recorder, node, PROFILE, clock, images)
-        setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
-        servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
-        stack.callback(servo.close)
-        loop = ControlLoop(pipeline, RGB_CAMERA, servo.connection, PROFILE, perception_time=lambda: 0.01)
-        tick = 0
-
-        def go_on_until(moment: float) -> None:
-            nonlocal tick
-            while clock.time < moment:
-                clock.time += setup.limits.dt
-                tick += 1
-                if tick % PERIOD == 0:
-                    shown = picture(tuple(np.add(BOX, 0.1 * tick)))
-                    camera.publish(messages.image(shown, clock.time - 0.015))
-                lab.step()
-                servo.tick()
-                loop.poll()
-
-        go_on_until(EPOCH + 0.1)
-        lab.request_arm()
-        go_on_until(EPOCH + 0.2)
-        prompt.publish(messages.text(json.dumps({"box": list(np.add(BOX, 0.1 * tick))})))
-        go_on_until(EPOCH + 1.0)
+    with BagRecorder(folder) as tape, SteppedBench(pipeline, tape) as bench:
+        bench.laboratory.drift = 0.1
+        bench.run()
+        bench.wait(0.8)
 
 
 def replayed(recording: Path, out: Path, pipeline: PolicyPipeline) -> dict[str, Any]:
@@ -90,8 +43,11 @@ def replayed(recording: Path, out: Path, pipeline: PolicyPipeline) -> dict[str, 
 )
 def test_a_replay_decides_as_it_was_decided(tmp_path: Path, method: str | None, most: float):
     """Policies with ages decide at times that differ by less than a tick."""
-    first, second = (new_pipeline(remembering(method) if method else None) for _ in range(2))
-    record(tmp_path / "then", "raw", first)
+    first, second = (
+        new_pipeline(controller=remembering(method)) if method else default_pipeline(ColorThreshold(RED))
+        for _ in range(2)
+    )
+    record(tmp_path / "then", first)
     report = replayed(tmp_path / "then", tmp_path / "now", second)
     assert report["num_then"] >= 20
     assert report["num_both"] >= report["num_then"] - 1
@@ -127,7 +83,7 @@ def test_a_recording_without_images_is_refused(tmp_path: Path):
 
 
 def test_the_command_reports_the_differences(tmp_path: Path):
-    record(tmp_path / "then", "jpeg", new_pipeline())
+    record(tmp_path / "then", default_pipeline(ColorThreshold(RED)))
     args = ["replay", str(tmp_path / "then"), "--out", str(tmp_path / "now"), "--segmenter", "color"]
     assert main([*args, "--color", "340", "20"]) == 0
     report = json.loads((tmp_path / "now" / "report.json").read_text())
