@@ -49,15 +49,9 @@ def read_changed(kind: Kind, folder: Path, goes_on: Callable[[int], bool]) -> No
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak < MOST_MEMORY
 
 
+@pytest.mark.parametrize("seconds", [0.0, pytest.param(MANY_SECONDS, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.filterwarnings("ignore")  # of libraries
-def test_a_changed_file_is_read_or_refused(name: str, tmp_path: Path):
-    read_changed(KINDS[name], tmp_path, lambda number: number < NUM_CHANGES)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", KINDS)
-@pytest.mark.filterwarnings("ignore")
-def test_many_changed_files_are_read_or_refused(name: str, tmp_path: Path):
-    end = time.monotonic() + MANY_SECONDS
-    read_changed(KINDS[name], tmp_path, lambda _: time.monotonic() < end)
+def test_a_changed_file_is_read_or_refused(name: str, seconds: float, tmp_path: Path):
+    end = time.monotonic() + seconds
+    read_changed(KINDS[name], tmp_path, lambda number: number < NUM_CHANGES or time.monotonic() < end)
