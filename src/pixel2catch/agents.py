@@ -4,7 +4,6 @@ Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
 Differs: the hand is also rewarded for a grasp (ours); the paper's success is a distance only.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,13 +107,6 @@ class AgentSpec:
     @property
     def _rewarded(self) -> tuple[BodyPart, ...]:
         return (*self.parts, *self.teammates)
-
-    def with_weights(self, weights: Mapping[str, float]) -> "AgentSpec":
-        """Return the agent with other weights of reward terms, by the names of `reward_names`."""
-        parts, teammates = (
-            tuple(part.with_weights(weights) for part in several) for several in (self.parts, self.teammates)
-        )
-        return replace(self, parts=parts, teammates=teammates)
 
     def to_dict(self) -> dict[str, Any]:
         """Return names of its observation terms, and weights of its reward terms, ready for JSON."""

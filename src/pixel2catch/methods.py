@@ -9,6 +9,7 @@ from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agen
 from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
+from pixel2catch.mdp.rewards import BodyPart
 from pixel2catch.own_files import catalogue
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -48,7 +49,12 @@ class Method:
         names = {f"{part.name}.{term.name}" for each in agents for part in each.parts for term in part.reward}
         for name in set(weights) - names:
             raise UnknownNameError("reward term", name, sorted(names))
-        return replace(self, agents=tuple(agent.with_weights(weights) for agent in agents))
+
+        def weighted(parts: tuple[BodyPart, ...]) -> tuple[BodyPart, ...]:
+            return tuple(part.with_weights(weights) for part in parts)
+
+        changed = (replace(a, parts=weighted(a.parts), teammates=weighted(a.teammates)) for a in agents)
+        return replace(self, agents=tuple(changed))
 
     @cached_property
     def layouts(self) -> dict[str, observations.ObservationLayout]:
