@@ -1,6 +1,6 @@
 """The web page: what it shows is what is on the wire, and its buttons ask the twin."""
 
-from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -17,49 +17,24 @@ from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.twin import TwinPage
 
 
-class Shown:
-    """A page on a bench."""
+def test_buttons_prepare_and_throw():
+    bench, clock = Bench(CatchEnvCfg()), RealClock()
+    node, cfg = bench.broker.node(clock), PageCfg(address=f"127.0.0.1:{free_port()}")
+    with closing(bench.lab), closing(TwinPage(cfg, PROFILE, node, clock)) as page:
 
-    def __init__(self) -> None:
-        task, clock = CatchEnvCfg(), RealClock()
-        self.bench = Bench(task)
-        self.page = TwinPage(
-            PageCfg(address=f"127.0.0.1:{free_port()}"), PROFILE, self.bench.broker.node(clock), clock
-        )
+        def after(do: str, num_cycles: int = 30) -> dict[str, Any]:
+            """What the page shows of the twin, some cycles after a press."""
+            page._handle({"do": do})
+            bench.cycle(num_cycles)
+            page.update()
+            return page.page.state["twin"]
 
-    @property
-    def twin(self) -> dict[str, Any]:
-        return self.page.page.state["twin"]
-
-    def go_on(self, num_cycles: int = 20) -> None:
-        self.bench.cycle(num_cycles)
-        self.page.update()
-
-
-@pytest.fixture
-def shown() -> Iterator[Shown]:
-    shown = Shown()
-    yield shown
-    shown.page.close()
-    shown.bench.lab.close()
-
-
-def test_buttons_prepare_and_throw(shown: Shown):
-    shown.go_on()
-    assert "the room is empty" in shown.twin["throw"]
-    shown.page._handle({"do": "prepare"})
-    shown.go_on(300)
-    assert shown.bench.lab.phase is Phase.HELD
-    assert shown.twin["seed"] == 1
-    shown.page._handle({"do": "throw"})
-    shown.go_on(30)
-    assert f"{shown.bench.lab.object_name} flying" in shown.twin["throw"]
-    shown.page._handle({"do": "throw"})
-    shown.go_on(30)
-    assert "prepare one" in shown.twin["trouble"]
-    shown.page._handle({"do": "protective_stop"})
-    shown.go_on(30)
-    assert "press resume" in shown.twin["trouble"]
+        assert "the room is empty" in after("resume")["throw"]
+        assert after("prepare", 300)["seed"] == 1
+        assert bench.lab.phase is Phase.HELD
+        assert f"{bench.lab.object_name} flying" in after("throw")["throw"]
+        assert "prepare one" in after("throw")["trouble"]
+        assert "press resume" in after("protective_stop")["trouble"]
 
 
 @pytest.mark.slow
