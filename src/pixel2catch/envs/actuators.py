@@ -11,6 +11,7 @@ from torch import Tensor
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
 from pixel2catch.robots.joint_dynamics import (
+    EFFORT_MARGIN,
     DryFriction,
     JointDynamics,
     command_lag,
@@ -19,9 +20,6 @@ from pixel2catch.robots.joint_dynamics import (
 )
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
-
-EFFORT_MARGIN = 0.999
-"""Share of a joint's effort limit that a servo applies; at the limit itself MuJoCo clamps."""
 
 FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""

@@ -19,6 +19,7 @@ from mujoco.batch import Batch
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, groups_of, held, specs_of
 from pixel2catch.robots.joint_dynamics import (
+    EFFORT_MARGIN,
     DryFriction,
     JointDynamics,
     command_lag,
@@ -26,8 +27,6 @@ from pixel2catch.robots.joint_dynamics import (
     filter_transition,
 )
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
-
-EFFORT_MARGIN = 0.999  # share of a joint's effort limit that a servo uses. Source: `envs/actuators.py`
 
 FIT_DT = 1.0 / 480.0
 """Physics time step of a fit [s]. Source: ours; in excitation up to the torque limits, positions of the arm

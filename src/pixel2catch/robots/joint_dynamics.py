@@ -30,6 +30,7 @@ SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
 
 SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: the controller's setting.
+EFFORT_MARGIN = 0.999  #: Share of a joint's effort limit that a servo applies; at the limit MuJoCo clamps.
 
 LARGEST, LARGEST_OTHER = {"latency": 1.0, "filter_lookahead": 10.0}, 1e9
 """Largest valid values of a parameter, by name and of all others. Source: ours."""
