@@ -145,7 +145,7 @@ def surroundings() -> Iterator[Surroundings]:
         end, servo = link()
         stack.callback(end.close)
         stack.callback(servo.close)
-        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
+        connection = Connection(transport=node, servo=end, clock=clock, recording=None)
         yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock, broker=broker)
 
 

@@ -101,9 +101,7 @@ class Link(Network):
         transport, clock = stack.enter_context(self.join(NODE))
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
-        return Connection(
-            transport=transport, servo=servo, servo_dt=limits.dt, clock=clock, recording=recording
-        )
+        return Connection(transport=transport, servo=servo, clock=clock, recording=recording)
 
     def limits(self, profile: "Profile") -> "ServoLimits":
         """Return the servo's limits for this robot, and print them."""

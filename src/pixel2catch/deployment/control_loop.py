@@ -47,7 +47,6 @@ class Connection:
 
     transport: Transport  #: The node on the network.
     servo: LoopEnd  #: This end of the link to the servo process.
-    servo_dt: float  #: Time between two ticks of the servo [s].
     clock: Clock
     recording: DeploymentRecorder | None
 
@@ -177,7 +176,7 @@ class ControlLoop:
     def _receive(self) -> None:
         """Receive the servo's commands and the operator's prompts."""
         for command in self._connection.receive():
-            self.statistics.note_command(command, self._connection.servo_dt)
+            self.statistics.note_command(command)
             self._images.add_joints(command.time, command.joint_pos)
             self._joint_pos = command.joint_pos
             if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
@@ -270,9 +269,7 @@ class SteppedServo:
         self._ends = loop_end, servo_end = link()
         node, loop_node = nodes
         self._servo = Servo(servo_end, node, setup, clock)
-        self.connection = Connection(
-            transport=loop_node, servo=loop_end, servo_dt=setup.limits.dt, clock=clock, recording=recording
-        )
+        self.connection = Connection(transport=loop_node, servo=loop_end, clock=clock, recording=recording)
 
     def tick(self) -> None:
         """Tick once.

@@ -65,7 +65,7 @@ def follow(
 def _armed_at(connection: Connection, statistics: RunStatistics, before: float) -> float:
     """Count the servo's commands; return when it was armed, `before` or since then [s]."""
     for command in connection.receive():
-        statistics.note_command(command, connection.servo_dt)
+        statistics.note_command(command)
         if command.mode == Mode.STOPPED and before < inf:
             raise DeploymentError(
                 f"the robot was stopped ({', '.join(statistics.stops)}) {command.time - before:.1f} s after "

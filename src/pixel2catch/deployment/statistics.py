@@ -9,6 +9,7 @@ import numpy as np
 
 from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
@@ -90,8 +91,8 @@ class RunStatistics:
         """Keep targets with the stamp of the image that they were decided on."""
         self._sent.append(targets)
 
-    def note_command(self, command: Command, dt: float) -> None:
-        """Count a tick of the servo, whose period is `dt` [s]."""
+    def note_command(self, command: Command) -> None:
+        """Count a tick of the servo."""
         last, self._last = self._last, command
         self.num_ticks += 1
         self._ticks.count(command.duration)
@@ -102,7 +103,7 @@ class RunStatistics:
             self.refusals[", ".join(flag_names(Fault, command.refused))] += 1
         if last is None:
             return
-        self.num_late_ticks += command.time - last.time > 2.0 * dt + 1e-4
+        self.num_late_ticks += command.time - last.time > 2.0 * ServoLimits.dt + 1e-4
         if command.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
             self.stops[", ".join(flag_names(Fault, command.stopped_by))] += 1
         if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
