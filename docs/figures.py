@@ -71,7 +71,7 @@ def fly(cfg: CatchEnvCfg, num_throws: int = 1, seed: int = 0) -> Flights:
     rows: list[tuple[ndarray, ...]] = []
     try:
         observation = env.reset()
-        before, hover = None, env._episode.throw.hover_steps.clone()
+        before, hover = None, env.episode.throw.hover_steps.clone()
         is_over = torch.zeros(num_throws, dtype=torch.bool)
         while not is_over.all():
             step = env.step(policy.act(observation.policy))
