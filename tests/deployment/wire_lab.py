@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from servo_rows import HOME, LIMITS
 
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import decode
@@ -140,25 +141,6 @@ def frozen(reading: messages.JointReading) -> messages.JointReading:
     return replace(reading, stamp=5.0)
 
 
-class ClockOfScript(Clock):
-    """A clock that is stepped by the servo's sleep, which also steps laboratory and script."""
-
-    def __init__(self) -> None:
-        self.time = 1000.0
-        self.script: Iterator[None] = iter(())
-        self.sleep: Callable[[], None] = lambda: None
-
-    def now(self) -> float:
-        return self.time
-
-    def stamp(self) -> float:
-        return 1.7e9 + self.time
-
-    def sleep_until(self, moment: float) -> None:
-        self.time = moment
-        self.sleep()
-
-
 class Cut(Exception):  # noqa: N818
     """The end of a test in the middle of a run."""
 
@@ -167,13 +149,18 @@ class Stage:
     """A servo and a laboratory in memory; `play` runs both, with a script of changes."""
 
     def __init__(self, profile: Profile, ends: tuple[LoopEnd, ServoEnd], is_dry_run: bool = False) -> None:
-        self.clock, self.broker = ClockOfScript(), Broker()
+        self.clock, self.broker = StepClock(self._wait), Broker()
+        self.clock.time, self._sleep = 1000.0, lambda: None
         loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.node = self.broker.node(self.clock)
         self.servo = Servo(end, self.node, setup, self.clock)
         self.laboratory = self.broker.node(self.clock)
         self.lab = WireLab(self.laboratory, loop, profile, self.clock)
+
+    def _wait(self, moment: float) -> None:
+        self.clock.time = moment
+        self._sleep()
 
     def play(self, script: Iterator[None]) -> None:
         """Run until the script has ended and the robot was stopped."""
@@ -183,7 +170,7 @@ class Stage:
             if next(script, Cut) is Cut:
                 self.servo.end()
 
-        self.clock.sleep = sleep
+        self._sleep = sleep
         with suppress(Cut):
             self.servo.run()
         self.lab.step()
