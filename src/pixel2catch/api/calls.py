@@ -155,7 +155,8 @@ def train(
         if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):
             raise InvalidValueError("resume is given with an experiment or a task; leave that out.")
         method_name = method.name if isinstance(method, Method) else named(method)
-        run_there = require_run(Path(out), method=method_name, preset=name, task=task, workcell=cell, **files)
+        names = {"method": method_name, "preset": name, "task": task, "workcell": cell}
+        run_there = require_run(Path(out), files.get("dynamics"), files.get("camera"), **names)
         experiment, name = run_there.experiment, run_there.preset
     elif isinstance(preset, Experiment):
         if (task, workcell, dynamics, camera) != (None, None, None, None):
