@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -214,6 +215,8 @@ def test_what_is_stopped_says_so(
 ):
     with started(line, tmp_path) as process:
         assert process.stdout is not None
+        limit = Timer(120.0, process.kill)  # where the sign never comes
+        limit.start()
         said = []
         for text in process.stdout:
             said.append(text)
@@ -221,6 +224,7 @@ def test_what_is_stopped_says_so(
                 process.send_signal(number)
                 break
         said += process.stdout.readlines()
+        limit.cancel()
     assert process.returncode == status, "".join(said)
     assert words in "".join(said)
     assert "Traceback" not in "".join(said)
