@@ -20,7 +20,7 @@ from pixel2catch.perception.calibration.lens import SQUARE, CharucoBoard, read_i
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
 
 JOINTS = [joint.name for joint in ARM.joints]
@@ -193,20 +193,19 @@ def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, sprea
     assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
 
 
-def show_poses(folder: Path, num: int, done: threading.Event) -> None:
+def show_poses(node: Transport, folder: Path, num: int, done: threading.Event) -> None:
     """Be a camera and an arm on the network: show a pose until its image is there, then the next."""
-    clock, topics = RealClock(), (PROFILE.camera.image, PROFILE.robots[0].state_topic)
-    with make_transport("camera_and_arm", LOOPBACK, clock) as node:
-        image, state = map(node.publisher, topics)
-        for number, joint_pos in enumerate(poses(num, seed=2), start=1):
-            picture = image_of(joint_pos, number)
-            while not (folder / f"pose{number:02d}.png").exists():
-                if done.wait(0.05):
-                    return
-                stamp = clock.stamp()
-                state.publish(messages.joint_state(JOINTS, joint_pos, stamp))
-                image.publish(messages.image(picture, stamp))
-        os.kill(os.getpid(), signal.SIGINT)  # as an operator who has had enough
+    clock = RealClock()
+    image, state = map(node.publisher, (PROFILE.camera.image, PROFILE.robots[0].state_topic))
+    for number, joint_pos in enumerate(poses(num, seed=2), start=1):
+        picture = image_of(joint_pos, number)
+        while not (folder / f"pose{number:02d}.png").exists():
+            if done.wait(0.05):
+                return
+            stamp = clock.stamp()
+            state.publish(messages.joint_state(JOINTS, joint_pos, stamp))
+            image.publish(messages.image(picture, stamp))
+    os.kill(os.getpid(), signal.SIGINT)  # as an operator who has had enough
 
 
 @pytest.mark.slow
@@ -215,15 +214,16 @@ def test_a_camera_on_the_network_is_calibrated_as_the_arm_moves(
 ):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
-    done = threading.Event()
-    robot = threading.Thread(target=show_poses, args=(tmp_path / "views", 8, done), daemon=True)
-    robot.start()
     args = ["--live", "--intrinsics", tmp_path / "lens.json", "--capture", tmp_path / "views"]
-    try:
-        assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
-    finally:
-        done.set()
-        robot.join(PATIENCE)
+    done = threading.Event()
+    with make_transport("camera_and_arm", LOOPBACK, RealClock()) as node:
+        robot = threading.Thread(target=show_poses, args=(node, tmp_path / "views", 8, done), daemon=True)
+        robot.start()
+        try:
+            assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
+        finally:
+            done.set()
+            robot.join(PATIENCE)
     printed = capsys.readouterr()
     assert "8 of 15: wrote pose08.png" in printed.err
     assert "By the arm's motion the squares are" in printed.out
