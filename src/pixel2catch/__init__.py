@@ -11,7 +11,11 @@ Everything is imported where it is first used: `import pixel2catch` alone loads 
 
 import importlib
 import os
+import sys
 from typing import TYPE_CHECKING, Any
+
+#: Whether idle threads of PyTorch, which was imported before, wait in a loop; see `api.threads`.
+WAITS_IN_A_LOOP = "torch" in sys.modules and "OMP_WAIT_POLICY" not in os.environ
 
 # Idle threads of PyTorch, which reads this when imported, sleep: in a loop they take the cores from physics.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

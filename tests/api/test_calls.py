@@ -1,5 +1,7 @@
 """The commands as functions: what is given is used, and what is wrong is named."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,3 +83,32 @@ def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
         with pytest.raises(error, match=words):
             p2c.train("proposed", tmp_path / "run", **given)
     assert [path.name for path in tmp_path.iterdir()] == ["dynamics.json"]
+
+
+IDLE = """
+import time
+import torch
+import pixel2catch
+from pixel2catch.api.threads import let_torch_sleep
+
+def idle_time():
+    start = time.process_time() - time.thread_time()
+    for _ in range(100):
+        torch.ones(2**18).exp()
+        time.sleep(0.003)
+    return time.process_time() - time.thread_time() - start
+
+before = idle_time()
+let_torch_sleep()
+print(before, idle_time())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="GNU OpenMP")
+def test_idle_threads_of_torch_take_no_time(monkeypatch: pytest.MonkeyPatch):
+    """Also where torch was imported first: without the remedy, a second thread waits in a loop."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    done = subprocess.run([sys.executable, "-c", IDLE], capture_output=True, check=True, text=True)
+    before, after = map(float, done.stdout.split())
+    assert after < 0.5 * before

@@ -3,7 +3,7 @@
 import dataclasses
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ from torch import nn
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning.config import PRESETS, TrainCfg
 from pixel2catch.learning.experiment import preset
-from pixel2catch.learning.gradient_step import shuffled
+from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.mdp.tensors import assign
 from pixel2catch.policy import HIDDEN, Policy
@@ -64,6 +64,19 @@ def test_mini_batches_hold_every_transition_once(mappo: Mappo) -> None:
     drawn = torch.cat([batch.values for batch in batches]).tolist()
     assert drawn != sorted(drawn)
     assert sorted(drawn) == list(range(1024))
+
+
+@pytest.mark.parametrize(("form", "error", "slope"), [("clipped", 1.44, 0.0), ("maximum", 4.0, 4.0)])
+def test_only_the_maximum_has_a_gradient_beyond_the_clip(
+    mappo: Mappo, form: Literal["clipped", "maximum"], error: float, slope: float
+) -> None:
+    """Old value 0, new value 1, return -1, clip 0.2: errors (-1 - 0.2)^2 and (-1 - 1)^2."""
+    cfg = dataclasses.replace(SMALL, value_loss=form, value_clip=0.2)
+    batch = mappo.steps["arm"].batch(0)._replace(values=torch.zeros(1), returns=-torch.ones(1))
+    values = torch.ones(1, requires_grad=True)
+    found = value_errors(cfg, batch, values)
+    assert found.item() == pytest.approx(error)
+    assert torch.autograd.grad(found.sum(), values)[0].item() == pytest.approx(slope)
 
 
 FROZEN = {

@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from pixel2catch.api.threads import let_torch_sleep
 from pixel2catch.checks import require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -54,6 +55,7 @@ def make(
         UnknownNameError: A name is in no catalogue.
         InvalidValueError: A value is of another type or out of range.
     """
+    let_torch_sleep()
     _require_named("method", method, Method)
     _require_named("task", task, CatchEnvCfg)
     cfg = find_task(task) if isinstance(task, str) else task
@@ -101,6 +103,7 @@ def evaluate(
     Raises:
         PolicyMismatchError: There is no policy, or it does not fit this code.
     """
+    let_torch_sleep()
     if policy is None or isinstance(policy, str | Path):
         policy = load_policy(policy)
     policy = policy.to(device)
@@ -146,6 +149,7 @@ def train(
         UnknownNameError: A name is in no catalogue, or there is no such option.
         Pixel2CatchError: As `learning.train.train`.
     """
+    let_torch_sleep()
     if unknown := [*(options.keys() - TrainCfg.__dataclass_fields__.keys())]:
         raise UnknownNameError("option", unknown[0], TrainCfg.__dataclass_fields__)
     given = {"dynamics": dynamics, "camera": camera}

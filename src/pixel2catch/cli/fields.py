@@ -22,7 +22,7 @@ TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pix
 """Where the classes of the task's fields are."""
 
 HIDDEN = (
-    *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip"),
+    *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip", "value_loss"),
     *("value_loss_scale", "entropy_scale", "gradient_clip", "report_seconds"),
 )
 """Fields of `TrainCfg` that are no options of `train`; Python and `reproduce --training` set them."""

@@ -76,7 +76,6 @@ REMOVED_OPTIONS = (
     ("train", "--multiccd --no-multiccd", "give --env.scene.multiccd True or --env.scene.multiccd False"),
     ("evaluate stress train transfer", "--physics-hz", "give --env.scene.physics-hz, or --physics-stages"),
     ("train", " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN), "set it by 'reproduce --training'"),
-    ("train", "--value-loss", "leave it out; the error of a value is clipped"),
     ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
     ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),
 )

@@ -152,6 +152,4 @@ def _current(content: dict[str, Any]) -> dict[str, Any]:
         env = env | {"name": train["task"], "scene": env["scene"] | {"physics_hz": stages[0]}}
         moved = ("method", "task", "dynamics", "camera", "latency_steps", "cone", "multiccd")
         train = {name: value for name, value in train.items() if name not in moved}
-    if train.pop("value_loss", "clipped") != "clipped":
-        raise InvalidValueError("its value_loss is not 'clipped'")
-    return content | {"train": train, "env": env}
+    return content | {"train": {"value_loss": "clipped"} | train, "env": env}
