@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +20,9 @@ from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.transport import Topic
+
+if TYPE_CHECKING:
+    from pixel2catch.robots.spec import JointSpec
 
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
 COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of messages that drivers take as commands.
@@ -258,6 +261,28 @@ class OperatorTopics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Place:
+    """A place over which the hand releases what it holds: positions of arm joints, or of the first palm."""
+
+    #: Arm joints by their names in the work cell [rad]; the others are in their start pose.
+    joints: dict[str, float] = field(default_factory=dict)
+    palm: tuple[float, float, float] | None = None  #: Position in the world [m]; the palm faces down.
+
+    def require_valid(self, name: str, arm: Mapping[str, "JointSpec"]) -> None:
+        """Refuse joints that no arm has, angles out of range, and a place without or with both."""
+        if bool(self.joints) == bool(self.palm):
+            raise InvalidValueError(f"places.{name}: give joints or palm, one of them")
+        for joint, angle in self.joints.items():
+            if joint not in arm:
+                raise UnknownNameError("arm joint", joint, arm)
+            if not arm[joint].lower <= angle <= arm[joint].upper:
+                raise InvalidValueError(
+                    f"places.{name}: {joint} is {angle:g}; it may be {arm[joint].lower:g} to "
+                    f"{arm[joint].upper:g} rad"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Profile:
     """A robot with its drivers and its camera."""
 
@@ -267,6 +292,7 @@ class Profile:
     robots: tuple[RobotPart, ...]  #: A driver for each joint group.
     status: StatusTopics = StatusTopics()
     operator: OperatorTopics = OperatorTopics()
+    places: dict[str, Place] = field(default_factory=dict)  #: Places to release an object over, by name.
 
     def __post_init__(self) -> None:
         """Fill in the joint order; refuse joints that are not in the work cell, or driven twice."""
@@ -284,6 +310,9 @@ class Profile:
                 part.require_complete()
             except Pixel2CatchError as error:
                 raise InvalidValueError(f"robots[{i}]: {error}") from error
+        arm = {each.name: each for group in workcell.groups if group.role == "arm" for each in group.joints}
+        for name, place in self.places.items():
+            place.require_valid(name, arm)
         _require_once("the joint", (joint for part in parts for joint in part.joints))
         _require_once("the command topic", (part.command_topic.name for part in parts))
 
