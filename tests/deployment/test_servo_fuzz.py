@@ -1,26 +1,31 @@
 """No command exceeds a limit, for any inputs."""
 
 from copy import deepcopy
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from chaos import Chaos
-from hypothesis import given, settings
+from hypothesis import given as examples
+from hypothesis import settings
 from hypothesis import strategies as st
 from laws import Laws
 from mishaps import MISHAPS, one
-from servo_rows import LIMITS, Lab
+from servo_rows import LIMITS, Lab, given
 
 from paper_robot import JOINTS
+from pixel2catch.ros2.profile import MotionBudget, Profile
+from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Clamp, Fault, Mode
 from pixel2catch.servo.tick import ServoCore, ServoState
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
-def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:
+def watched(num_rows: int, num_ticks: int, seed: int, limits: ServoLimits = LIMITS) -> Laws:
     """Check `num_rows * num_ticks` ticks of random inputs."""
-    core, state = ServoCore(LIMITS), ServoState.idle(num_rows, LIMITS)
-    chaos, laws = Chaos(num_rows, LIMITS, seed), Laws(num_rows, LIMITS)
+    core, state = ServoCore(limits), ServoState.idle(num_rows, limits)
+    chaos, laws = Chaos(num_rows, limits, seed), Laws(num_rows, limits)
     for _ in range(num_ticks):
         inputs = chaos.inputs()
         state = output = core.tick(state, inputs)
@@ -48,8 +53,8 @@ def watch(lab: Lab, laws: Laws, num_ticks: int, mishap: int | None = None) -> No
 
 
 @cache
-def running() -> tuple[Lab, Laws]:
-    lab, laws = Lab(), Laws(1, LIMITS)
+def running(limits: ServoLimits = LIMITS) -> tuple[Lab, Laws]:
+    lab, laws = Lab(limits=limits), Laws(1, limits)
     watch(lab, laws, 1)
     output = lab.request_arm()
     laws.check(lab.last_inputs, output)
@@ -58,7 +63,7 @@ def running() -> tuple[Lab, Laws]:
 
 
 @settings(max_examples=8)
-@given(
+@examples(
     st.lists(
         st.tuples(
             st.sampled_from([None, *range(len(MISHAPS))]),
@@ -81,6 +86,34 @@ def test_no_sequence_of_faults_breaks_a_law(story: list[tuple[int | None, list[f
 
 def test_no_law_is_broken_in_two_hundred_thousand_ticks():
     check_that_everything_happened(watched(num_rows=1000, num_ticks=200, seed=0))
+
+
+def slow_limits(dt: float) -> ServoLimits:
+    """Limits of an arm with the acceleration and jerk of an FR3's interface."""
+    budget = MotionBudget(acceleration=10.0, jerk=5000.0)
+    arm = replace(Profile.load("ur5e_allegro_v4").robots[0], limits=budget)
+    return replace(LIMITS, joints=JointLimits.of(UR5E_ALLEGRO, parts=(arm,)), dt=dt)
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.002])
+def test_no_law_is_broken_where_braking_takes_nearly_the_whole_stop_time(dt: float):
+    limits = slow_limits(dt)
+    assert (limits.joints.speed[:6] / limits.joints.acceleration[:6] > 0.28).all()
+    laws = watched(150, 500, seed=3, limits=limits)
+    assert laws.ticks_in[Mode.STOPPED] > 0.1 * laws.ticks_in.sum()
+    assert min(laws.reached.values()) > 0.9, laws.reached
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.002])
+def test_a_stop_ends_in_time_though_the_arm_is_dragged_on(dt: float):
+    """Commands follow the joints at first, and must still brake by 10 rad/s² in what is left of 0.3 s."""
+    lab, laws = running(slow_limits(dt))
+    lab.is_held_fast[:6] = True
+    for _ in range(round(0.4 / dt)):
+        lab.joint_pos[:, :6] += 2.5 * dt * np.array((1.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+        output = lab.tick(given(is_stop_requested=np.ones(1, dtype=bool)))
+        laws.check(lab.last_inputs, output)
+    assert Mode.STOPPED in laws.mode
 
 
 @pytest.mark.slow

@@ -349,13 +349,19 @@ def target_speed(robot: Record, joint: Record, limit: Record) -> float:
 
 @compiled
 def stop_speed(robot: Record, joint: Record, limit: Record) -> float:
-    """Return the speed that brings a joint to rest [rad/s], from its position if that is measured."""
+    """Return the speed that brings a joint to rest [rad/s], from its position if that is measured.
+
+    It is at most the speed from which braking ends within `STOP_TIME`.
+    """
     time = robot.ticks * limit.dt
     left = limit.stop_time - time
-    if not (robot.is_returning and time < RETURN_TIME):
+    if robot.is_returning and time < RETURN_TIME:
+        speed = joint.speed - joint.lead / limit.stop_time if left > 0.0 else 0.0
+        back = joint.joint_pos + joint.lead * max(left / limit.stop_time, 0.0) + speed * limit.time_ahead
+        back = clipped(back, joint.hold - limit.stop_reach, joint.hold + limit.stop_reach)
+        speed += speed_to(joint.position, clipped(back, limit.lower, limit.upper), limit)
+    else:
         slower = clipped(joint.velocity, -limit.even_speed, limit.even_speed)
-        return slower * max(1.0 - limit.dt / max(left, limit.dt), 0.0)
-    speed = joint.speed - joint.lead / limit.stop_time if left > 0.0 else 0.0
-    back = joint.joint_pos + joint.lead * max(left / limit.stop_time, 0.0) + speed * limit.time_ahead
-    back = clipped(back, joint.hold - limit.stop_reach, joint.hold + limit.stop_reach)
-    return speed + speed_to(joint.position, clipped(back, limit.lower, limit.upper), limit)
+        speed = slower * max(1.0 - limit.dt / max(left, limit.dt), 0.0)
+    fastest = limit.change * max(STOP_TIME / limit.dt - limit.window - robot.ticks, 0.0)
+    return clipped(speed, -fastest, fastest)

@@ -21,6 +21,9 @@ from pixel2catch.servo.workspace import Workspace
 
 LOSS_TIME = 3.0  #: Age of the newest box after which the object is lost [s]. Source: ours; over a throw.
 BEYOND_TRAVEL = 0.3  #: Possible motion of a joint beyond its travel [rad]. Source: ours, for soft fingers.
+BRAKING_MARGIN = (
+    0.01  #: Part of the stop time that braking from full speed leaves [s]. Source: ours; five ticks.
+)
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
@@ -60,7 +63,7 @@ class JointLimits:
         lower, upper: the spec. Where an arm joint turns by whole half turns, that is the end of its travel
             (UR), and `TRAVEL_MARGIN` is kept from it.
         speed, acceleration: ours, proportional to the share of the speed; lower for arms that are not
-            identified (experiments/LOG.md).
+            identified (experiments/LOG.md), and so low that braking ends within the stop time.
         jerk: ours. The acceleration of an arm may reverse in 10 ms, which delays commands by 4 ms; that of a
             finger in a tick, as the slowest driver of a hand takes every fifth command.
         deceleration: ours. For an arm five times that of UR's driver after the last command; at full speed
@@ -129,20 +132,23 @@ class JointLimits:
         full_speed = np.array([joint.velocity_limit for joint in workcell.joints])
         most = _allowed(workcell, parts)
         own_speed = share * np.minimum(full_speed, most["speed"])
-        even_speed = SPEED_MARGIN * own_speed
         part = own_speed / full_speed
         acceleration = np.minimum(
             part * each(1000.0 if is_identified else 300.0, 2000.0), most["acceleration"]
         )
+        jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
+        stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
+        even_speed = np.minimum(SPEED_MARGIN * own_speed, stoppable)
+        speed = np.minimum(part * each(10.0, 20.0), stoppable) if is_identified else even_speed
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
-            speed=part * each(10.0, 20.0) if is_identified else even_speed,
+            speed=speed,
             acceleration=acceleration,
-            jerk=np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"]),
+            jerk=jerk,
             deceleration=np.minimum(np.maximum(each(20.0, 100.0), even_speed / RETURN_TIME), acceleration),
             step=each(0.03, 0.04),
             lag=lag,
@@ -214,16 +220,11 @@ class ServoLimits:
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""
         motion = self.joint_records
-        braking = float(np.max(motion["speed"] / motion["acceleration"] + motion["window"] * self.dt))
-        if braking > STOP_TIME - RETURN_TIME:
+        braking = motion["speed"] / motion["acceleration"] + motion["window"] * self.dt
+        if (slowest := float(np.maximum(braking, motion["stop_time"]).max())) > STOP_TIME:
             raise InvalidValueError(
-                f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until "
-                f"it takes {STOP_TIME - RETURN_TIME:.1f} s"
-            )
-        if (slowest := float(np.max(motion["stop_time"]))) > RETURN_TIME + self.dt:
-            raise InvalidValueError(
-                f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed "
-                f"until it takes {RETURN_TIME:.1f} s"
+                f"a stop takes a joint up to {slowest:.3f} s; raise acceleration, jerk and deceleration or "
+                f"lower the speed until it takes {STOP_TIME:.1f} s"
             )
 
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
