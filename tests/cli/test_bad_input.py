@@ -81,7 +81,7 @@ BAD = [
     # options that contradict each other, or would be ignored
     ("play --web --out film.mp4", "leave out --out, or --web"),
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
-    ("export --objects cube_s", "need --format lerobot"),
+    ("export --format lerobot", "companions/datasets/to_lerobot.py"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
     ("rehearse --plain --out {new}", "--plain needs --lockstep"),
     ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),

@@ -48,6 +48,11 @@ REMOVED_OPTIONS = (
     ("doctor", "--camera", "run 'pixel2catch track 0 --seconds 3'"),
     ("doctor", "--checkpoint", "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'"),
     ("evaluate", "--html", "give --out FILE.json; 'pixel2catch play' draws throws"),
+    (
+        "export",
+        "--format --images --objects --seed --throws --profile",
+        "run 'python companions/datasets/to_lerobot.py'; ONNX needs no --format",
+    ),
     ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
     ("identify", "--hold-out", "leave it out; the last recording judges the fit"),
     ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),

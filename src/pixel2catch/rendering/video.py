@@ -54,14 +54,13 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
 class VideoWriter(AbstractContextManager["VideoWriter"]):
     """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
 
-    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23, gop: int | None = None) -> None:
+    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
         """Open the file; its ending names the container, such as .mp4.
 
         Args:
             path: The file.
             fps: Pictures per second.
             crf: Constant rate factor; a lower one is better and gives a larger file.
-            gop: Distance of pictures from which a reader can begin; by default the encoder's.
 
         Raises:
             InvalidValueError: The folder does not exist, or the ending names no format.
@@ -72,7 +71,7 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
             self._container = av.open(str(path), "w")
         except ValueError as error:
             raise InvalidValueError(f"cannot write '{path}': {error}; end its name in .mp4.") from error
-        options = {"crf": str(crf)} | ({"g": str(gop)} if gop else {})
+        options = {"crf": str(crf)}
         self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
         self._stream.pix_fmt = "yuv420p"
         self._is_sized = False

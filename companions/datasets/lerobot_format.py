@@ -1,6 +1,6 @@
-"""A writer of LeRobot data sets: format 3.0, as its class `LeRobotDataset` loads them. Needs pyarrow.
+"""Write data sets in LeRobot's format 3.0, as its class `LeRobotDataset` loads them. Needs pyarrow.
 
-The package `lerobot` (0.4.4) is no dependency: it needs older versions of PyTorch and PyAV than this package.
+The package `lerobot` (0.4.4) is not needed: it needs older versions of PyTorch and PyAV than pixel2catch.
 
 FOLDER/meta/info.json, stats.json      features and their statistics
 FOLDER/meta/tasks.parquet              the tasks in words
@@ -12,17 +12,16 @@ FOLDER/videos/KEY/chunk-000/...        the images of all episodes, one after the
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
+import pyarrow
+from pyarrow import parquet
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES
-from pixel2catch.camera.image import Pixels
-from pixel2catch.files import json_text, require_free_folder
-from pixel2catch.rendering.video import VideoWriter
-from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.constants import CONTROL_DT
+import pixel2catch as p2c
 
 STATE = "observation.state"  #: Measured joint positions [rad].
 ACTION = "action"  #: Joint targets of the policy [rad].
@@ -33,7 +32,7 @@ DONE = "next.done"  #: Whether the episode ends with this step.
 SUCCESS = "next.success"  #: Whether it ends with a catch; in simulation only.
 IMAGES = "observation.images.rgb"  #: Image of the robot's camera.
 
-FPS = round(1.0 / CONTROL_DT)  #: Control steps per second.
+FPS = round(1.0 / p2c.constants.CONTROL_DT)  #: Control steps per second.
 FILE = "chunk-000/file-000"  #: Name of the only file of data, of episodes, and of images.
 VIDEO = f"videos/{IMAGES}/{FILE}.mp4"
 PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"  #: Pattern of such names in the format.
@@ -45,11 +44,14 @@ PANDAS = {"index_columns": [TASK_NAMES], "columns": [INDEX], "pandas_version": "
 SAMPLED = (5, 16)  #: Statistics use every 5th image, and every 16th row and column. Source: ours.
 
 
-Episode = tuple[str, Mapping[str, np.ndarray], Iterable[Pixels]]
-"""A task in words, numbers or booleans by feature, (num_steps, size), and an image for each step, or none."""
+Episode = tuple[str, Mapping[str, np.ndarray], Iterable[np.ndarray]]
+"""A task in words, numbers or booleans by feature, (num_steps, size), and an image for each step, or none.
+
+Images have a height and a width that are even, and three bytes for each pixel: (height, width, 3).
+"""
 
 
-def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episode]) -> tuple[int, int]:
+def write_dataset(folder: Path, workcell: p2c.WorkcellSpec, episodes: Iterable[Episode]) -> tuple[int, int]:
     """Write a data set of a work cell's robots into a new or empty folder.
 
     Images are written at once, everything else at the end. All episodes have the same features, and steps.
@@ -58,7 +60,7 @@ def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episo
         The number of episodes, and of control steps.
 
     Raises:
-        InvalidValueError: The folder is not empty or cannot be made.
+        OSError: The folder has files, or cannot be made.
     """
     require_free_folder(folder)
     tasks, parts, images = list[str](), list[Mapping[str, np.ndarray]](), _Images(folder)
@@ -77,8 +79,15 @@ def write_dataset(folder: Path, workcell: WorkcellSpec, episodes: Iterable[Episo
         features[IMAGES], statistics[IMAGES] = ("video", images.shape), images.statistics()
     contents = {"info": _info(workcell, features, lengths, tasks), "stats": statistics}
     for name, content in contents.items():
-        (folder / "meta" / f"{name}.json").write_text(json_text(content))
+        (folder / "meta" / f"{name}.json").write_text(json.dumps(content, indent=2, default=int))
     return len(parts), int(lengths.sum())
+
+
+def require_free_folder(folder: Path) -> None:
+    """Make a folder; raise OSError if it has files, or cannot be made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise FileExistsError(f"'{folder}' has files; give another --out, or empty it")
 
 
 class _Images(ExitStack):
@@ -86,21 +95,30 @@ class _Images(ExitStack):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        self._path, self._video = folder / VIDEO, None
+        self._path, self._stream = folder / VIDEO, None
         self.shape = list[int]()
         self.samples = list[np.ndarray]()  #: Of each image that counts in the statistics, (num_pixels, 3).
 
-    def add(self, images: Iterable[Pixels]) -> None:
+    def add(self, images: Iterable[np.ndarray]) -> None:
         """Write the images of an episode."""
         every, stride = SAMPLED
         for number, image in enumerate(images):
-            if self._video is None:
-                self._path.parent.mkdir(parents=True)
-                self._video = self.enter_context(VideoWriter(self._path, fps=FPS, gop=GOP))
+            if self._stream is None:
                 self.shape = list(image.shape)
-            self._video.write(image)
+                self._stream = self._opened()
+            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
             if number % every == 0:
                 self.samples.append(image[::stride, ::stride].reshape(-1, 3))
+
+    def _opened(self) -> Any:
+        """Open the video, which this context completes."""
+        self._path.parent.mkdir(parents=True)
+        self._container = self.enter_context(av.open(str(self._path), "w"))
+        stream: Any = self._container.add_stream("libx264", rate=Fraction(FPS), options={"g": str(GOP)})
+        stream.height, stream.width, _ = self.shape
+        stream.pix_fmt = "yuv420p"
+        self.callback(lambda: self._container.mux(stream.encode()))
+        return stream
 
     def statistics(self) -> dict[str, Any]:
         """Return statistics of shares of full brightness, (3, 1, 1); images are counted."""
@@ -141,9 +159,6 @@ def _episodes(lengths: np.ndarray, tasks: Sequence[str], *, has_video: bool) -> 
 def _write_tables(
     folder: Path, columns: Mapping[str, np.ndarray], episodes: Mapping[str, Any], tasks: Sequence[str]
 ) -> None:
-    import pyarrow
-    from pyarrow import parquet
-
     names = list(dict.fromkeys(tasks))
     named = pyarrow.table({"task_index": np.arange(len(names)), TASK_NAMES: names})
     flat = {name: pyarrow.array(values.reshape(-1)) for name, values in columns.items()}
@@ -162,12 +177,12 @@ def _write_tables(
 
 
 def _info(
-    workcell: WorkcellSpec,
+    workcell: p2c.WorkcellSpec,
     features: Mapping[str, tuple[str, list[int]]],
     lengths: np.ndarray,
     tasks: Sequence[str],
 ) -> dict[str, Any]:
-    joints, seen = workcell.joint_names, ["xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES]
+    joints, seen = workcell.joint_names, ["xmin", "ymin", "xmax", "ymax", *p2c.PIXEL_FEATURES]
     names = {STATE: joints, ACTION: joints, SEEN: seen, IMAGES: ("height", "width", "channels")}
     return {
         "codebase_version": "v3.0",

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, write_dataset
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+import pixel2catch as p2c
+from lerobot_format import ACTION, IMAGES, STATE, write_dataset
 
+UR5E_ALLEGRO = p2c.find_workcell("ur5e_allegro")
 NUM_JOINTS = len(UR5E_ALLEGRO.joints)
 COLORS = ((200, 0, 0), (0, 200, 0), (0, 0, 200))
 
