@@ -105,7 +105,7 @@ class Node:
                 node_name=each.node.get_name(),
                 topic_type=each.topic.type,
                 qos_profile=each.qos_profile,
-                endpoint_gid=[*id(each).to_bytes(16)],
+                endpoint_gid=[*id(each.node).to_bytes(12), *(id(each) % 2**32).to_bytes(4)],
             )
             for each in self._all()
             if each.topic.name == topic_name and publish == (each.callback is None)

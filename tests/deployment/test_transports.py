@@ -106,13 +106,14 @@ def test_other_publishers_are_counted_and_named_and_messages_have_their_sender(m
         senders[-1].publish(messages.number(0.0))
 
 
-def test_subscribers_are_counted_except_watching_ones(make: MakeNode):
+def test_programs_that_subscribe_are_counted_except_watching_ones(make: MakeNode):
+    """The node of the Allegro V5 subscribes twice, and is one program."""
     mine, other, third, watcher = (make(name) for name in ("mine", "other", "third", "pixel2catch"))
     publisher = mine.publisher(NUMBER)
     assert publisher.num_subscribers() == 0
     watching = watcher.subscription(NUMBER, only_watches=True)
     watcher.num_other_publishers(NUMBER)
-    for node in (other, third):
+    for node in (other, other, third):
         node.subscription(NUMBER)
     third.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
     third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not fit
@@ -121,6 +122,8 @@ def test_subscribers_are_counted_except_watching_ones(make: MakeNode):
     wait_until(lambda: numbers(watching) == [1.0])
     third.close()
     wait_until(lambda: publisher.num_subscribers() == 1)
+    programs = [each.program for each in mine.endpoints() if each.topic == NUMBER.name]
+    assert (len(programs), len({*programs})) == (2, 1)
 
 
 def test_endpoints_of_others_are_listed(make: MakeNode):

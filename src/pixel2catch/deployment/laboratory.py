@@ -102,9 +102,10 @@ class Survey:
 
     def require_endpoints(self, topic: Topic, *, publish: bool, most: float = 1) -> None:
         """Refuse a topic without publishers, or subscribers, with another type, or with too many of them."""
-        verb, noun = ("publishes", "publishers") if publish else ("receives", "subscribers")
+        verb, noun = ("publishes", "publishers") if publish else ("receives", "receiving programs")
         others = [each for each in self.endpoints if each.is_publisher == publish]
-        found = [each.type for each in others if each.topic == topic.name]
+        named = [each for each in others if each.topic == topic.name]
+        found = [each.type for each in named]
         if not found:
             alike = ", ".join(sorted({each.topic for each in others if each.type == topic.type}))
             hint = f"somebody {verb} {topic.type} on {alike}" if alike else "nor any topic of that type"
@@ -113,8 +114,8 @@ class Survey:
             raise Broken(
                 f"{topic.name} is of type {', '.join(wrong)}, the profile has {topic.type}: correct it"
             )
-        if len(found) > most:
-            raise Broken(f"{len(found)} {noun} of {topic.name}: one may be; end the others")
+        if (count := len(found) if publish else len({each.program for each in named})) > most:
+            raise Broken(f"{count} {noun} of {topic.name}: one may be; end the others")
 
     def messages_of(self, topic: Topic, most: float = 1) -> list[tuple[float, Any]]:
         """Return arrivals and contents of a topic with one publisher, or up to a number."""

@@ -218,7 +218,10 @@ class DdsTransport(Transport):
                 if is_other and each.topic_name.startswith("rt/") and not _only_watches(each.qos):
                     name = each.topic_name.removeprefix("rt")
                     ros_type = each.type_name.removesuffix("_").replace("dds_::", "").replace("::", "/")
-                    found.append(Endpoint(topic=name, type=ros_type, is_publisher=is_publisher))
+                    program = str(each.participant_key)
+                    found.append(
+                        Endpoint(topic=name, type=ros_type, is_publisher=is_publisher, program=program)
+                    )
         return found
 
     def _listed(self, kind: Any) -> list[Any]:
@@ -254,7 +257,7 @@ class _DdsPublisher(Publisher):
     def __init__(self, topic: Topic, writer: DataWriter) -> None:
         self._topic, self._writer = topic, writer
         self._type = dds_type(topic.type)
-        self._takes: dict[int, bool] = {}
+        self._programs: dict[int, str] = {}
 
     def publish(self, data: bytes) -> None:
         try:
@@ -265,13 +268,16 @@ class _DdsPublisher(Publisher):
 
     def num_subscribers(self) -> int:
         handles = self._writer.get_matched_subscriptions()
-        known = self._takes  # each subscription is examined once
-        self._takes = {each: known.get(each) or self._is_taken_by(each) for each in handles}
-        return sum(self._takes.values())
+        known = self._programs  # each subscription is examined once
+        self._programs = {each: known.get(each) or self._program(each) for each in handles}
+        return len({program for program in self._programs.values() if program})
 
-    def _is_taken_by(self, handle: int) -> bool:
+    def _program(self, handle: int) -> str:
+        """Return the participant of a subscription; its own number if unknown, empty if it only watches."""
         found = self._writer.get_matched_subscription_data(handle)
-        return not (found and _only_watches(found.qos))
+        if not found:
+            return str(handle)
+        return "" if _only_watches(found.qos) else str(found.participant_key)
 
 
 @final

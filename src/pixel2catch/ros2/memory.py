@@ -108,9 +108,12 @@ class MemoryTransport(Transport):
         """See `Transport.endpoints`."""
         with self.broker.lock:
             others = [node for node in self.broker.nodes if node is not self]
-            found = [(each.topic, True) for node in others for each in node.publishers]
-            found += [(each.topic, False) for node in others for each in node.queues if not each.only_watches]
-        return [Endpoint(topic=topic.name, type=topic.type, is_publisher=sends) for topic, sends in found]
+            found = [(node, each.topic, True) for node in others for each in node.publishers]
+            found += [(node, each.topic, False) for node in others for each in node.queues if not each.only_watches]
+        return [
+            Endpoint(topic=topic.name, type=topic.type, is_publisher=sends, program=str(id(node)))
+            for node, topic, sends in found
+        ]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
@@ -135,16 +138,16 @@ class _MemoryPublisher(Publisher):
             if self._node not in broker.nodes:
                 raise DeploymentError(f"{self.topic.name} cannot be sent: its node is closed.")
             self.last = data
-            for queue in self._queues():
+            for queue in (queue for node in broker.nodes for queue in self._queues(node)):
                 queue.put(data, sender=self.number)
 
     def num_subscribers(self) -> int:
         with self._node.broker.lock:
-            return sum(not queue.only_watches for queue in self._queues())
+            nodes = self._node.broker.nodes
+            return sum(not all(queue.only_watches for queue in self._queues(node)) for node in nodes)
 
-    def _queues(self) -> list[MessageQueue]:
-        queues = (each for node in self._node.broker.nodes for each in node.queues)
-        return [each for each in queues if _fits(self.topic, each.topic)]
+    def _queues(self, node: MemoryTransport) -> list[MessageQueue]:
+        return [each for each in node.queues if _fits(self.topic, each.topic)]
 
 
 def _is_same(one: Topic, other: Topic) -> bool:

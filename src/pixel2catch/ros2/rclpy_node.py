@@ -88,7 +88,9 @@ class RosTransport(Transport):
             both = ((node.get_publishers_info_by_topic, True), (node.get_subscriptions_info_by_topic, False))
             for list_of, is_publisher in both:
                 found += [
-                    Endpoint(topic=name, type=each.topic_type, is_publisher=is_publisher)
+                    Endpoint(
+                        topic=name, type=each.topic_type, is_publisher=is_publisher, program=_program(each)
+                    )
                     for each in list_of(name)
                     if each.node_name != node.get_name()
                     and (is_publisher or not each.node_name.startswith(OWN_NODES))
@@ -130,7 +132,8 @@ class _RosPublisher(Publisher):
 
     def num_subscribers(self) -> int:
         found = self._node.get_subscriptions_info_by_topic(self._topic.name)
-        return sum(self._is_taken_by(each) for each in found if not each.node_name.startswith(OWN_NODES))
+        others = (each for each in found if not each.node_name.startswith(OWN_NODES))
+        return len({_program(each) for each in others if self._is_taken_by(each)})
 
     def _is_taken_by(self, subscription: Any) -> bool:
         """Return whether a subscription receives these messages."""
@@ -138,6 +141,14 @@ class _RosPublisher(Publisher):
 
         is_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
         return subscription.topic_type == self._topic.type and self._topic.is_latched >= is_latched
+
+
+def _program(endpoint: Any) -> str:
+    """Return the participant of an endpoint: the first twelve bytes of its identifier.
+
+    Source: DDS-RTPS, GuidPrefix. A middleware that is no DDS may give each endpoint another prefix.
+    """
+    return bytes(endpoint.endpoint_gid)[:12].hex()
 
 
 def _type(topic: Topic) -> Any:

@@ -98,6 +98,7 @@ class Endpoint:
     topic: str  #: ROS name.
     type: str  #: ROS type.
     is_publisher: bool
+    program: str  #: Its program, by its DDS participant: a program may have several endpoints of a topic.
 
 
 class Publisher(ABC):
@@ -109,7 +110,10 @@ class Publisher(ABC):
 
     @abstractmethod
     def num_subscribers(self) -> int:
-        """Return the number of subscriptions that receive its messages, without those that only watch."""
+        """Return the number of programs that receive its messages, without those that only watch.
+
+        A program may have several subscriptions: it is counted by its DDS participant.
+        """
 
 
 class Subscription(ABC):
