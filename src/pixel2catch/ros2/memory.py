@@ -109,7 +109,9 @@ class MemoryTransport(Transport):
         with self.broker.lock:
             others = [node for node in self.broker.nodes if node is not self]
             found = [(node, each.topic, True) for node in others for each in node.publishers]
-            found += [(node, each.topic, False) for node in others for each in node.queues if not each.only_watches]
+            found += [
+                (node, each.topic, False) for node in others for each in node.queues if not each.only_watches
+            ]
         return [
             Endpoint(topic=topic.name, type=topic.type, is_publisher=sends, program=str(id(node)))
             for node, topic, sends in found
