@@ -1,13 +1,13 @@
 """Faults of messages and senders, and the fault bit with which the servo stops."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from servo_rows import HOME, LIMITS
-from wire_lab import Cut, Stage, frozen, twice, wait, without_elbow
+from wire_lab import Stage, taken
 
 from pixel2catch.ros2 import messages
 from pixel2catch.servo.limits import STOP_TIME
@@ -64,6 +64,10 @@ def add_status_publisher(stage: Stage) -> None:
     stage.broker.node(stage.clock).publisher(topic).publish(messages.safety_mode(1))
 
 
+def without_elbow(reading: messages.JointReading) -> messages.JointReading:
+    return taken(reading, [place for place, name in enumerate(reading.names) if name != "elbow_joint"])
+
+
 def with_2000_joints(reading: messages.JointReading) -> messages.JointReading:
     """Return a joint state with 2,000 more joints."""
     others = tuple(f"joint_{i}" for i in range(2000))
@@ -92,12 +96,28 @@ def send_garbage(stage: Stage) -> None:
     lab.silent.add("arm")
 
 
+def add_operator(stage: Stage) -> None:
+    """A pedal was killed, and another node still sends that the switch is held."""
+    topic = stage.lab.profile.operator.dead_man
+    stage.lab.silent.add(topic.name)
+    publisher = stage.broker.node(stage.clock).publisher(topic)
+    stage.each_tick = lambda: publisher.publish(messages.boolean(True))
+
+
+def age_switch(stage: Stage) -> None:
+    """Messages of the switch that were sent 0.3 s ago."""
+    topic = stage.lab.profile.operator.dead_man
+    stage.lab.silent.add(topic.name)
+    (switch,) = [each for each in stage.node.queues if each.topic == topic]
+    stage.each_tick = lambda: switch.put(messages.boolean(True), age=0.3)
+
+
 FAULTS = {
     "arm gone": (silence("arm"), "joints stale"),
     "joint missing": (joints(without_elbow), "joints stale"),
-    "joint states frozen": (joints(frozen), "joints stale"),
+    "joint states frozen": (joints(lambda reading: replace(reading, stamp=5.0)), "joints stale"),
     "joint states send_garbage": (send_garbage, "joints stale"),
-    "joint twice": (joints(twice), "joints stale"),
+    "joint twice": (joints(lambda reading: taken(reading, [*range(len(reading.names)), 0])), "joints stale"),
     "joints without end": (joints(with_2000_joints), "joints stale"),
     "protective stop": (sends("safety_mode", messages.safety_mode(3)), "safety mode"),
     "robot idle": (sends("robot_mode", messages.robot_mode(5)), "safety mode"),
@@ -112,49 +132,33 @@ FAULTS = {
     "other publisher": (add_publisher, "other publisher"),
     "dead man let go": (release_switch, "dead man"),
     "dead man silent": (silence("/pixel2catch/dead_man"), "dead man"),
+    "dead man old": (age_switch, "dead man"),
+    "two operators": (add_operator, "other operator"),
     "operator stops": (sends("stop", messages.boolean(True)), "stop request"),
 }
 """Each fault, and the only bit that is set."""
 
 
-def stopped_by(stage: Stage, happens: Callable[[Stage], None], num_ticks: int) -> tuple[str, ...]:
-    """Return the bits of the stop by a fault that happens so many ticks after arming."""
-
-    def script() -> Iterator[None]:
-        yield from stage.armed(num_ticks)
-        happens(stage)
-        for _ in range(130):
-            yield
-            if stage.mode == Mode.STOPPED:
-                raise Cut
-
-    stage.play(script())
-    return stage.stopped_by
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_stops_the_robot_with_its_own_bit(fault: str, stage: Stage):
     happens, reason = FAULTS[fault]
-    assert stopped_by(stage, happens, 5) == (reason,)
+    stage.arm()
+    happens(stage)
+    stage.wait(130)
+    assert stage.stopped_by == (reason,)
 
 
 def test_repeated_and_older_joint_states_are_ignored(stage: Stage):
     """Such as from a recording that is played while joints move."""
     lab, said = stage.lab, deque[messages.JointReading](maxlen=200)
     lab.change = lambda reading: said.append(reading) or reading
-
-    def script() -> Iterator[None]:
-        yield from stage.armed(60)
-        lab.target = HOME + 0.2
-        for tick in range(60):
-            for reading in (said[0], said[-1], said[-2], said[-30]) if tick % 2 else ():
-                state = messages.joint_state(reading.names, reading.position, reading.stamp)
-                lab.send(lab.profile.robots[0].state_topic, state)
-            yield
-        assert stage.mode == Mode.RUN
-        raise Cut
-
-    stage.play(script())
+    stage.arm(60)
+    lab.target = HOME + 0.2
+    for tick in range(60):
+        for reading in (said[0], said[-1], said[-2], said[-30]) if tick % 2 else ():
+            state = messages.joint_state(reading.names, reading.position, reading.stamp)
+            lab.send(lab.profile.robots[0].state_topic, state)
+        assert stage.wait(1) == Mode.RUN
     steps = np.diff([each.joint_pos[0] for each in lab.ticks[-60:]])
     assert steps.min() >= 0.0
     assert steps.sum() > 0.005
@@ -163,15 +167,11 @@ def test_repeated_and_older_joint_states_are_ignored(stage: Stage):
 def test_a_driver_is_read_after_its_clock_was_set(stage: Stage):
     """Set ahead, nothing changes. Set back, its positions count as old for 0.1 s: the servo stops."""
     lab = stage.lab
-
-    def script() -> Iterator[None]:
-        yield from stage.armed(60)
-        for seconds, mode in ((1.0, Mode.RUN), (0.0, Mode.STOPPED)):
-            lab.change = lambda reading, ahead=seconds: replace(reading, stamp=reading.stamp + ahead)
-            yield from wait(2 * STOP_TICKS)
-            assert stage.mode == mode
-        yield from stage.pressed_anew()
-        yield from stage.armed()
-
-    stage.play(script())
+    stage.arm(60)
+    for seconds, mode in ((1.0, Mode.RUN), (0.0, Mode.STOPPED)):
+        lab.change = lambda reading, ahead=seconds: replace(reading, stamp=reading.stamp + ahead)
+        assert stage.wait(2 * STOP_TICKS) == mode
+    for lab.is_held in (False, True):
+        stage.wait(26)
+    stage.arm()
     assert stage.stopped_by == ("joints stale",)

@@ -1,9 +1,8 @@
 """Drivers, operator and control loop as messages in memory, and a servo with a stepped clock."""
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
-from itertools import groupby, repeat
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -119,78 +118,38 @@ def taken(reading: messages.JointReading, places: list[int]) -> messages.JointRe
     return replace(reading, names=names, position=reading.position[places])
 
 
-def shuffled(reading: messages.JointReading) -> messages.JointReading:
-    """Return another order, with an unknown joint in front."""
-    num = len(reading.names)
-    other = taken(reading, np.random.default_rng(num).permutation(num).tolist())
-    return replace(other, names=("gripper", *other.names), position=np.append(9.0, other.position))
-
-
-def without_elbow(reading: messages.JointReading) -> messages.JointReading:
-    """Remove the elbow, if there is one."""
-    return taken(reading, [place for place, name in enumerate(reading.names) if name != "elbow_joint"])
-
-
-def twice(reading: messages.JointReading) -> messages.JointReading:
-    """Repeat the first joint."""
-    return taken(reading, [*range(len(reading.names)), 0])
-
-
-def frozen(reading: messages.JointReading) -> messages.JointReading:
-    """Return a constant stamp."""
-    return replace(reading, stamp=5.0)
-
-
-class Cut(Exception):  # noqa: N818
-    """The end of a test in the middle of a run."""
-
-
 class Stage:
-    """A servo and a laboratory in memory; `play` runs both, with a script of changes."""
+    """A servo and a laboratory in memory and in stepped time; `each_tick` runs beside them."""
 
     def __init__(self, profile: Profile, ends: tuple[LoopEnd, ServoEnd], is_dry_run: bool = False) -> None:
-        self.clock, self.broker = StepClock(self._wait), Broker()
-        self.clock.time, self._sleep = 1000.0, lambda: None
+        self.clock, self.broker = StepClock(self._sleep), Broker()
+        self.clock.time = 1000.0
         loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.node = self.broker.node(self.clock)
         self.servo = Servo(end, self.node, setup, self.clock)
         self.laboratory = self.broker.node(self.clock)
         self.lab = WireLab(self.laboratory, loop, profile, self.clock)
+        self.each_tick: Callable[[], object] = lambda: None
 
-    def _wait(self, moment: float) -> None:
+    def _sleep(self, moment: float) -> None:
         self.clock.time = moment
-        self._sleep()
-
-    def play(self, script: Iterator[None]) -> None:
-        """Run until the script has ended and the robot was stopped."""
-
-        def sleep() -> None:
-            self.lab.step()
-            if next(script, Cut) is Cut:
-                self.servo.end()
-
-        self._sleep = sleep
-        with suppress(Cut):
-            self.servo.run()
         self.lab.step()
+        self.each_tick()
 
-    def armed(self, num_ticks: int = 5) -> Iterator[None]:
-        """Wait for all status messages, and arm."""
-        yield from wait(11)
-        self.lab.request_arm()
-        yield from wait(num_ticks)
-        assert self.mode in (Mode.ARMED, Mode.RAMP, Mode.RUN)
-
-    def pressed_anew(self) -> Iterator[None]:
-        """Release the switch, and press it again."""
-        for is_held in (False, True):
-            self.lab.is_held = is_held
-            yield from wait(26)
-
-    @property
-    def mode(self) -> int:
+    def wait(self, num_ticks: int) -> int:
+        """Step servo and laboratory; return the servo's mode."""
+        for _ in range(num_ticks):
+            self.servo.tick()
+            self.clock.sleep_until(self.clock.time + LIMITS.dt)
+        assert self.servo.unforeseen is None
         return self.lab.ticks[-1].mode
+
+    def arm(self, num_ticks: int = 5) -> None:
+        """Wait for all status messages, arm, and wait."""
+        self.wait(11)
+        self.lab.request_arm()
+        assert self.wait(num_ticks) in (Mode.ARMED, Mode.RAMP, Mode.RUN)
 
     @property
     def modes(self) -> list[int]:
@@ -198,19 +157,8 @@ class Stage:
         return [mode for mode, _ in groupby(command.mode for command in self.lab.ticks)]
 
     @property
-    def refused(self) -> tuple[str, ...]:
-        """Return the faults of the last refused request to arm."""
-        return next(
-            tuple(flag_names(Fault, each.refused)) for each in reversed(self.lab.ticks) if each.refused
-        )
-
-    @property
     def stopped_by(self) -> tuple[str, ...]:
         """Return the faults of the first stop."""
         return next(
             tuple(flag_names(Fault, each.stopped_by)) for each in self.lab.ticks if each.mode == Mode.STOPPED
         )
-
-
-def wait(num_ticks: int) -> Iterator[None]:
-    return repeat(None, num_ticks)
