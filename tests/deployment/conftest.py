@@ -1,12 +1,18 @@
-"""A servo with a laboratory in memory."""
+"""A servo with a laboratory in memory, and a control loop's surroundings."""
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from loop_lab import PROFILE, PassingClock, Surroundings
 from wire_lab import Stage
 
-from pixel2catch.ros2.profile import Profile
+from pixel2catch.deployment import recorder
+from pixel2catch.deployment.control_loop import Connection
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
 
 
@@ -19,4 +25,23 @@ def ends() -> Iterator[tuple[LoopEnd, ServoEnd]]:
 
 @pytest.fixture
 def stage(ends: tuple[LoopEnd, ServoEnd]) -> Stage:
-    return Stage(Profile.load("ur5e_allegro_v4"), ends)
+    return Stage(PROFILE, ends)
+
+
+@pytest.fixture
+def around(ends: tuple[LoopEnd, ServoEnd]) -> Surroundings:
+    clock, broker = PassingClock(), Broker()
+    node, lab = broker.node(clock), broker.node(clock)
+    connection = Connection(transport=node, servo=ends[0], clock=clock, recording=None)
+    return Surroundings(connection=connection, servo=ends[1], lab=lab, clock=clock, broker=broker)
+
+
+@pytest.fixture
+def badly_recorded(
+    around: Surroundings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Surroundings]:
+    """Surroundings with a recording that cannot be written."""
+    monkeypatch.setattr(recorder, "MOST_WAITING", 0)
+    with BagRecorder(tmp_path / "tape") as bag:
+        recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
+        yield replace(around, connection=replace(around.connection, recording=recording))

@@ -1,22 +1,18 @@
 """A control loop's surroundings in memory: network, camera, and the servo's end of the link."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytest
 import torch
 
 from paper_robot import JOINTS
 from pixel2catch.camera.image import Edges, Pixels
-from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import Connection
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.segmenter import (
@@ -32,7 +28,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Publisher, Transport
-from pixel2catch.servo.link import Command, Mode, ServoEnd, link
+from pixel2catch.servo.link import Command, Mode, ServoEnd
 from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -125,6 +121,10 @@ class Surroundings:
     clock: Clock
     broker: Broker
 
+    def tick(self, mode: Mode, **others: Any) -> None:
+        """The servo sends the command of a tick."""
+        self.servo.send(command(mode, **{"time": self.clock.now(), **others}))
+
     def show(self, image: np.ndarray, age: float = 0.0) -> float:
         """Send an image of this age; return its exposure time, `Clock.now` [s]."""
         taken = self.clock.now() - age
@@ -134,28 +134,6 @@ class Surroundings:
     @cached_property
     def camera(self) -> Publisher:
         return self.lab.publisher(PROFILE.camera.image)
-
-
-@contextmanager
-def surroundings() -> Iterator[Surroundings]:
-    """Open all ends."""
-    clock, broker = PassingClock(), Broker()
-    with ExitStack() as stack:
-        node, lab = (stack.enter_context(broker.node(clock)) for _ in range(2))
-        end, servo = link()
-        stack.callback(end.close)
-        stack.callback(servo.close)
-        connection = Connection(transport=node, servo=end, clock=clock, recording=None)
-        yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock, broker=broker)
-
-
-@contextmanager
-def badly_recorded(folder: Path) -> Iterator[Surroundings]:
-    """Surroundings with a recording that cannot be written."""
-    with surroundings() as around, BagRecorder(folder / "tape") as bag, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recorder, "MOST_WAITING", 0)
-        recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
-        yield replace(around, connection=replace(around.connection, recording=recording))
 
 
 def moved(by: float) -> Edges:

@@ -14,12 +14,9 @@ from loop_lab import (
     HOME,
     PROFILE,
     Surroundings,
-    badly_recorded,
-    command,
     new_pipeline,
     picture,
     remembering,
-    surroundings,
 )
 
 from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLoop, DecisionTimer
@@ -42,19 +39,11 @@ class LoopBench:
         perception_time: Callable[[], float] = float,
         controller: PolicyController | None = None,
     ) -> None:
-        self.around = around
+        self.around, pipeline = around, new_pipeline(controller=controller)
         self.loop = ControlLoop(
-            new_pipeline(controller=controller),
-            RGB_CAMERA,
-            around.connection,
-            PROFILE,
-            perception_time=perception_time,
+            pipeline, RGB_CAMERA, around.connection, PROFILE, perception_time=perception_time
         )
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
-
-    def tick(self, mode: Mode, **others: Any) -> None:
-        """The servo sends the command of a tick."""
-        self.around.servo.send(command(mode, **{"time": self.around.clock.now(), **others}))
 
     def point(self, text: str = json.dumps({"box": BOX})) -> None:
         self._prompts.publish(messages.text(text))
@@ -66,58 +55,58 @@ class LoopBench:
         return statuses[0]
 
 
-def test_from_the_prompt_on_every_step_gives_targets_and_a_status():
+@pytest.fixture
+def bench(around: Surroundings) -> LoopBench:
+    return LoopBench(around)
+
+
+def test_from_the_prompt_on_every_step_gives_targets_and_a_status(bench: LoopBench, around: Surroundings):
     """Without a new image, too; then the step counts as missed."""
-    with surroundings() as around:
-        bench, statuses = LoopBench(around), around.lab.subscription(PROFILE.operator.status, 100)
-        bench.tick(Mode.ARMED)
-        around.show(picture(), age=0.02)
-        assert bench.step()["verdict"] == "no prompt"
-        assert around.servo.receive() == []
-        bench.point()
-        taken = around.show(picture(), age=0.02)
-        status = bench.step()
-        *_, first = around.servo.receive()
-        assert first.image_stamp == pytest.approx(taken, abs=0.01)
-        assert (status["mode"], status["box"]) == ("armed", list(BOX))
-        sent = [json.loads(messages.read_text(message.data)) for message in statuses.take()]
-        assert sent[-1] == status
-        bench.step()
-        *_, second = around.servo.receive()
-        assert second.target_stamp > first.target_stamp
-        assert second.image_stamp == first.image_stamp
-        assert (bench.loop.statistics.num_steps, bench.loop.statistics.num_missed) == (3, 1)
+    statuses = around.lab.subscription(PROFILE.operator.status, 100)
+    around.tick(Mode.ARMED)
+    around.show(picture(), age=0.02)
+    assert bench.step()["verdict"] == "no prompt"
+    assert around.servo.receive() == []
+    bench.point()
+    taken = around.show(picture(), age=0.02)
+    status = bench.step()
+    *_, first = around.servo.receive()
+    assert first.image_stamp == pytest.approx(taken, abs=0.01)
+    assert (status["mode"], status["box"]) == ("armed", list(BOX))
+    sent = [json.loads(messages.read_text(message.data)) for message in statuses.take()]
+    assert sent[-1] == status
+    bench.step()
+    *_, second = around.servo.receive()
+    assert second.target_stamp > first.target_stamp
+    assert second.image_stamp == first.image_stamp
+    assert (bench.loop.statistics.num_steps, bench.loop.statistics.num_missed) == (3, 1)
 
 
-def test_a_camera_without_images_is_reported():
+def test_a_camera_without_images_is_reported(bench: LoopBench, around: Surroundings):
     """Before the first image, and a second after the last."""
-    with surroundings() as around:
-        bench = LoopBench(around)
-        bench.tick(Mode.IDLE)
-        assert bench.step()["verdict"] == "no image"
-        around.show(picture())
-        while bench.step()["verdict"] != "no prompt":
-            pass
-        begin = around.clock.now()
-        around.clock.sleep_until(begin + SILENCE - 3.0 * CONTROL_DT)
-        assert bench.step()["verdict"] == "no prompt"
-        around.clock.sleep_until(begin + SILENCE)
-        assert bench.step()["verdict"] == "no image"
+    around.tick(Mode.IDLE)
+    assert bench.step()["verdict"] == "no image"
+    around.show(picture())
+    while bench.step()["verdict"] != "no prompt":
+        pass
+    begin = around.clock.now()
+    around.clock.sleep_until(begin + SILENCE - 3.0 * CONTROL_DT)
+    assert bench.step()["verdict"] == "no prompt"
+    around.clock.sleep_until(begin + SILENCE)
+    assert bench.step()["verdict"] == "no image"
 
 
-def test_arming_begins_a_new_throw():
-    with surroundings() as around:
-        bench = LoopBench(around)
-        around.show(picture())
-        bench.point()
-        bench.tick(Mode.IDLE)
-        assert bench.step()["box"] is not None
-        bench.tick(Mode.ARMED)
-        around.show(picture())
-        assert bench.step()["box"] is None
+def test_arming_begins_a_new_throw(bench: LoopBench, around: Surroundings):
+    around.show(picture())
+    bench.point()
+    around.tick(Mode.IDLE)
+    assert bench.step()["box"] is not None
+    around.tick(Mode.ARMED)
+    around.show(picture())
+    assert bench.step()["box"] is None
 
 
-def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
+def test_the_policy_gets_the_joints_as_they_are_after_the_perception(around: Surroundings):
     """A tick of the servo during the perception counts."""
     policy, _ = load_policy(Path("proposed"))
     moved = HOME + 0.02
@@ -125,22 +114,21 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
         torch.tensor(moved[None], dtype=torch.float32),
         BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )
-    with surroundings() as around:
-        bench = LoopBench(around, lambda: 0.01)
-        bench.tick(Mode.ARMED)
-        bench.point()
-        around.show(picture())
-        bench.loop.poll()
-        bench.tick(Mode.ARMED, joint_pos=moved)
-        while not (sent := around.servo.receive()):
-            bench.step()
-        assert sent[0].joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
+    bench = LoopBench(around, lambda: 0.01)
+    around.tick(Mode.ARMED)
+    bench.point()
+    around.show(picture())
+    bench.loop.poll()
+    around.tick(Mode.ARMED, joint_pos=moved)
+    while not (sent := around.servo.receive()):
+        bench.step()
+    assert sent[0].joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
 
 
 def film(bench: LoopBench, num_images: int) -> Iterator[float]:
     """Poll every millisecond, with 30 images a second of an age of 15 ms; yield the time [s]."""
     around, begin = bench.around, bench.around.clock.now()
-    bench.tick(Mode.ARMED)
+    around.tick(Mode.ARMED)
     bench.point()
     for tick in range(round(1e3 * num_images * CONTROL_DT)):
         around.clock.sleep_until(begin + 1e-3 * tick)
@@ -150,81 +138,73 @@ def film(bench: LoopBench, num_images: int) -> Iterator[float]:
         yield around.clock.now()
 
 
-def test_a_result_that_is_a_little_late_is_waited_for():
+def test_a_result_that_is_a_little_late_is_waited_for(around: Surroundings):
     """All but one take 10 ms; that one 3 ms more, where the decision would have been made without it."""
-    with surroundings() as around:
-        took = chain(repeat(0.01, 40), (0.013,), repeat(0.01))
-        bench = LoopBench(around, lambda: next(took), remembering())
-        missed = [bench.loop.statistics.num_missed for _ in film(bench, 45)]
-        assert missed[-1] == missed[len(missed) // 2]
-        assert bench.loop.statistics.num_steps > 40
+    took = chain(repeat(0.01, 40), (0.013,), repeat(0.01))
+    bench = LoopBench(around, lambda: next(took), remembering())
+    missed = [bench.loop.statistics.num_missed for _ in film(bench, 45)]
+    assert missed[-1] == missed[len(missed) // 2]
+    assert bench.loop.statistics.num_steps > 40
 
 
-def test_the_servo_gets_the_stamp_of_an_image_at_once():
+def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings):
     """However long perception takes, and whenever the policy decides."""
-    with surroundings() as around:
-        bench = LoopBench(around, lambda: 0.025, remembering())
-        newest, ages = 0.0, list[float]()
-        for now in film(bench, 25):
-            for targets in around.servo.receive():
-                newest = targets.image_stamp
-            ages.append(now - newest)
-        assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
+    bench = LoopBench(around, lambda: 0.025, remembering())
+    newest, ages = 0.0, list[float]()
+    for now in film(bench, 25):
+        for targets in around.servo.receive():
+            newest = targets.image_stamp
+        ages.append(now - newest)
+    assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
 
 
-def test_stops_and_refusals_are_reported_once_and_counted():
-    with surroundings() as around:
-        bench = LoopBench(around)
-        bench.tick(Mode.RUN)
-        for refused in (0, Fault.START_POSE, 0):
-            bench.tick(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=refused)
-        first, second = bench.step(), bench.step()
-        assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
-        assert (first["refused"], second["refused"]) == (["start pose"], [])
-        summary = bench.loop.statistics.summary()
-        assert summary["stops"] == {"image stale, dead man": 1}
-        assert summary["refusals"] == {"start pose": 1}
+def test_stops_and_refusals_are_reported_once_and_counted(bench: LoopBench, around: Surroundings):
+    around.tick(Mode.RUN)
+    for refused in (0, Fault.START_POSE, 0):
+        around.tick(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=refused)
+    first, second = bench.step(), bench.step()
+    assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
+    assert (first["refused"], second["refused"]) == (["start pose"], [])
+    summary = bench.loop.statistics.summary()
+    assert summary["stops"] == {"image stale, dead man": 1}
+    assert summary["refusals"] == {"start pose": 1}
 
 
-def test_the_sender_of_a_stop_request_is_reported_until_the_robot_is_armed_again():
-    with surroundings() as around:
-        bench = LoopBench(around)
-        bench.tick(Mode.RUN)
-        around.broker.node(around.clock).publisher(PROFILE.operator.stop).publish(messages.boolean(True))
-        bench.tick(Mode.STOPPED, stopped_by=Fault.STOP_REQUEST)
-        assert all("requested by publisher" in bench.step()["message"] for _ in range(2))
-        bench.tick(Mode.ARMED)
-        assert "requested by" not in bench.step()["message"]
+def test_the_sender_of_a_stop_request_is_reported_until_the_robot_is_armed_again(
+    bench: LoopBench, around: Surroundings
+):
+    around.tick(Mode.RUN)
+    around.broker.node(around.clock).publisher(PROFILE.operator.stop).publish(messages.boolean(True))
+    around.tick(Mode.STOPPED, stopped_by=Fault.STOP_REQUEST)
+    assert all("requested by publisher" in bench.step()["message"] for _ in range(2))
+    around.tick(Mode.ARMED)
+    assert "requested by" not in bench.step()["message"]
 
 
-def test_an_incomplete_recording_is_reported_beside_everything_else(tmp_path: Path):
-    with badly_recorded(tmp_path) as around:
-        bench = LoopBench(around)
-        bench.tick(Mode.RUN)
-        bench.point("{}")
-        message = bench.step()["message"]
-        assert "a prompt is not" in message
-        assert "the recording lacks" in message
+def test_an_incomplete_recording_is_reported_beside_everything_else(badly_recorded: Surroundings):
+    bench = LoopBench(badly_recorded)
+    badly_recorded.tick(Mode.RUN)
+    bench.point("{}")
+    message = bench.step()["message"]
+    assert "a prompt is not" in message
+    assert "the recording lacks" in message
 
 
-def test_the_latency_is_from_the_image_to_the_first_command_with_it():
-    with surroundings() as around:
-        bench, now = LoopBench(around), around.clock.now()
-        for tick in range(4):
-            late = now + 0.004 * (tick // 2)
-            bench.tick(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
+def test_the_latency_is_from_the_image_to_the_first_command_with_it(bench: LoopBench, around: Surroundings):
+    now = around.clock.now()
+    for tick in range(4):
+        late = now + 0.004 * (tick // 2)
+        around.tick(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
+    bench.step()
+    latency = bench.loop.statistics.summary()["image_to_command_ms"]
+    assert latency["count"] == 1
+    assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
+
+
+def test_a_servo_process_that_has_ended_is_an_error(bench: LoopBench, around: Surroundings):
+    around.servo.close()
+    with pytest.raises(DeploymentError, match="press its stop"):
         bench.step()
-        latency = bench.loop.statistics.summary()["image_to_command_ms"]
-        assert latency["count"] == 1
-        assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
-
-
-def test_a_servo_process_that_has_ended_is_an_error():
-    with surroundings() as around:
-        bench = LoopBench(around)
-        around.servo.close()
-        with pytest.raises(DeploymentError, match="press its stop"):
-            bench.step()
 
 
 def decided(timer: DecisionTimer, ends: list[tuple[float, float]], until: float, step: float) -> np.ndarray:

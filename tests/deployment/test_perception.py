@@ -8,7 +8,7 @@ from threading import Event, current_thread
 
 import numpy as np
 import pytest
-from loop_lab import BOX, HOME, PROFILE, RED, Surroundings, new_pipeline, picture, remembering, surroundings
+from loop_lab import BOX, HOME, PROFILE, RED, Surroundings, new_pipeline, picture, remembering
 
 from domains import PATIENCE
 from pixel2catch.camera.image import Image, Pixels, Verdict
@@ -39,33 +39,37 @@ def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscr
     )
 
 
-def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time():
-    with surroundings() as around:
-        images = images_in(around)
-        assert images.newest() is None
-        for edge in (100, 200, 300):
-            around.show(picture((edge, 100, edge + 20, 130)), age=0.1)
-        now = around.clock.now()
-        for age in (0.15, 0.1, 0.05, 0.0):
-            images.add_joints(now - age, HOME + age)
-        image = images.newest()
-        assert image is not None
-        assert image.pixels[110, 310].tolist() == [200, 30, 20]
-        assert around.clock.now() - image.stamp == pytest.approx(0.1, abs=0.01)
-        assert image.joint_pos == pytest.approx(HOME + 0.1)
-        assert images.newest() is None
+@pytest.fixture
+def images(around: Surroundings) -> ImageSubscriber:
+    return images_in(around)
+
+
+def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time(
+    around: Surroundings, images: ImageSubscriber
+):
+    assert images.newest() is None
+    for edge in (100, 200, 300):
+        around.show(picture((edge, 100, edge + 20, 130)), age=0.1)
+    now = around.clock.now()
+    for age in (0.15, 0.1, 0.05, 0.0):
+        images.add_joints(now - age, HOME + age)
+    image = images.newest()
+    assert image is not None
+    assert image.pixels[110, 310].tolist() == [200, 30, 20]
+    assert around.clock.now() - image.stamp == pytest.approx(0.1, abs=0.01)
+    assert image.joint_pos == pytest.approx(HOME + 0.1)
+    assert images.newest() is None
 
 
 @pytest.mark.parametrize("assumes_age", [True, False])
-def test_images_from_the_future_are_refused(assumes_age: bool):
+def test_images_from_the_future_are_refused(assumes_age: bool, around: Surroundings):
     """Up to 50 ms ahead is the error of a clock; more, after usable stamps, is a clock that was set."""
-    with surroundings() as around:
-        images = images_in(around, assumes_age=assumes_age)
-        for age, is_good in ((0.02, True), (-0.03, True), (-1.0, False)):
-            around.show(picture(), age=age)
-            assert (images.newest() is not None) == is_good
-            assert ("synchronise the clocks" in images.problem) == (not is_good)
-        assert images.stamp < around.clock.now() + 0.03
+    images = images_in(around, assumes_age=assumes_age)
+    for age, is_good in ((0.02, True), (-0.03, True), (-1.0, False)):
+        around.show(picture(), age=age)
+        assert (images.newest() is not None) == is_good
+        assert ("synchronise the clocks" in images.problem) == (not is_good)
+    assert images.stamp < around.clock.now() + 0.03
 
 
 def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
@@ -81,136 +85,129 @@ def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> 
     ("age", "words"),
     [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")],
 )
-def test_images_without_a_usable_stamp_are_as_old_as_training_assumes(age: float | None, words: str):
+def test_images_without_a_usable_stamp_are_as_old_as_training_assumes(
+    age: float | None, words: str, around: Surroundings
+):
     """This is reported once."""
-    with surroundings() as around:
-        images = images_in(around, assumes_age=True)
-        for notice in (words, ""):
-            stamp = 0.0 if age is None else around.clock.stamp() - age
-            assert age_of_next(images, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
-            found = images.take_notice()
-            assert notice in found
-            assert bool(found) == bool(notice)
+    images = images_in(around, assumes_age=True)
+    for notice in (words, ""):
+        stamp = 0.0 if age is None else around.clock.stamp() - age
+        assert age_of_next(images, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
+        found = images.take_notice()
+        assert notice in found
+        assert bool(found) == bool(notice)
 
 
 @pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
-def test_usable_stamps_are_used(age: float):
-    with surroundings() as around:
-        images = images_in(around, assumes_age=True)
-        found = age_of_next(images, around, around.clock.stamp() - age)
-        assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
-        assert images.take_notice() == ""
+def test_usable_stamps_are_used(age: float, around: Surroundings):
+    images = images_in(around, assumes_age=True)
+    found = age_of_next(images, around, around.clock.stamp() - age)
+    assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
+    assert images.take_notice() == ""
 
 
-def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp():
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp(around: Surroundings):
     """Not after usable stamps, and not for a policy without ages: it is as old as its stamp."""
-    with surroundings() as around:
-        images = images_in(around, assumes_age=True)
-        age_of_next(images, around, around.clock.stamp() - 0.02)
-        around.clock.sleep_until(around.clock.now() + 3.0)
-        for late in (images, images_in(around)):
-            assert age_of_next(late, around, around.clock.stamp() - 2.0) > 59.0
-            assert late.take_notice() == ""
+    images = images_in(around, assumes_age=True)
+    age_of_next(images, around, around.clock.stamp() - 0.02)
+    around.clock.sleep_until(around.clock.now() + 3.0)
+    for late in (images, images_in(around)):
+        assert age_of_next(late, around, around.clock.stamp() - 2.0) > 59.0
+        assert late.take_notice() == ""
 
 
-def test_an_image_that_cannot_be_read_is_skipped_and_reported():
-    with surroundings() as around:
-        images = images_in(around)
-        around.camera.publish(messages.image(picture(), 1.0)[:1000])
-        assert images.newest() is None
-        assert images.message
+def test_an_image_that_cannot_be_read_is_skipped_and_reported(around: Surroundings, images: ImageSubscriber):
+    around.camera.publish(messages.image(picture(), 1.0)[:1000])
+    assert images.newest() is None
+    assert images.message
+    around.show(picture())
+    assert images.newest() is not None
+    assert images.message == ""
+
+
+def test_another_lens_than_the_calibrated_one_is_refused(around: Surroundings, images: ImageSubscriber):
+    info = PROFILE.camera.info
+    assert info is not None
+    lens = around.lab.publisher(info)
+    right = messages.camera_info(RGB_CAMERA, 0.0)
+    longer, unknown = (
+        messages.camera_info(replace(RGB_CAMERA, fx=fx), 0.0) for fx in (1.05 * RGB_CAMERA.fx, np.nan)
+    )
+    for sent in (right, longer, unknown, b"garbage", right):
+        is_good = sent == right
+        lens.publish(sent)
         around.show(picture())
-        assert images.newest() is not None
-        assert images.message == ""
+        assert (images.newest() is not None) is is_good
+        assert (images.problem == "") is is_good
 
 
-def test_another_lens_than_the_calibrated_one_is_refused():
-    with surroundings() as around:
-        images, info = images_in(around), PROFILE.camera.info
-        assert info is not None
-        lens = around.lab.publisher(info)
-        right = messages.camera_info(RGB_CAMERA, 0.0)
-        longer, unknown = (
-            messages.camera_info(replace(RGB_CAMERA, fx=fx), 0.0) for fx in (1.05 * RGB_CAMERA.fx, np.nan)
-        )
-        for sent in (right, longer, unknown, b"garbage", right):
-            is_good = sent == right
-            lens.publish(sent)
-            around.show(picture())
-            assert (images.newest() is not None) is is_good
-            assert (images.problem == "") is is_good
+def test_a_frozen_image_is_found_though_its_stamps_are_fresh(around: Surroundings, images: ImageSubscriber):
+    frozen, found = picture(), list[tuple[bool, bool]]()
+    for _ in range(NUM_EQUAL + 2):
+        around.show(frozen)
+        found.append((images.newest() is not None, bool(images.problem)))
+    assert found == [(True, False)] + [(False, False)] * (NUM_EQUAL - 2) + [(False, True)] * 3
+    around.show(picture())
+    assert images.newest() is not None
+    assert images.problem == ""
 
 
-def test_a_frozen_image_is_found_though_its_stamps_are_fresh():
-    with surroundings() as around:
-        images, frozen, found = images_in(around), picture(), list[tuple[bool, bool]]()
-        for _ in range(NUM_EQUAL + 2):
-            around.show(frozen)
-            found.append((images.newest() is not None, bool(images.problem)))
-        assert found == [(True, False)] + [(False, False)] * (NUM_EQUAL - 2) + [(False, True)] * 3
-        around.show(picture())
-        assert images.newest() is not None
-        assert images.problem == ""
-
-
-def test_images_that_repeat_once_or_with_their_stamp_are_no_fault():
-    with surroundings() as around:
-        images = images_in(around)
-        for _ in range(NUM_EQUAL):
-            twice = picture()
-            for is_new in (True, False):
-                around.show(twice)
-                assert (images.newest() is not None) is is_new
-                assert images.problem == ""
-        same = messages.image(picture(), around.clock.stamp())
-        for _ in range(2 * NUM_EQUAL):
-            around.camera.publish(same)
-            images.newest()
-        assert images.problem == ""
+def test_images_that_repeat_once_or_with_their_stamp_are_no_fault(
+    around: Surroundings, images: ImageSubscriber
+):
+    for _ in range(NUM_EQUAL):
+        twice = picture()
+        for is_new in (True, False):
+            around.show(twice)
+            assert (images.newest() is not None) is is_new
+            assert images.problem == ""
+    same = messages.image(picture(), around.clock.stamp())
+    for _ in range(2 * NUM_EQUAL):
+        around.camera.publish(same)
+        images.newest()
+    assert images.problem == ""
 
 
 @pytest.mark.parametrize("topic", [PROFILE.camera.image, PROFILE.camera.info])
-def test_a_second_camera_is_refused_while_it_is_there(topic: Topic):
-    with surroundings() as around:
-        images = images_in(around)
-        own = around.camera if topic == PROFILE.camera.image else around.lab.publisher(topic)
-        around.show(picture())
-        assert images.newest() is not None
-        other = around.broker.node(around.clock)
-        with other:
-            other.publisher(topic)
-            around.clock.sleep_until(around.clock.now() + 0.21)
-            around.show(picture())
-            assert images.newest() is None
-            assert topic.name in images.problem
+def test_a_second_camera_is_refused_while_it_is_there(
+    topic: Topic, around: Surroundings, images: ImageSubscriber
+):
+    own = around.camera if topic == PROFILE.camera.image else around.lab.publisher(topic)
+    around.show(picture())
+    assert images.newest() is not None
+    other = around.broker.node(around.clock)
+    with other:
+        other.publisher(topic)
         around.clock.sleep_until(around.clock.now() + 0.21)
         around.show(picture())
-        assert images.newest() is not None
-        assert own
+        assert images.newest() is None
+        assert topic.name in images.problem
+    around.clock.sleep_until(around.clock.now() + 0.21)
+    around.show(picture())
+    assert images.newest() is not None
+    assert own
 
 
-def test_images_that_are_older_than_the_one_before_are_refused_for_a_while():
+def test_images_that_are_older_than_the_one_before_are_refused_for_a_while(
+    around: Surroundings, images: ImageSubscriber
+):
     """Two cameras by turns, or a recording that starts again."""
-    with surroundings() as around:
-        images = images_in(around)
-        for age in (0.02, 0.06, 0.02):
-            around.show(picture(), age=age)
-        assert images.newest() is None
-        assert "older than the one before" in images.problem
-        around.clock.sleep_until(around.clock.now() + DISTRUST_TIME)
-        around.show(picture())
-        assert images.newest() is not None
+    for age in (0.02, 0.06, 0.02):
+        around.show(picture(), age=age)
+    assert images.newest() is None
+    assert "older than the one before" in images.problem
+    around.clock.sleep_until(around.clock.now() + DISTRUST_TIME)
+    around.show(picture())
+    assert images.newest() is not None
 
 
-def test_images_of_another_size_are_refused():
-    with surroundings() as around:
-        images = images_in(around)
-        around.show(np.zeros((240, 320, 3), dtype=np.uint8))
-        assert images.newest() is None
-        assert "320 x 240" in images.problem
-        around.show(picture())
-        assert images.newest() is not None
-        assert images.problem == ""
+def test_images_of_another_size_are_refused(around: Surroundings, images: ImageSubscriber):
+    around.show(np.zeros((240, 320, 3), dtype=np.uint8))
+    assert images.newest() is None
+    assert "320 x 240" in images.problem
+    around.show(picture())
+    assert images.newest() is not None
+    assert images.problem == ""
 
 
 PROMPT = BoxPrompt(box=BOX)
