@@ -40,7 +40,7 @@ hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=Tr
 hypothesis.settings.load_profile("repeatable")
 
 
-LONGEST = {"test_rehearsal.py", "test_deploy_process.py"}
+LONGEST = {"test_rehearsal.py", "test_servo_spawned.py"}
 """Files whose tests mostly wait for processes: begun first, they wait beside the others' work."""
 
 

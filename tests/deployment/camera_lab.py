@@ -1,32 +1,26 @@
 """A laboratory with a camera and an operator, and a deployment; what goes wrong is chosen by a word."""
 
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from loop_lab import BOX, PROFILE, RED, EverythingRed, moved, picture
+from loop_lab import BOX, PROFILE, RED, EverythingRed, moved, new_pipeline, picture
 from servo_rows import LIMITS
 from wire_lab import WireLab
 
 from pixel2catch.deployment.control_loop import ControlLoop, StepClock, SteppedServo
-from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
-from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.segmenter import Segmenter
-from pixel2catch.perception.tracker import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import Command, JointTargets, set_niceness
-from pixel2catch.servo.process import ServoSetup
-from pixel2catch.workcells import find_workcell
+from pixel2catch.servo.link import Command, JointTargets
+from pixel2catch.servo.process import ARM_PAUSE, ServoSetup
 
 DT = 0.002
 IMAGE_TICKS = round(CONTROL_DT / DT)
@@ -86,60 +80,7 @@ class CameraLab(WireLab):
         return picture(moved(by) if self.is_object_there else None)
 
 
-def run_laboratory(words: Connection, rate: float) -> None:
-    """Run a laboratory as a process until the other end of the pipe is closed."""
-    set_niceness(-10)
-    clock = RealClock(rate)
-    with make_transport("laboratory", LOOPBACK, clock) as transport:
-        lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
-        try:
-            while True:
-                lab.step()
-                while words.poll():
-                    lab.faults[words.recv()]()
-                due = max(due + DT, clock.now())
-                clock.sleep_until(due)
-        except EOFError:
-            return
-
-
-class Arming(ABC):
-    """An operator who receives the statuses of a deployment, and controls its laboratory."""
-
-    status: dict[str, Any]
-    clock: Clock
-
-    @abstractmethod
-    def say(self, word: str) -> None: ...
-
-    @abstractmethod
-    def until(self, holds: Callable[[], bool]) -> None: ...
-
-    def arm(self, modes: tuple[str, ...] = ("armed", "ramp", "run")) -> None:
-        """End all faults, press the switch and arm, again if a busy machine prevents it."""
-        self.say("switch let go")
-        self.until(lambda: "dead man" in self.status["found"])
-        self.say("none")
-        self.until(lambda: self.status["mode"] in ("idle", "stopped"))
-        asked = [-1.0]
-
-        def is_in_mode() -> bool:
-            if self.status["mode"] in ("idle", "stopped") and self.clock.now() > asked[-1] + 2.0 * STOP_TIME:
-                self.say("arm")
-                asked.append(self.clock.now())
-            return self.status["mode"] in modes
-
-        self.until(is_in_mode)
-
-
-def default_pipeline(segmenter: Segmenter) -> PolicyPipeline:
-    """Return a pipeline with the default policy."""
-    policy, _ = load_policy(None)
-    controller = PolicyController(policy, find_workcell(PROFILE.workcell))
-    return PolicyPipeline(controller, segmenter, Prompter())
-
-
-class SteppedBench(Arming, AbstractContextManager["SteppedBench"]):
+class SteppedBench(AbstractContextManager["SteppedBench"]):
     """Deployment and laboratory: receives statuses and commands, and controls the laboratory."""
 
     def __init__(self, pipeline: PolicyPipeline | None = None, tape: BagRecorder | None = None) -> None:
@@ -156,7 +97,7 @@ class SteppedBench(Arming, AbstractContextManager["SteppedBench"]):
         recording = DeploymentRecorder(tape, nodes[1], PROFILE, self.clock, "raw") if tape else None
         setup = ServoSetup(profile=PROFILE, limits=LIMITS, is_dry_run=tape is not None)
         self.servo = SteppedServo(setup, nodes, self.clock, recording)
-        connection, pipeline = self.servo.connection, pipeline or default_pipeline(EverythingRed(RED))
+        connection, pipeline = self.servo.connection, pipeline or new_pipeline(EverythingRed(RED))
         self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=lambda: 0.01)
         self.does_policy_hang = False
 
@@ -184,6 +125,16 @@ class SteppedBench(Arming, AbstractContextManager["SteppedBench"]):
 
     def wait(self, seconds: float) -> None:
         self.wait_until(self.clock.time + seconds)
+
+    def arm(self) -> None:
+        """End all faults, press the switch and arm."""
+        self.say("switch let go")
+        self.until(lambda: "dead man" in self.status["found"])
+        self.say("none")
+        self.until(lambda: "dead man" not in self.status["found"])
+        self.wait(STOP_TIME + ARM_PAUSE)
+        self.say("arm")
+        self.until(lambda: self.status["mode"] in ("armed", "ramp", "run"))
 
     def run(self) -> None:
         """The operator arms and points, and the policy moves the arm."""

@@ -17,17 +17,14 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.shipped import policy_folder
-from pixel2catch.twin import RehearsalCfg, stepped
+from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
-from pixel2catch.twin.rehearsal import run_trial
-from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
-from pixel2catch.twin.stepped import HOP, in_step, plain_image, rehearse_stepped
+from pixel2catch.twin.stepped import HOP, rehearse_stepped
 from pixel2catch.workcells import find_workcell
 
 POLICY = Policy.load(policy_folder(Path("proposed")))
@@ -151,7 +148,9 @@ def test_what_was_recorded_is_decided_once_more(out: Path):
     """The hand follows the same targets in a replay, but for what JPEG changes of the boxes' edges."""
     args = ["replay", str(out / "tape"), "--out", str(out / "again")]
     assert main([*args, "--segmenter", "color", "--color", "340", "20"]) == 0
-    report = json.loads((out / "again" / "report.json").read_text())["decided"]
+    whole = json.loads((out / "again" / "report.json").read_text())
+    report = whole["decided"]
+    assert whole["deploy"]["num_steps"] > 20
     assert report["num_both"] >= report["num_then"] - 2 > 40
     assert report["arm"]["median"] < 0.02
     assert report["hand"]["median"] < 0.1
@@ -161,18 +160,3 @@ def test_what_was_recorded_is_decided_once_more(out: Path):
 def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
     report = rehearsed(replace(ONE, throws=40, seed=0), task=task_of(POLICY))
     assert report["success_rate"] >= 34 / 40  # 94 % of 200; fewer than 34 of 40 in one case of 50
-
-
-@pytest.mark.slow
-def test_an_image_that_freezes_in_the_flight_stops_the_robot(monkeypatch: pytest.MonkeyPatch):
-    frozen = list[np.ndarray]()
-
-    def draw(lab: SimulatedLab, exposure: Exposure) -> np.ndarray:
-        if lab.phase is not Phase.FLYING or not frozen:
-            frozen[:] = [plain_image(lab, exposure)]
-        return frozen[0]
-
-    monkeypatch.setattr(stepped, "plain_image", draw)
-    with in_step(ONE, TASK, POLICY) as (twin, _):
-        outcome = run_trial(twin.operator, 3)
-    assert (outcome.stops, outcome.is_success) == (["perception unsound"], False)
