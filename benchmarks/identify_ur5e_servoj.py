@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pixel2catch.arrays import read_table
-from pixel2catch.identification.checks import check_recording, excess_time
+from pixel2catch.identification.checks import check_recording
 from pixel2catch.identification.fit import FILTER_PARAMETERS, LATENCY_UNIT, FitCfg, fit_dynamics
 from pixel2catch.identification.identify import estimates, stiff
 from pixel2catch.identification.recording import Recording
@@ -37,10 +37,10 @@ def main() -> None:
     parser.add_argument("--lookahead", type=float, default=0.03, help="of the same [s]")
     args = parser.parse_args()
     for number, joint in JOINTS.items():
-        recorded = read(args.data / f"Data_Joint_{number}.csv", joint)
+        recorded, speed = read(args.data / f"Data_Joint_{number}.csv", joint)
         bad = [f"{check.name}: {check.detail}" for check in check_recording(recorded) if check.forbids_fit]
         print(f"{joint}: {'; '.join(bad)}")
-        whole = mended(recorded)
+        whole = mended(recorded, speed)
         middle = 0.5 * whole.t_meas[-1]
         fitted, held_out = (part(whole, *span) for span in ((0.5, middle), (middle, np.inf)))
         nominal = stiff(JointDynamics.nominal((joint,)))
@@ -59,25 +59,25 @@ def main() -> None:
         print("  held out, RMSE [mrad] of the command itself, before and after:", ", ".join(texts))
 
 
-def read(path: Path, joint: str) -> Recording:
-    """A recording by the program's own time."""
+def read(path: Path, joint: str) -> tuple[Recording, np.ndarray]:
+    """A recording by the program's own time, and the measured speed in each of its steps [rad/s]."""
     table, _ = read_table(path, ("time", "q_des", "q_act", "dq_act"))
     time, command, q, qd = np.split(table, 4, axis=1)
     times = time[:, 0]
-    return Recording(name=path.name, joints=(joint,), t_cmd=times, q_cmd=command, t_meas=times, q=q, qd=qd)
+    recording = Recording(name=path.name, joints=(joint,), t_cmd=times, q_cmd=command, t_meas=times, q=q)
+    return recording, (qd[1:, 0] + qd[:-1, 0]) / 2
 
 
-def mended(recording: Recording) -> Recording:
-    """The same recording with the time that drawings took."""
-    assert recording.qd is not None
-    time, excess = recording.t_meas.copy(), excess_time(recording)[0]
+def mended(recording: Recording, speed: np.ndarray) -> Recording:
+    """The same recording with the time that drawings took: motion over speed [rad/s] beyond a step's own."""
+    time, fast = recording.t_meas.copy(), np.where(np.abs(speed) > LEAST_SPEED, speed, np.inf)
+    excess = np.diff(recording.q[:, 0]) / fast - np.diff(time)
     drawn = np.searchsorted(
         time[:-1], np.cumsum([0.0, *np.full(int(time[-1] / DRAWING), DRAWING)])
     )  # as it adds
     is_drawing = np.isin(np.arange(len(excess)), drawn)
-    speed = np.abs(recording.qd[1:, 0] + recording.qd[:-1, 0]) / 2
-    usual = np.median(excess[is_drawing & (speed > LEAST_SPEED)])
-    took = np.where(speed > SPEED, excess, usual)
+    usual = np.median(excess[is_drawing & (np.abs(speed) > LEAST_SPEED)])
+    took = np.where(np.abs(speed) > SPEED, excess, usual)
     time[1:] += np.cumsum(np.where(is_drawing, took, 0.0))
     return part(recording, 0.0, np.inf, time)
 
@@ -86,7 +86,6 @@ def part(recording: Recording, begin: float, end: float, time: np.ndarray | None
     """A part between two times [s], perhaps with others for those that were recorded."""
     times = recording.t_meas if time is None else time
     is_in = (times >= begin) & (times < end)
-    assert recording.qd is not None
     return Recording(
         name=recording.name,
         joints=recording.joints,
@@ -94,7 +93,6 @@ def part(recording: Recording, begin: float, end: float, time: np.ndarray | None
         q_cmd=recording.q_cmd[is_in],
         t_meas=times[is_in],
         q=recording.q[is_in],
-        qd=recording.qd[is_in],
     )
 
 

@@ -2,8 +2,7 @@
 
 python benchmarks/ur5_recordings.py FOLDER...
 
-A folder has log_q_target.csv, log_q_actual.csv and perhaps log_qd_actual.csv:
-time [s], then a column for each joint.
+A folder has log_q_target.csv and log_q_actual.csv: time [s], then a column for each joint.
 Source of such folders: repository kkufieta/ur5_modeling_force_estimate, 125 Hz. `q_target` is the input
 of the low-level loop of the controller.
 """
@@ -38,24 +37,7 @@ def read_ur5(folder: Path) -> Recording:
     """The motion in a folder of log files; a UR5's joints have the names of a UR5e's."""
     t_cmd, q_cmd = read_log(folder / "log_q_target.csv")
     t_meas, q = read_log(folder / "log_q_actual.csv")
-    return Recording(
-        name=folder.name,
-        joints=ARM,
-        t_cmd=t_cmd,
-        q_cmd=q_cmd,
-        t_meas=t_meas,
-        q=q,
-        qd=read_speed(folder, t_meas),
-    )
-
-
-def read_speed(folder: Path, time: np.ndarray) -> np.ndarray | None:
-    """The logged speeds at other times; a log of its own has times of its own, and may end earlier."""
-    path = folder / "log_qd_actual.csv"
-    if not path.exists():
-        return None
-    logged, speed = read_log(path)
-    return np.stack([np.interp(time, logged, column) for column in speed.T], axis=-1)
+    return Recording(name=folder.name, joints=ARM, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
 
 
 def read_log(path: Path) -> tuple[np.ndarray, np.ndarray]:

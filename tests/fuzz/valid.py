@@ -116,7 +116,7 @@ def _profile(folder: Path) -> Path:
 def _recording(folder: Path) -> Path:
     times = np.arange(0.0, 1.0, 0.05)
     q = HOME + 0.01 * np.sin(times)[:, None]
-    Recording(joints=ARM, t_cmd=times, q_cmd=q, t_meas=times, q=q, qd=q).save(folder / "motion.npz")
+    Recording(joints=ARM, t_cmd=times, q_cmd=q, t_meas=times, q=q).save(folder / "motion.npz")
     return folder / "motion.npz"
 
 

@@ -34,8 +34,8 @@ def nanoseconds(time: float) -> int:
     return EPOCH_NS + round(time * 1e9)
 
 
-def joint_state(time: int, names: Iterable[str], position, velocity=()) -> Any:
-    numbers = (np.array(values, dtype=np.float64) for values in (position, velocity, ()))
+def joint_state(time: int, names: Iterable[str], position) -> Any:
+    numbers = (np.array(values, dtype=np.float64) for values in (position, (), ()))
     return TYPES[JOINT_STATE](header(time), list(names), *numbers)
 
 
@@ -52,13 +52,11 @@ def array(values: np.ndarray) -> Any:
 
 def measured(recording: Recording, order: list[int] = SHUFFLED) -> list[Message]:
     """Joint states whose receive time is 3 ms behind their stamp, with a joint that nobody asks for."""
-    messages = []
-    assert recording.qd is not None
-    names = [*(ARM[i] for i in order), "gripper_joint"]
-    for time, *signals in zip(recording.t_meas, recording.q, recording.qd, strict=True):
-        numbers = [[*signal[order], 99.0] for signal in signals]
+    messages, names = [], [*(ARM[i] for i in order), "gripper_joint"]
+    for time, positions in zip(recording.t_meas, recording.q, strict=True):
         stamp = nanoseconds(time)
-        messages.append(("/joint_states", stamp + 3_000_000, joint_state(stamp, names, *numbers)))
+        state = joint_state(stamp, names, [*positions[order], 99.0])
+        messages.append(("/joint_states", stamp + 3_000_000, state))
     return messages
 
 

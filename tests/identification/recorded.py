@@ -25,12 +25,6 @@ def position(time: np.ndarray, joints: tuple[str, ...] = ARM) -> np.ndarray:
     return home + AMPLITUDE * np.sin(2 * np.pi * FREQUENCIES[np.arange(len(joints)) % 6] * time[:, None])
 
 
-def speed(time: np.ndarray, joints: tuple[str, ...] = ARM) -> np.ndarray:
-    """Derivative of `position`."""
-    omega = 2 * np.pi * FREQUENCIES[np.arange(len(joints)) % 6]
-    return AMPLITUDE * omega * np.cos(omega * time[:, None])
-
-
 def clean(joints: tuple[str, ...] = ARM, noise: float = 2e-4) -> Recording:
     """Eight seconds at 500 Hz with noise [rad], commands at 125 Hz, measured 60 ms behind the command."""
     t_cmd = np.arange(0.0, 8.0, 0.008)
@@ -41,21 +35,18 @@ def clean(joints: tuple[str, ...] = ARM, noise: float = 2e-4) -> Recording:
 
 
 def short() -> Recording:
-    """Five commands and eleven measurements of all signals, for files."""
+    """Five commands and eleven measurements, for files."""
     t_cmd, t_meas = np.arange(0.0, 0.5, 0.1), np.arange(0.02, 0.5, 0.04)[:11]
-    q, qd = position(t_meas), speed(t_meas)
-    return Recording(joints=ARM, t_cmd=t_cmd, q_cmd=position(t_cmd), t_meas=t_meas, q=q, qd=qd)
+    return Recording(joints=ARM, t_cmd=t_cmd, q_cmd=position(t_cmd), t_meas=t_meas, q=position(t_meas))
 
 
 def assert_same(got: Recording, expected: Recording, tolerance: float = 0.0) -> None:
-    """Both have the same joints, the same optional signals and the same numbers."""
+    """Both have the same joints and the same numbers."""
     assert got.joints == expected.joints
-    for name in ("t_cmd", "q_cmd", "t_meas", "q", "qd"):
+    for name in ("t_cmd", "q_cmd", "t_meas", "q"):
         one, other = getattr(got, name), getattr(expected, name)
-        assert (one is None) == (other is None), name
-        if one is not None:
-            assert one.dtype == np.float64
-            np.testing.assert_allclose(one, other, rtol=0, atol=tolerance, err_msg=name)
+        assert one.dtype == np.float64
+        np.testing.assert_allclose(one, other, rtol=0, atol=tolerance, err_msg=name)
 
 
 def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np.ndarray:
@@ -65,30 +56,27 @@ def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np
     return times[times < seconds]
 
 
-def excitation(
-    rng: np.random.Generator, joints: tuple[str, ...], seconds: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Half sines and half steps of `excite` at full speed, sent at 125 Hz: times and positions [rad]."""
-    t_cmd = stalled_clock(rng, seconds, 1 / RATE)
-    envelope = Envelope.of(joints, 1.0, {})
-    num = int(seconds * RATE) // 2 + 1
-    targets = envelope.center + np.concatenate([signal(rng, envelope, num) for signal in (multisine, steps)])
-    return t_cmd, targets[(t_cmd * RATE).astype(int)]
-
-
 def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:
-    """Measurements with noise at 125 Hz by a clock that stalls; the robot rests at first."""
-    t_cmd, q_cmd = excitation(rng, truth.joints, seconds - SETTLING)
-    t_meas = stalled_clock(rng, seconds, 0.008)
+    """Half sines and half steps of `excite`, sent and measured at 125 Hz by clocks that stall."""
+    t_cmd = stalled_clock(rng, seconds - SETTLING, 1 / RATE)
+    envelope = Envelope.of(truth.joints, 1.0, {})
+    num = int((seconds - SETTLING) * RATE) // 2 + 1
+    targets = envelope.center + np.concatenate([signal(rng, envelope, num) for signal in (multisine, steps)])
+    q_cmd, t_meas = targets[(t_cmd * RATE).astype(int)], stalled_clock(rng, seconds, 0.008)
+    return simulated(rng, truth, physics_dt, SETTLING + t_cmd, q_cmd, t_meas)
+
+
+def simulated(
+    rng: np.random.Generator,
+    truth: JointDynamics,
+    physics_dt: float,
+    t_cmd: np.ndarray,
+    q_cmd: np.ndarray,
+    t_meas: np.ndarray,
+) -> Recording:
+    """A recording of joints of known dynamics that start at rest, measured with noise."""
     q = np.repeat(q_cmd[:1], len(t_meas), axis=0)
-    blank = Recording(joints=truth.joints, t_cmd=SETTLING + t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
+    blank = Recording(joints=truth.joints, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
     (path,) = RecordedMotion([blank], physics_dt).simulate([truth])
     q[-len(path) :] = path
     return replace(blank, q=q + NOISE * rng.standard_normal(q.shape))
-
-
-def tracking_error(recordings: list[Recording], dynamics: JointDynamics, physics_dt: float) -> np.ndarray:
-    """Root mean square of simulated minus measured positions, per joint [rad]."""
-    motion = RecordedMotion(recordings, physics_dt)
-    (simulated,) = motion.simulate([dynamics])
-    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))

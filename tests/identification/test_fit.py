@@ -4,17 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import NOISE, record, tracking_error
+from recorded import NOISE, record
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
 from pixel2catch.identification.identify import LAG, estimates
+from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.rehearsal import unlike_nominal
-from pixel2catch.identification.simulation import behind_play
+from pixel2catch.identification.simulation import RecordedMotion, behind_play
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 DT = 1.0 / 240.0
 JOINTS = ("elbow_joint", "index_joint_1")
+
+
+def tracking_error(recording: Recording, dynamics: JointDynamics) -> np.ndarray:
+    """Root mean square of simulated minus measured positions, per joint [rad]."""
+    motion = RecordedMotion([recording], DT)
+    (simulated,) = motion.simulate([dynamics])
+    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))
 
 
 def test_servo_is_recovered():
@@ -28,9 +36,9 @@ def test_servo_is_recovered():
     np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.012)
     np.testing.assert_allclose(found.armature[1], truth.armature[1], rtol=0.03)
     np.testing.assert_allclose(found.latency, truth.latency, atol=6e-4)
-    assert (tracking_error([held_out], nominal, DT) > 10 * NOISE).all()
-    best = tracking_error([held_out], truth, DT)  # beyond noise: a joint sticks where noise says it began
-    assert (tracking_error([held_out], found, DT) < 1.2 * best).all()
+    assert (tracking_error(held_out, nominal) > 10 * NOISE).all()
+    best = tracking_error(held_out, truth)  # beyond noise: a joint sticks where noise says it began
+    assert (tracking_error(held_out, found) < 1.2 * best).all()
     known = estimates(fit)
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
@@ -48,8 +56,8 @@ def test_command_filter_is_recovered():
     np.testing.assert_allclose(found.filter_gain, 300.0, rtol=0.02)
     np.testing.assert_allclose(found.filter_lookahead, 0.1, rtol=0.02)
     np.testing.assert_allclose(found.latency, 0.004, atol=0.001)
-    best = tracking_error([held_out], truth, DT)  # the finger feels what is left of the elbow's error, too
-    assert (tracking_error([held_out], found, DT) < 1.4 * best).all()
+    best = tracking_error(held_out, truth)  # the finger feels what is left of the elbow's error, too
+    assert (tracking_error(held_out, found) < 1.4 * best).all()
 
 
 def test_clocks_that_drift_and_play_are_found():

@@ -9,19 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import ARM, clean, position
+from recorded import ARM, NOISE, clean, position, simulated
 
 from paths import BUDGETS, files_run
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.main import main
 from pixel2catch.identification import fit
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.simulation import RecordedMotion, behind_play
+from pixel2catch.identification.simulation import behind_play
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 PHYSICS_HZ = 60
-NOISE = 2e-4
 NOMINAL = JointDynamics.nominal(ARM)
 TRUTH = NOMINAL.with_values(damping=1.3 * NOMINAL.damping, latency=0.02)
 SMALL = ("--robot", "ur5e", "--free", "damping", "latency")
@@ -37,16 +36,10 @@ def _coarse() -> Iterator[None]:
         yield
 
 
-def simulated(seed: int, seconds: float = 2.5) -> Recording:
+def motion(seed: int) -> Recording:
     """Sines as commands at 50 Hz, from another moment with every seed; measured at 125 Hz, with noise."""
-    t_cmd, t_meas = np.arange(0.0, seconds, 0.02), np.arange(0.0, seconds, 0.008)
-    q_cmd = position(t_cmd + seed)
-    blank = Recording(
-        joints=ARM, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=np.repeat(q_cmd[:1], len(t_meas), axis=0)
-    )
-    (path,) = RecordedMotion([blank], 1 / PHYSICS_HZ).simulate([TRUTH])
-    q = np.concatenate((blank.q[: -len(path)], path))
-    return replace(blank, q=q + NOISE * np.random.default_rng(seed).standard_normal(q.shape))
+    rng, t_cmd, t_meas = np.random.default_rng(seed), np.arange(0.0, 2.5, 0.02), np.arange(0.0, 2.5, 0.008)
+    return simulated(rng, TRUTH, 1 / PHYSICS_HZ, t_cmd, position(t_cmd + seed), t_meas)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +47,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("recordings") / "arm & co"
     folder.mkdir()
     for seed, name in enumerate(("first", "second")):
-        simulated(seed).save(folder / f"{name}.npz")
+        motion(seed).save(folder / f"{name}.npz")
     return [str(path) for path in sorted(folder.iterdir())]
 
 
@@ -122,7 +115,7 @@ def test_clocks_that_drift_and_play_are_reported(tmp_path: Path, capsys: pytest.
     """Clocks that differ by 2 ms in a second, and 6 mrad of play."""
     paths = []
     for seed in range(2):
-        recording, play = simulated(seed), np.array((0.0, 0.0, 0.0, 0.0, 0.0, 6e-3))
+        recording, play = motion(seed), np.array((0.0, 0.0, 0.0, 0.0, 0.0, 6e-3))
         loose = replace(recording, t_meas=1.002 * recording.t_meas, q=behind_play(recording.q, play))
         paths.append(tmp_path / f"{seed}.npz")
         loose.save(paths[-1])
@@ -139,7 +132,7 @@ def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys:
     """A controller's own target is where the joint is: no servo with a lag predicts it as well."""
     paths = []
     for seed in range(2):
-        recording = simulated(seed)
+        recording = motion(seed)
         target = replace(recording, t_cmd=recording.t_meas, q_cmd=recording.q + 1e-4)
         paths.append(tmp_path / f"{seed}.npz")
         target.save(paths[-1])

@@ -78,9 +78,9 @@ UNNAMED = [
         (SENT, "no topic /joint_states; recorded are /command. Record it"),
         (SWAPPED + SENT, "message 4: joints .* two publishers share"),
         (measured(short()) + SENT + PLAN, "message 5: a trajectory of 2 po"),
-        (one_state(NAMES, np.ones(5)) + SENT, "message 2: 5 numbers in position"),
+        (one_state(NAMES, np.ones(5)) + SENT, "message 2: 5 positions for 7"),
         (UNNAMED + SENT, "a joint state without names of joints.* fill in 'name'"),
-        (measured(short()) + WIDE, "topic /command, message 0: 13 numbers in position for 6 joints"),
+        (measured(short()) + WIDE, "topic /command, message 0: 13 positions for 6 joints"),
     ],
 )
 def test_error_names_topic_message_and_fix(messages: list[Message], message: str, tmp_path: Path):
@@ -115,7 +115,7 @@ def with_hand(recording: Recording) -> Recording:
         for name in ("q_cmd", "q")
         for values in (getattr(recording, name),)
     }
-    return replace(recording, joints=ALL, qd=None, **arrays)
+    return replace(recording, joints=ALL, **arrays)
 
 
 def states(recording: Recording, joints: tuple[str, ...], delay: float = 0.0) -> list[Message]:
@@ -211,14 +211,13 @@ def test_a_profile_has_topics_and_names(tmp_path: Path):
     assert_same(read_rosbag(path, ALL, RecordedNames.of(profile, order)), part, 1e-6)
 
 
-def test_a_bag_of_one_joint_is_read_as_a_partial_recording(tmp_path: Path):
+def test_a_bag_of_one_joint_is_read(tmp_path: Path):
     recording = short().select((ARM[2],))
-    messages = states(recording, recording.joints)
-    for time, target in zip(recording.t_cmd, recording.q_cmd, strict=True):
-        messages.append(
-            ("/command", nanoseconds(time), trajectory(nanoseconds(time), recording.joints, target))
-        )
-    path = write_bag(tmp_path / "bag", messages)
-    assert read_rosbag(path, ARM, is_partial=True).joints == (ARM[2],)
-    with pytest.raises(RecordingError, match="no joint shoulder_pan_joint"):
-        read_rosbag(path, ARM)
+    sent = [
+        ("/command", nanoseconds(time), trajectory(nanoseconds(time), recording.joints, target))
+        for time, target in zip(recording.t_cmd, recording.q_cmd, strict=True)
+    ]
+    path = write_bag(tmp_path / "bag", states(recording, recording.joints) + sent)
+    assert_same(read_rosbag(path, ARM), recording, NANOSECOND)
+    with pytest.raises(RecordingError, match="no joint index_joint_1"):
+        read_rosbag(path, FINGERS)

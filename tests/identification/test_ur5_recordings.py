@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import clean, position, speed
+from recorded import clean, position
 from ur5_recordings import read_ur5
 
 from pixel2catch.errors import RecordingError
@@ -12,13 +12,12 @@ from pixel2catch.identification.checks import check_recording
 
 
 def test_log_folders_are_read_and_a_bad_line_is_named(tmp_path: Path):
-    """Logs as the robot's: six digits, no line of names, fewer rows of speed than of position."""
+    """Logs as the robot's: six digits, no line of names."""
     recording = clean()
     time = recording.t_meas
     logs = {
         "log_q_target.csv": np.column_stack([time, position(time)]),
         "log_q_actual.csv": np.column_stack([time, recording.q]),
-        "log_qd_actual.csv": np.column_stack([time, speed(time - 0.06)])[:-10],
     }
     for name, values in logs.items():
         np.savetxt(tmp_path / name, values, delimiter=", ", fmt="%.6f")

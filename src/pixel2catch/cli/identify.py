@@ -27,9 +27,9 @@ class Identify:
     """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
 
     A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
-    commands, or an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas, q (a
-    row per measurement), and qd if recorded. Times are in s, positions in rad, speeds in rad/s; commands and
-    measurements may have different clocks. The last of several recordings judges the fit.
+    commands, or an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas and q
+    (a row per measurement). Times are in s, positions in rad; commands and measurements may have different
+    clocks. The last of several recordings judges the fit.
     """
 
     #: Files or folders: rosbag2 (.mcap, .db3) or .npz.
@@ -112,11 +112,11 @@ class Identify:
             report(f"reading {path}")
             if path.suffix == ".npz":
                 whole = Recording.load(path, workcell, names.joints if names else {})
-                found.append(whole.select(joints, is_partial=self.check))
             else:
                 from pixel2catch.identification.importers import read_rosbag
 
-                found.append(read_rosbag(path, joints, names, workcell, is_partial=self.check))
+                whole = read_rosbag(path, joints, names, workcell)
+            found.append(whole if self.check and self.robot is None else whole.select(joints))
         return found
 
 

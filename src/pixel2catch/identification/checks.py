@@ -41,7 +41,7 @@ SMOOTHING = 0.1
 """Window of the cubic for speed and acceleration [s]. Source: ours; 0.2 mrad of noise at 500 Hz become
 0.07 rad/s², and motion up to about 5 Hz passes."""
 
-NEIGHBOURS = 7  # steps whose median speed is that of the middle one, if no speed was recorded (ours)
+NEIGHBOURS = 7  # steps whose median speed is that of the middle one (ours)
 ROUNDING = 1e-9  # largest change of positions that is rounding [rad]
 REFINEMENTS = 10  # Gauss-Newton steps for the lag (ours; three are enough for sines)
 
@@ -245,11 +245,11 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return the time that each step's motion needed beyond its clock [s], and the motion in that time [rad].
 
     In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|², the
-    motion |q̇|·e; both have the shape (samples - 1,).
+    motion |q̇|·e; both have the shape (samples - 1,). The speed is the median of the neighbouring steps'.
     """
     steps = np.diff(recording.t_meas)[:, None]
     moved = np.diff(recording.q, axis=0)
-    speed = _step_speed(recording, moved, steps)
+    speed = median_filter(moved / np.maximum(steps, 1e-9), size=(NEIGHBOURS, 1), mode="nearest")
     norm = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)
     surplus = ((moved - speed * steps) * speed).sum(1) / norm
     return surplus / norm, surplus
@@ -288,13 +288,6 @@ def _refined_lag(recording: Recording, grid: np.ndarray, lag: float) -> float:
         slope = speed[is_inside] - speed[is_inside].mean(0)
         lag -= float((error * slope).sum() / max((slope**2).sum(), 1e-12))
     return lag
-
-
-def _step_speed(recording: Recording, moved: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the speed in each step [rad/s]: the mean recorded at its ends, or the median of neighbours."""
-    if recording.qd is not None:
-        return (recording.qd[1:] + recording.qd[:-1]) / 2
-    return median_filter(moved / np.maximum(steps, 1e-9), size=(NEIGHBOURS, 1), mode="nearest")
 
 
 def _resampled(grid: np.ndarray, time: np.ndarray, positions: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from pixel2catch.identification.recording import Recording, held, require_joints
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import (
     METADATA,
-    MOTION_FIELDS,
     MOTION_TYPES,
     BagMessage,
     JointMotion,
@@ -73,7 +72,7 @@ class _Stream:
     joints: tuple[str, ...]  #: those of the wanted joints that it has, the columns
     recorded: tuple[str, ...]  #: all joints that it has
     times: np.ndarray  #: when each message was sent [ns]
-    fields: dict[str, np.ndarray]  #: `MOTION_FIELDS` that every message has [rad, rad/s, N·m]
+    positions: np.ndarray  #: the positions, a row for each message [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,17 +91,14 @@ def read_rosbag(
     joints: tuple[str, ...],
     names: RecordedNames | None = None,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
-    *,
-    is_partial: bool = False,
 ) -> Recording:
-    """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
+    """Read the motion of those of some joints that a rosbag2 (MCAP or SQLite, its folder or file) measured.
 
     A topic's times are its header stamps, or the bag's receive times if a header has none. They are counted
     from the earliest. Several topics of commands become one stream, with a row whenever one of them changes.
-    A partial recording needs one of the joints only.
 
     Raises:
-        RecordingError: It is not a bag, a topic or joint is missing, or a message has impossible motion.
+        RecordingError: It is not a bag, a topic or command is missing, or a message has impossible motion.
     """
     names = names or RecordedNames()
     if not is_bag(path):
@@ -114,10 +110,10 @@ def read_rosbag(
         bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)
         topics = names.command_topics or {_only_command_topic(bag): ()}
         measured = _read_topic(bag, names.measured_topic, ())
-        if is_partial and measured.joints:
-            bag = replace(bag, joints=measured.joints)
+        if not measured.joints:
+            require_joints(f"{path}, topic {names.measured_topic}", joints, measured.recorded)
+        bag = replace(bag, joints=measured.joints)
         command_ns, q_cmd = _merged(bag, topics)
-    _require_once(f"{path}, topic {names.measured_topic}", bag.joints, [measured])
     start = min(command_ns[0], measured.times[0])
     return Recording(
         name=str(path),
@@ -126,8 +122,7 @@ def read_rosbag(
         t_cmd=(command_ns - start) / 1e9,
         q_cmd=q_cmd,
         t_meas=(measured.times - start) / 1e9,
-        q=measured.fields["position"],
-        qd=measured.fields.get("velocity"),
+        q=measured.positions,
     )
 
 
@@ -147,25 +142,20 @@ def _only_command_topic(bag: _Bag) -> str:
 def _merged(bag: _Bag, topics: Mapping[str, tuple[str, ...]]) -> tuple[np.ndarray, np.ndarray]:
     """Return the times [ns] of commands on any topic, and positions [rad]; the others hold meanwhile."""
     streams = [_read_topic(bag, topic, unnamed) for topic, unnamed in topics.items()]
-    _require_once(f"{bag.path}, topic {', '.join(topics)}", bag.joints, streams)
+    source = f"{bag.path}, topic {', '.join(topics)}"
+    found = [joint for stream in streams for joint in stream.joints]
+    if not {*bag.joints} <= {*found}:
+        require_joints(source, bag.joints, (name for each in streams for name in each.recorded))
+    if twice := sorted({joint for joint in found if found.count(joint) > 1}):
+        raise RecordingError(f"{source}: {', '.join(twice)} is on several topics; command it on one.")
     times = streams[0].times
     for stream in streams[1:]:
         times = np.sort(np.concatenate((times, stream.times[~np.isin(stream.times, times)])))
     columns = {}
     for stream in streams:
-        row = held(stream.times, stream.fields["position"], times)
+        row = held(stream.times, stream.positions, times)
         columns |= dict(zip(stream.joints, row.T, strict=True))
     return times, np.stack([columns[joint] for joint in bag.joints], axis=-1)
-
-
-def _require_once(source: str, joints: tuple[str, ...], streams: Sequence[_Stream]) -> None:
-    """Refuse streams that lack a joint, or have one twice."""
-    found = [joint for stream in streams for joint in stream.joints]
-    if not {*joints} <= {*found}:
-        require_joints(source, joints, (name for stream in streams for name in stream.recorded))
-    twice = sorted({joint for joint in found if found.count(joint) > 1})
-    if twice:
-        raise RecordingError(f"{source}: {', '.join(twice)} is on several topics; command it on one.")
 
 
 def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
@@ -185,12 +175,11 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
         _require_same_order(f"{source}, message {i}", motion, first, len(recorded))
     joints = tuple(joint for joint in bag.joints if joint in recorded)
     order = [recorded.index(joint) for joint in joints]
-    names = [name for name in MOTION_FIELDS if all(name in motion.fields for motion in motions)]
-    fields = {name: np.stack([motion.fields[name] for motion in motions])[:, order] for name in names}
+    positions = np.stack([motion.positions for motion in motions])[:, order]
     stamps = [message.stamp for message in received]
     times = np.array(stamps if all(stamps) else [message.received for message in received], dtype=np.int64)
-    require_motion(source, joints, (times - times[0]) / 1e9, *fields.values(), workcell=bag.workcell)
-    return _Stream(joints=joints, recorded=recorded, times=times, fields=fields)
+    require_motion(source, joints, (times - times[0]) / 1e9, positions, bag.workcell)
+    return _Stream(joints=joints, recorded=recorded, times=times, positions=positions)
 
 
 def _messages(bag: _Bag, source: str, topic: str) -> list[tuple[BagMessage, JointMotion]]:
@@ -215,9 +204,8 @@ def _require_same_order(where: str, motion: JointMotion, first: JointMotion, num
             f"{', '.join(first.joints)}; two publishers share the topic: choose the --robot of one of them, "
             "or record them on two topics."
         )
-    for name, values in motion.fields.items():
-        if len(values) != num_joints:
-            raise RecordingError(
-                f"{where}: {len(values)} numbers in {name} for {num_joints} joints; publish one number per "
-                "joint, choose the --robot with that many joints, or name the --profile."
-            )
+    if len(motion.positions) != num_joints:
+        raise RecordingError(
+            f"{where}: {len(motion.positions)} positions for {num_joints} joints; publish one number per "
+            "joint, choose the --robot with that many joints, or name the --profile."
+        )

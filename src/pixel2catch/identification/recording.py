@@ -125,22 +125,18 @@ class Recording:
     q_cmd: Float64[np.ndarray, "num_commands num_joints"]  #: commands [rad]; each holds until the next
     t_meas: Float64[np.ndarray, " num_samples"]  #: times of the measurements [s], not decreasing
     q: Float64[np.ndarray, "num_samples num_joints"]  #: measured positions [rad]
-    qd: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: speeds [rad/s], if recorded
 
     def __post_init__(self) -> None:
         """Refuse motion that is impossible for a robot."""
-        speeds, cell = () if self.qd is None else (self.qd,), self.workcell
-        require_motion(f"{self.name}: q_cmd", self.joints, self.t_cmd, self.q_cmd, workcell=cell)
-        require_motion(f"{self.name}: q, qd", self.joints, self.t_meas, self.q, *speeds, workcell=cell)
+        for name, time, positions in (("q_cmd", self.t_cmd, self.q_cmd), ("q", self.t_meas, self.q)):
+            require_motion(f"{self.name}: {name}", self.joints, time, positions, self.workcell)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
         """Return the commands at some times of their clock [s]; see `held`."""
         return held(self.t_cmd, self.q_cmd, time)
 
-    def select(self, joints: tuple[str, ...], *, is_partial: bool = False) -> "Recording":
-        """Return the motion of some joints in the given order; a partial one needs one of them only."""
-        if is_partial:
-            joints = tuple(joint for joint in joints if joint in self.joints) or joints
+    def select(self, joints: tuple[str, ...]) -> "Recording":
+        """Return the motion of some joints in the given order."""
         require_joints(self.name, joints, self.joints)
         columns = [self.joints.index(joint) for joint in joints]
         arrays = {
@@ -164,12 +160,10 @@ class Recording:
         """
         required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
         with reading("recording", path, "Record or convert it again.", RecordingError):
-            arrays = read_arrays(path, (*required, "qd"))
+            arrays = read_arrays(path, required)
             missing = [name for name in required if name not in arrays]
             if missing:
-                raise RecordingError(
-                    f"no array {', '.join(missing)}; a recording has {', '.join(required)}, and may have qd"
-                )
+                raise RecordingError(f"no array {', '.join(missing)}; a recording has {', '.join(required)}")
             joints = tuple((names or {}).get(name, name) for name in _texts(arrays.pop("joints")))
             arrays = {name: _numbers(values) for name, values in arrays.items()}
         known = specs_of(workcell)
@@ -182,8 +176,7 @@ class Recording:
         return Recording(name=str(path), workcell=workcell, joints=joints, **arrays)
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)[3:]}
-        return {name: values for name, values in arrays.items() if values is not None}
+        return {field.name: getattr(self, field.name) for field in fields(self)[3:]}
 
 
 def _texts(array: np.ndarray) -> tuple[str, ...]:
@@ -214,24 +207,22 @@ def require_motion(
     joints: tuple[str, ...],
     time: np.ndarray,
     positions: np.ndarray,
-    *others: np.ndarray,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> None:
-    """Refuse motion that is impossible for a robot: positions [rad] and others, a row per time [s]."""
+    """Refuse motion that is impossible for a robot: positions [rad], a row per time [s]."""
     groups = groups_of(workcell)
     if unknown := [joint for joint in joints if joint not in groups]:
         raise UnknownNameError("joint", unknown[0], groups)
     if time.ndim != 1 or len(time) < 2:
         raise RecordingError(f"{source}: no motion, shape {time.shape}; record two rows at least.")
-    for values in (positions, *others):
-        if values.shape != (len(time), len(joints)):
-            raise RecordingError(
-                f"{source}: shape {values.shape}, but there are {len(time)} times and {len(joints)} joints; "
-                "give every time one row and every joint one column."
-            )
-        _refuse(source, joints, values, ~np.isfinite(values), "is not a number; cut the recording before it")
+    if positions.shape != (len(time), len(joints)):
+        raise RecordingError(
+            f"{source}: shape {positions.shape}, but there are {len(time)} times and {len(joints)} joints; "
+            "give every time one row and every joint one column."
+        )
     times, clock = time[:, None], ("time",)
-    _refuse(source, clock, times, ~np.isfinite(times), "is not a number; cut the recording before it")
+    for columns, values in ((joints, positions), (clock, times)):
+        _refuse(source, columns, values, ~np.isfinite(values), "is not a number; cut the recording before it")
     is_back = np.diff(times, axis=0, prepend=times[:1]) < 0
     _refuse(source, clock, times, is_back, "s is before the row above; split the recording here, or sort it")
     reach = np.array([MOTION_RANGES[groups[joint].role].reach for joint in joints])
@@ -277,7 +268,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Refuse targets that no robot should get."""
-        require_motion("targets", self.joints, self.times, self.positions, workcell=self.workcell)
+        require_motion("targets", self.joints, self.times, self.positions, self.workcell)
         known = specs_of(self.workcell)
         if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
             raise InvalidValueError(

@@ -134,15 +134,13 @@ MOTION_TYPES = (
 )
 """Types of messages with joint positions."""
 
-MOTION_FIELDS = ("position", "velocity", "effort")  #: [rad, rad/s, N·m]; only the first is required.
-
 
 @dataclass(frozen=True, kw_only=True)
 class JointMotion:
     """The content of a message of one of `MOTION_TYPES`."""
 
     joints: tuple[str, ...]  #: Names in the order of the numbers; empty if the type has none.
-    fields: dict[str, np.ndarray]  #: One number for each joint, by the `MOTION_FIELDS` that are there.
+    positions: np.ndarray  #: One number for each joint [rad].
 
 
 def joint_motion(where: str, message: BagMessage) -> JointMotion:
@@ -153,20 +151,18 @@ def joint_motion(where: str, message: BagMessage) -> JointMotion:
     """
     content = message.content
     if message.type == "std_msgs/msg/Float64MultiArray":
-        joints, fields = (), {"position": content.data}
+        joints, positions = (), content.data
     elif message.type == "trajectory_msgs/msg/JointTrajectory":
         if len(content.points) != 1:
             raise RecordingError(
                 f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
                 "record the targets that are streamed to the joints, one point in each message."
             )
-        joints, fields = content.joint_names, {"position": content.points[0].positions}
+        joints, positions = content.joint_names, content.points[0].positions
     elif message.type == "sensor_msgs/msg/JointState":
         if not len(content.position):
             raise RecordingError(f"{where}: a joint state without positions; record one that has them.")
-        given = {name: getattr(content, name) for name in MOTION_FIELDS}
-        joints, fields = content.name, {name: values for name, values in given.items() if len(values)}
+        joints, positions = content.name, content.position
     else:
         raise RecordingError(f"{where}: type {message.type} is not read; record {', '.join(MOTION_TYPES)}.")
-    arrays = {name: np.asarray(values, dtype=np.float64) for name, values in fields.items()}
-    return JointMotion(joints=tuple(joints), fields=arrays)
+    return JointMotion(joints=tuple(joints), positions=np.asarray(positions, dtype=np.float64))
