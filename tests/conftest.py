@@ -35,8 +35,14 @@ CHECKED_CALLS = {
 
 CALLS: Counter[Callable[..., Any]] = Counter()  #: Those of the present test.
 
-# Shared machines are too uneven for a deadline per example; the same examples in every run.
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
+# Shared machines are too uneven for limits of time: the first draw reads the sources of all imported modules.
+# The same examples in every run.
+hypothesis.settings.register_profile(
+    "repeatable",
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
 hypothesis.settings.load_profile("repeatable")
 
 

@@ -1,41 +1,29 @@
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, perturb_box
+from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, perturb_box, pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
-def boxes(num: int, seed: int) -> torch.Tensor:
-    """Random boxes inside the image [px]."""
-    generator = torch.Generator().manual_seed(seed)
-    corners = torch.rand(num, 2, 2, generator=generator) * torch.tensor([640.0, 480.0])
-    return torch.cat([corners.amin(1), corners.amax(1)], dim=-1)
-
-
-def test_box_of_visible_points():
-    pixels = torch.tensor([[[10.0, 20.0], [30.0, 25.0], [15.0, 40.0], [600.0, 400.0]]])
-    is_visible = torch.tensor([[True, True, True, False]])
-    assert box_of_points(pixels, is_visible, RGB_CAMERA).tolist() == [[10.0, 20.0, 30.0, 40.0]]
-
-
-def test_a_box_that_the_image_cuts_ends_at_its_edge():
-    pixels = torch.tensor(
-        [[[20.0, 470.0], [25.0, 475.0], [50.0, 490.0]], [[-9.0, 4.0], [3.0, 5.0], [-2.0, -8.0]]]
-    )
-    box = box_of_points(pixels, torch.ones(2, 3, dtype=torch.bool), RGB_CAMERA)
-    # The point below the image bounds neither left nor right; the point beyond the corner bounds nothing.
-    assert box.tolist() == [[20.0, 470.0, 25.0, 480.0], [0.0, 5.0, 3.0, 5.0]]
-
-
-def test_all_points_off_the_image_is_a_zero_box():
-    pixels = torch.tensor([[[20.0, 490.0], [-5.0, 300.0]]])
-    assert box_of_points(pixels, torch.ones(1, 2, dtype=torch.bool), RGB_CAMERA).tolist() == [[0.0] * 4]
-
-
-def test_nothing_visible_is_a_zero_box_even_with_points_at_infinity():
-    pixels = torch.tensor([[[torch.inf, torch.nan]]])
-    assert box_of_points(pixels, torch.zeros(1, 1, dtype=torch.bool), RGB_CAMERA).tolist() == [[0.0] * 4]
+@pytest.mark.parametrize(
+    ("pixels", "num_visible", "expected"),
+    [
+        pytest.param(
+            [(10, 20), (30, 25), (15, 40), (600, 400)], 3, [10, 20, 30, 40], id="of the visible points"
+        ),
+        # The point below the image bounds neither left nor right.
+        pytest.param([(20, 470), (25, 475), (50, 490)], 3, [20, 470, 25, 480], id="cut at the lower edge"),
+        # The point beyond the corner bounds nothing.
+        pytest.param([(-9, 4), (3, 5), (-2, -8)], 3, [0, 5, 3, 5], id="cut at the left edge"),
+        pytest.param([(20, 490), (-5, 300)], 2, [0] * 4, id="off the image"),
+        pytest.param([(torch.inf, torch.nan)], 0, [0] * 4, id="nothing visible"),
+    ],
+)
+def test_box_of_points(pixels, num_visible, expected):
+    is_visible = torch.arange(len(pixels))[None] < num_visible
+    assert box_of_points(torch.tensor([pixels]).float(), is_visible, RGB_CAMERA).tolist() == [expected]
 
 
 def test_box_of_mask_runs_along_the_outer_pixel_edges():
@@ -47,24 +35,34 @@ def test_box_of_mask_runs_along_the_outer_pixel_edges():
     assert is_seen.tolist() == [True, True, False]
 
 
-def test_each_edge_moves_by_its_own_noise():
-    box = torch.tensor([[100.0, 110.0, 130.0, 150.0]])
-    noise = torch.tensor([[1.0, -2.0, 3.0, -4.0]])
-    assert perturb_box(box, noise, RGB_CAMERA).tolist() == [[101.0, 108.0, 133.0, 146.0]]
+@pytest.mark.parametrize(
+    ("box", "noise", "expected"),
+    [
+        ([100, 110, 130, 150], [1, -2, 3, -4], [101, 108, 133, 146]),
+        ([100, 478, 120, 480], [0, 1.5, 0, -4], [100, 476, 120, 479.5]),  # edges that cross are exchanged
+    ],
+)
+def test_each_edge_moves_by_its_own_noise(box, noise, expected):
+    boxes, errors = torch.tensor([box]).float(), torch.tensor([noise]).float()
+    assert perturb_box(boxes, errors, RGB_CAMERA).tolist() == [expected]
 
 
-def test_edges_that_cross_are_exchanged():
-    box = torch.tensor([[100.0, 478.0, 120.0, 480.0]])
-    noise = torch.tensor([[0.0, 1.5, 0.0, -4.0]])  # 479.5 above 476
-    assert perturb_box(box, noise, RGB_CAMERA).tolist() == [[100.0, 476.0, 120.0, 479.5]]
-
-
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), reach=st.floats(0.0, 5.0))
 def test_noise_keeps_boxes_in_order_and_in_the_image(seed: int, reach: float):
-    box = boxes(50, seed)
-    noise = (2 * torch.rand(50, 4, generator=torch.Generator().manual_seed(seed + 1)) - 1) * reach
+    generator = torch.Generator().manual_seed(seed)
+    corners = torch.rand(50, 2, 2, generator=generator) * torch.tensor([640.0, 480.0])
+    box = torch.cat([corners.amin(1), corners.amax(1)], dim=-1)
+    noise = (2 * torch.rand(50, 4, generator=generator) - 1) * reach
     noisy = perturb_box(box, noise, RGB_CAMERA)
     assert (noisy[:, :2] <= noisy[:, 2:]).all()
     torch.testing.assert_close(clip_box(noisy, RGB_CAMERA), noisy, atol=0, rtol=0)
     assert (noisy - box).abs().max() <= reach + 1e-4
+
+
+def test_features_by_hand():
+    before = torch.tensor([[300.0, 100.0, 320.0, 130.0]])  # centre (310, 115), size (20, 30)
+    now = torch.tensor([[304.0, 108.0, 336.0, 132.0]])  # centre (320, 120), size (32, 24)
+    # 320 / 640, 120 / 480, 32 / 640, 24 / 480, then 320 - 310, 120 - 115, 32 - 20, 24 - 30
+    expected = torch.tensor([[0.5, 0.25, 0.05, 0.05, 10.0, 5.0, 12.0, -6.0]])
+    torch.testing.assert_close(pixel_features(before, now, RGB_CAMERA), expected)

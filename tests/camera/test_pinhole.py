@@ -2,10 +2,8 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
-from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 AT_ORIGIN = CameraSpec(
@@ -40,16 +38,6 @@ def test_optical_axis_of_the_rgb_camera():
     torch.testing.assert_close(depth, torch.full((1, 2), 2.0, dtype=torch.float64))
 
 
-@given(scale=st.floats(0.1, 10.0), x=st.floats(-1, 1), y=st.floats(-1, 1), z=st.floats(0.2, 4))
-def test_a_ray_is_a_pixel(scale: float, x: float, y: float, z: float):
-    """Points on one ray through the centre share their pixel; the depth grows with the distance."""
-    point = torch.tensor([[[x, y, z]]], dtype=torch.float64)
-    pixels, depth = project(AT_ORIGIN, point)
-    pixels_far, depth_far = project(AT_ORIGIN, scale * point)
-    torch.testing.assert_close(pixels_far, pixels, atol=1e-8, rtol=1e-8)
-    torch.testing.assert_close(depth_far, scale * depth)
-
-
 def test_single_precision_is_enough():
     extent, corner = torch.tensor([2.5, 0.6, 1.5]), torch.tensor([0.3, -0.3, 0.5])
     points = torch.rand(100, 50, 3, dtype=torch.float64) * extent + corner
@@ -57,3 +45,16 @@ def test_single_precision_is_enough():
     single, _ = project(RGB_CAMERA, points.float())
     assert single.dtype == torch.float32
     assert (single - exact).abs().max() < 1e-3
+
+
+def test_a_miss_or_a_hit_behind_the_point_hides_nothing():
+    hits = torch.tensor([[-1.0, 0.999, 1.0, 1.5, 0.0]])
+    assert is_unoccluded(hits).tolist() == [[True, False, True, True, False]]
+
+
+def test_in_view_is_on_the_image_and_in_front():
+    # Straight ahead; behind the camera on the same line; far to the left; under the lower edge.
+    points = torch.tensor([[[1.5, 0.0, 1.2], [-2.28, 0.02, 3.2], [1.5, 3.0, 1.2], [0.2, 0.0, 0.5]]])
+    pixels, depth = project(RGB_CAMERA, points)
+    assert (depth[0] > 0).tolist() == [True, False, True, True]
+    assert is_in_view(RGB_CAMERA, pixels, depth).tolist() == [[True, False, False, False]]

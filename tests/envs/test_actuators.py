@@ -14,7 +14,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_parameters
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.methods import METHODS
+from pixel2catch.methods import PROPOSED
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
@@ -60,14 +60,22 @@ def targets(num_steps: int) -> np.ndarray:
     return (HOME + INWARDS * motion).astype(np.float32).astype(float)
 
 
+def still_world(scene: SceneCfg, dynamics: JointDynamics, num_envs: int = 1) -> CatchWorld:
+    """The world of the environment at the beginning of an episode."""
+    world = CatchWorld(scene, dynamics, num_envs=num_envs, device="cpu")
+    begin(world, torch.ones(num_envs, dtype=torch.bool))
+    return world
+
+
+def begin(world: CatchWorld, mask: torch.Tensor) -> None:
+    throw = sample_throws(ThrowCfg(), len(mask), torch.Generator().manual_seed(0))
+    world.reset(mask, parameters(len(mask)), throw)
+    world.simulation.forward(mask)
+
+
 def world_path(scene: SceneCfg, dynamics: JointDynamics, targets: np.ndarray) -> np.ndarray:
     """Joint positions at the ends of control steps in the world of the environment, (num_steps, 19) [rad]."""
-    world = CatchWorld(scene, dynamics, num_envs=1, device="cpu")
-    everywhere = torch.ones(1, dtype=torch.bool)
-    throw = sample_throws(ThrowCfg(), 1, torch.Generator().manual_seed(0))
-    world.reset(everywhere, parameters(1), throw)
-    world.simulation.forward(everywhere)
-    path = []
+    world, path = still_world(scene, dynamics), []
     for target in targets:
         world.run(torch.tensor(target, dtype=torch.float32)[None])
         path.append(world.simulation.bind("qpos")[0, :19].numpy().copy())
@@ -142,7 +150,7 @@ def test_a_file_of_some_joints_leaves_the_others_nominal():
     arm = IDENTIFIED.select(NOMINAL.joints[:6])
     gains = GainRanges(stiffness_scale=ONE, damping_scale=ONE)
     task = CatchEnvCfg().with_dynamics(DynamicsFile(dynamics=arm, gains=gains))
-    env = CatchEnv(task, METHODS["proposed"], num_envs=2)
+    env = CatchEnv(task, PROPOSED, num_envs=2)
     model, nominal = env.world.simulation.model, build_model(SceneCfg())
     expected = np.concatenate((arm.armature, NOMINAL.armature[6:]))
     np.testing.assert_array_equal(model.dof_armature[:19], expected)
@@ -154,16 +162,11 @@ def test_a_file_of_some_joints_leaves_the_others_nominal():
 
 def test_a_new_episode_does_not_feel_the_last_one():
     """With latency and filters, joints at rest at the start pose stay there: nothing old is on its way."""
-    scene = SceneCfg()
-    world = CatchWorld(scene, IDENTIFIED, num_envs=2, device="cpu")
-    throw = sample_throws(ThrowCfg(), 2, torch.Generator().manual_seed(0))
-    world.reset(torch.tensor((True, True)), parameters(2), throw)
-    world.simulation.forward(torch.tensor((True, True)))
+    world = still_world(SceneCfg(), IDENTIFIED, num_envs=2)
     target = torch.tensor(HOME + INWARDS * 0.2).float().expand(2, -1)
     for _ in range(3):
         world.run(target)
-    world.reset(torch.tensor((True, False)), parameters(2), throw)
-    world.simulation.forward(torch.tensor((True, False)))
+    begin(world, torch.tensor((True, False)))
     world.run(torch.stack((torch.tensor(HOME).float(), target[1])))
     moved = (world.joint_pos - torch.tensor(HOME)).abs()
     assert moved[0, :6].max() < 1e-5

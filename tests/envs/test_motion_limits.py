@@ -2,10 +2,10 @@
 
 import math
 
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from rollouts import HOVERING, make
 
 from paper_robot import JOINTS
 from pixel2catch.envs.actuators import (
@@ -15,9 +15,6 @@ from pixel2catch.envs.actuators import (
     ActuatorLimits,
     ActuatorState,
 )
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.methods import METHODS
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 SPEED_LIMIT = 2.79253
@@ -31,8 +28,8 @@ DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
 SEEDS = st.integers(0, 2**31)
 
 
-def random_state(seed: int) -> tuple[torch.Tensor, ActuatorState]:
-    """A command and joints anywhere, at speeds within the limits, with randomised gains."""
+def random_state(seed: int, speed: float = 1.0) -> tuple[torch.Tensor, ActuatorState]:
+    """A command and joints anywhere, at speeds up to a share of the limits, with randomised gains."""
     generator = torch.Generator().manual_seed(seed)
 
     def draw(low: float, high: float) -> torch.Tensor:
@@ -41,7 +38,7 @@ def random_state(seed: int) -> tuple[torch.Tensor, ActuatorState]:
     pos = draw(-3.0, 3.0)
     state = ActuatorState(
         joint_pos=pos,
-        joint_vel=draw(-1.0, 1.0) * SERVOS.velocity_limit,
+        joint_vel=speed * draw(-1.0, 1.0) * SERVOS.velocity_limit,
         stiffness=STIFFNESS * draw(0.7, 1.3),
         damping=DAMPING * draw(0.7, 1.3),
     )
@@ -62,21 +59,19 @@ def test_torque_of_a_limited_command_is_within_the_effort_limit(seed):
 @given(SEEDS)
 def test_steady_speed_of_a_limited_command_is_within_the_speed_limit(seed):
     """At rest, where effort does not bind further out, k / d times the distance is the speed that follows."""
-    command, state = random_state(seed)
-    at_rest = ActuatorState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
-    lead = SERVOS.limited(command, at_rest) - state.joint_pos
+    command, state = random_state(seed, speed=0.0)
+    lead = SERVOS.limited(command, state) - state.joint_pos
     speed = state.stiffness / state.damping * lead
     assert (speed.abs() <= SPEED_MARGIN * SERVOS.velocity_limit * (1 + 1e-9)).all()
 
 
 @given(SEEDS, st.floats(0.0, 1.0))
 def test_a_command_that_keeps_the_limits_is_left_alone(seed, share):
-    _, state = random_state(seed)
-    at_rest = ActuatorState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
+    _, state = random_state(seed, speed=0.0)
     lead = SPEED_MARGIN * SERVOS.velocity_limit * state.damping / state.stiffness
     reach = EFFORT_MARGIN * SERVOS.effort_limit / state.stiffness
     command = state.joint_pos + share * torch.minimum(lead, reach)
-    torch.testing.assert_close(SERVOS.limited(command, at_rest), command)
+    torch.testing.assert_close(SERVOS.limited(command, state), command)
 
 
 @given(SEEDS)
@@ -94,31 +89,19 @@ def test_friction_by_hand():
     assert not SERVOS.friction(0.0 * speed).any()
 
 
-def actions(kind: str, step: int, num_envs: int, generator: torch.Generator) -> torch.Tensor:
-    """Random, bang-bang or sinusoidal actions of all joints, other ones in each environment."""
-    if kind == "random":
-        return 2.0 * torch.rand(num_envs, len(JOINTS), generator=generator) - 1.0
-    period = torch.arange(2, num_envs + 2)[:, None]
-    wave = torch.sin(2.0 * math.pi * step / period + torch.arange(len(JOINTS)))
-    return wave if kind == "sinusoidal" else torch.where(wave >= 0.0, 1.0, -1.0)
-
-
-@pytest.mark.parametrize("kind", ["bang-bang"])
-def test_no_policy_breaks_the_limits_in_free_motion(kind):
+def test_bang_bang_actions_keep_the_limits_in_free_motion():
     """Until the robot touches something, for 2 s; a contact's impulse is not the servos' to limit."""
-    env = CatchEnv(
-        CatchEnvCfg(throws=ThrowCfg(hover_steps=(80, 80))), METHODS["single_agent"], num_envs=16, seed=4
-    )
-    generator = torch.Generator().manual_seed(0)
+    env = make(16, seed=4, method="single_agent", throws=HOVERING)
+    phases = torch.arange(len(JOINTS))
     speed, share, num_free = 0.0, 0.0, 0
     for step in range(60):
-        result = env.step({"robot": actions(kind, step, env.num_envs, generator)})
-        is_free = ~(
-            result.record.is_self_contact | result.record.is_table_contact | result.record.is_hand_contact
-        )
+        wave = torch.sin(2.0 * math.pi * step / torch.arange(2, env.num_envs + 2)[:, None] + phases)
+        result = env.step({"robot": torch.where(wave >= 0.0, 1.0, -1.0)})
+        record, log = result.record, result.log
+        is_free = ~(record.is_self_contact | record.is_table_contact | record.is_hand_contact)
         num_free += int(is_free.sum())
-        speed = max(speed, torch.where(is_free, result.log.joint_speed, 0.0).max().item())
-        share = max(share, torch.where(is_free, result.log.torque_share, 0.0).max().item())
+        speed = max(speed, torch.where(is_free, log.joint_speed, 0.0).max().item())
+        share = max(share, torch.where(is_free, log.torque_share, 0.0).max().item())
     assert num_free > 200
     assert 0.5 < speed < SPEED_LIMIT
     assert share <= 1.0

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, clone, select, write
 from snapshots import tensors
 
@@ -93,41 +92,16 @@ def test_clone_unfolds_shared_and_expanded_memory():
     assert pair.first[:, 1:].eq(0.0).all()
 
 
-def detection(mark: float) -> Detection:
-    return Detection(
-        box=torch.full((1, 4), mark),
-        object_pos=torch.full((1, 3), -mark),
-        is_seen=torch.ones(1, dtype=torch.bool),
-        stale=torch.zeros(1),
-        age_error=torch.zeros(1),
-    )
-
-
-def delivered(detections: DelayLine[Detection], *latency: float) -> list[float]:
-    """Marks of what arrives; box and position of a detection travel together."""
-    arrived = detections.delivered(torch.tensor(latency, dtype=torch.float32))
-    assert torch.equal(arrived.box[:, :3], -arrived.object_pos)
-    return arrived.box[:, 0].tolist()
-
-
-@given(st.lists(st.floats(0.0, 640.0, width=32), min_size=1, max_size=12), st.integers(0, 2))
-def test_detections_arrive_in_order_and_none_is_lost(marks, latency):
-    detections, arrived = DelayLine.filled(detection(marks[0]), 2), []
-    for mark in marks:
-        detections = detections.pushed(detection(mark))
-        arrived += delivered(detections, latency)
-    assert arrived == [marks[0]] * min(latency, len(marks)) + marks[: len(marks) - latency]
-
-
 @pytest.mark.parametrize(
     ("latency", "expected"), [(0.0, 3.0), (0.9, 3.0), (1.0, 2.0), (1.99, 2.0), (2.5, 1.0)]
 )
-def test_a_detection_does_not_arrive_before_its_time(latency, expected):
+def test_a_value_does_not_arrive_before_its_time(latency, expected):
     """Of 1, 2, 3 the newest that is old enough: what lies between two control steps waits for the later."""
-    detections = DelayLine.filled(detection(0.0), 2)
+    line = DelayLine.filled(Pair(torch.zeros(1), torch.zeros(1, 3)), 2)
     for mark in (1.0, 2.0, 3.0):
-        detections = detections.pushed(detection(mark))
-    assert delivered(detections, latency) == [expected]
+        line = line.pushed(Pair(torch.full((1,), mark), torch.full((1, 3), -mark)))
+    arrived = line.delivered(torch.tensor([latency]))
+    assert (arrived.first.item(), *arrived.second[0].tolist()) == (expected, *[-expected] * 3)
 
 
 def test_interpolation_by_hand():
