@@ -6,7 +6,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded
