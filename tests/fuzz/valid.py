@@ -155,7 +155,7 @@ def _read_bag(file: Path) -> None:
     path, errors = file if file.suffix != ".yaml" else file.parent, []
     for read in (
         lambda: read_rosbag(path, ARM),
-        lambda: [*images_of(str(path), [], joints=ARM)],
+        lambda: [*images_of(str(path), [])],
         lambda: read_lens(path, CharucoBoard()),
     ):
         try:

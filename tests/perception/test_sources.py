@@ -2,7 +2,6 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -110,7 +109,7 @@ NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
-    return list(images_of(str(path), [] if notes is None else notes, topic, NAMES))
+    return list(images_of(str(path), [] if notes is None else notes, topic))
 
 
 @pytest.mark.parametrize(
@@ -131,7 +130,6 @@ def test_raw_images_come_out_as_they_were(
         assert [frame.stamp for frame in frames] == pytest.approx([stamp_of(step) / 1e9 for step in range(3)])
         for frame in frames:
             np.testing.assert_array_equal(frame.pixels, PICTURE)
-            assert frame.joint_pos is None
 
 
 def test_the_time_of_reception_counts_where_a_stamp_is_missing(tmp_path: Path):
@@ -173,22 +171,3 @@ def test_a_bag_without_images_says_so(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [joint_state(stamp_of(0), NAMES, np.zeros(len(NAMES)))])
     with pytest.raises(PerceptionError, match="is on no topic; record the camera"):
         read(path)
-
-
-def test_an_image_has_the_joint_positions_of_its_time(tmp_path: Path):
-    """Arm and hand are published one after the other; an image arrives later than the states of its time."""
-    arm, hand = NAMES[:6], NAMES[6:]
-
-    def state(time: int, value: float) -> list[Any]:
-        position = np.full(len(NAMES), value)
-        return [joint_state(time, arm, position[:6]), joint_state(time, hand, position[6:])]
-
-    messages = [
-        raw(0, PICTURE),
-        *state(stamp_of(1), 1.0),
-        *state(stamp_of(1) + 10_000_000, 2.0),
-        raw(1, PICTURE),
-    ]
-    first, second = read(save_bag(tmp_path / "bag", messages))
-    assert first.joint_pos is None
-    np.testing.assert_array_equal(second.joint_pos, np.ones(len(NAMES)))

@@ -74,8 +74,11 @@ REMOVED_OPTIONS = (
     ("reproduce", "--report-only", "leave it out; the same command writes the report again"),
     ("reproduce", "--transitions", "give --training transitions=NUMBER"),
     ("reproduce stress", "--launcher", "leave it out; --slurm alone selects the cluster"),
-    ("track", "--joint-states", "leave it out; the topic is /joint_states"),
-    ("track", "--workcell", "give --mask-robot NAME"),
+    (
+        "track",
+        "--mask-robot --joint-states --workcell",
+        "leave it out; give --region, or run 'replay' for a recording of deploy",
+    ),
     ("train", "--cone", "give --env.scene.cone"),
     ("train", "--latency-steps", "give --env.sensing.latency-steps"),
     ("train", "--multiccd --no-multiccd", "give --env.scene.multiccd True or --env.scene.multiccd False"),

@@ -47,9 +47,6 @@ class Track:
     at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
     seconds: Positive | None = None  #: When to stop [s after the first image]. Default: at the end.
     topic: str | None = None  #: Topic of the images in a rosbag. Default: the only one.
-    #: Ignore motion of these robots, a work cell as for `train`; the rosbag must have /joint_states of all
-    #: joints.
-    mask_robot: str | None = None
     #: Radius of a ball of the largest object's volume [m]: much larger things are not the object.
     object_radius: Positive = OBJECT_RADIUS
     #: Labels of the video, of CVAT, Label Studio or in COCO format: compare the boxes with them, from --at
@@ -84,14 +81,11 @@ class Track:
     ) -> "tuple[list[dict[str, Any]], list[Score]]":
         """Follow the object, write video and table until the end or Ctrl-C; return table and scores."""
         from pixel2catch.evaluation.box_scores import scored
-        from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
+        from pixel2catch.perception.regions import PlausibilityCfg
         from pixel2catch.perception.sightings import follow
         from pixel2catch.perception.sources import images_of, is_camera, on_control_clock
         from pixel2catch.perception.tracker import ObjectTracker
-        from pixel2catch.workcells import find_workcell
 
-        workcell = find_workcell(self.mask_robot) if self.mask_robot else None
-        joints = workcell.joint_names if workcell else ()
         fit, camera = self._fit(notes)
         if labels:
             wide, high = fit.own
@@ -106,13 +100,12 @@ class Track:
         tracker = ObjectTracker(
             args.make_segmenter(is_live=is_camera(self.source), say=say),
             replace(args, box=box, region=region).make_prompter(camera),
-            robot=RobotMask(workcell, camera) if workcell else None,
             camera=camera,
             limits=PlausibilityCfg.up_to(self.object_radius),
             waits=True,
         )
         scores: list[Score] = []
-        images = images_of(self.source, notes, self.topic, joints)
+        images = images_of(self.source, notes, self.topic)
         sightings = follow(on_control_clock(images, notes, fit), tracker, self.at, camera)
         if labels:
             sightings = scored(sightings, labels, fit, self.at, scores)
@@ -122,7 +115,7 @@ class Track:
         with StopRequest() as stop:
             rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
             end = inf if self.seconds is None else self.seconds
-            rows = self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, notes)
+            rows = self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera)
         if stop.is_set:
             notes.append("stopped by Ctrl-C.")
         if labels and not scores:
@@ -148,16 +141,13 @@ class Track:
             )
         return fit, camera
 
-    def _write(
-        self, sightings: "Iterator[Sighting]", camera: "CameraSpec", notes: list[str]
-    ) -> list[dict[str, Any]]:
+    def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec") -> list[dict[str, Any]]:
         """Write a picture and a row for every sighting; return the rows."""
         from pixel2catch.perception.sightings import COLUMNS, annotated
-        from pixel2catch.perception.sources import JOINT_STATES
         from pixel2catch.rendering.video import VideoWriter
 
         self.out.mkdir(parents=True, exist_ok=True)
-        said, rows, num_without_joints = -inf, list[dict[str, Any]](), 0
+        said, rows = -inf, list[dict[str, Any]]()
         with (
             open(self.out / TABLE, "w", newline="", encoding="utf-8") as file,
             VideoWriter(self.out / VIDEO) as video,
@@ -166,17 +156,11 @@ class Track:
             table.writeheader()
             for sighting in sightings:
                 rows.append(sighting.row())
-                num_without_joints += sighting.tick.image.joint_pos is None
                 table.writerow(rows[-1])
                 video.write(annotated(sighting, camera))
                 if time.monotonic() - said > REPORT_SECONDS:
                     said = time.monotonic()
                     say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
-        if self.mask_robot and num_without_joints:
-            notes.append(
-                f"the robot is not masked in {num_without_joints} control steps: no states of all its joints "
-                f"on {JOINT_STATES} before their images."
-            )
         return rows
 
 

@@ -1,12 +1,10 @@
 """Images of a video, a ROS 2 bag or a camera, on the control clock, and how they are scaled."""
 
 import time
-from bisect import bisect_right
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import av
 import cv2
@@ -21,7 +19,6 @@ from pixel2catch.ros2.messages import (
     CHANNELS,
     COMPRESSED_IMAGE,
     IMAGE,
-    JOINT_STATE,
     MOST_PIXELS,
     pixels_of,
     unpacked_image,
@@ -38,8 +35,6 @@ camera of 30 Hz makes no tick miss its image."""
 LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-JOINT_STATES = "/joint_states"  #: Topic of the joint states of all robots.
-NUM_STATES = 1000  #: Joint states that are kept until an image of their time arrives: 2 s at 500 Hz.
 
 OPTIONS = {
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif",
@@ -96,16 +91,13 @@ class Tick:
     now: float  #: The time, by the clock of the stamps [s].
 
 
-def images_of(
-    source: str, notes: list[str], topic: str | None = None, joints: Sequence[str] = ()
-) -> Iterator[Image]:
+def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterator[Image]:
     """Yield the images of a video file, a bag or a camera.
 
     Args:
         source: A video file; the folder, .mcap or .db3 file of a bag; the number or device of a camera.
         notes: Get problems that do not end the stream.
         topic: The topic of a bag's images; None for the only one.
-        joints: Names in a bag's joint states, in joint order; empty to read none.
 
     Raises:
         PerceptionError: There is no such source, or it has no image.
@@ -119,7 +111,7 @@ def images_of(
             "/dev/videoN."
         )
     if path.suffix in BAG_SUFFIXES or path.is_dir():
-        return bag_images(path, notes, topic, joints)
+        return bag_images(path, notes, topic)
     return video_images(path, notes)
 
 
@@ -210,33 +202,26 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
         notes.append(f"the video is damaged after {num_images} images: {reason}.")
 
 
-def bag_images(
-    path: Path, notes: list[str], topic: str | None = None, joints: Sequence[str] = ()
-) -> Iterator[Image]:
-    """Yield the images of a bag with the joint positions of their time: arguments as `images_of`.
+def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterator[Image]:
+    """Yield the images of a bag: arguments as `images_of`.
 
     The stamp is that of the header, or the time of recording without one. Damaged images are left out, with
-    a note. Images have no positions before the first position of every joint.
+    a note.
 
     Raises:
         PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
     with opened_bag(path) as reader:
         images = connections_of(path, reader.connections, IMAGE_TYPES, topic)
-        wanted = (JOINT_STATES, JOINT_STATE)
-        states = [each for each in reader.connections if (each.topic, each.msgtype) == wanted]
-        positions, num_damaged, reason = _JointPositions(joints), 0, ""
-        for message in decoded(reader, [*images, *states]):
+        num_damaged, reason = 0, ""
+        for message in decoded(reader, images):
             stamp = (message.stamp or message.received) / 1e9
-            if message.type == JOINT_STATE:
-                positions.add(message.content, stamp)
-                continue
             pixels = _pixels(message)
             if pixels is None:
                 num_damaged += 1
                 reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
                 continue
-            yield Image(pixels=pixels, stamp=stamp, joint_pos=positions.at(stamp))
+            yield Image(pixels=pixels, stamp=stamp)
         if num_damaged:
             notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
@@ -258,28 +243,6 @@ def connections_of(
         f"{path}: {' or '.join(types)} is on {', '.join(topics) or 'no topic'}; record the camera, and "
         "choose one of its topics with --topic."
     )
-
-
-class _JointPositions:
-    """Joint positions of the last seconds."""
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        self._joints = joints
-        self._known: dict[str, float] = {}
-        self._stamps: deque[float] = deque(maxlen=NUM_STATES)
-        self._positions: deque[np.ndarray] = deque(maxlen=NUM_STATES)
-
-    def add(self, message: Any, stamp: float) -> None:
-        """Add a joint state, which may have some of the joints only."""
-        self._known.update(zip(message.name, message.position, strict=False))
-        if self._joints and all(name in self._known for name in self._joints):
-            self._stamps.append(stamp)
-            self._positions.append(np.array([self._known[name] for name in self._joints]))
-
-    def at(self, stamp: float) -> np.ndarray | None:
-        """Return the last positions up to a time [rad]; None if there are none."""
-        index = bisect_right(self._stamps, stamp) - 1
-        return self._positions[index] if index >= 0 else None
 
 
 def _pixels(message: BagMessage) -> Pixels | None:
