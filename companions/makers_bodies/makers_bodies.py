@@ -33,7 +33,7 @@ from pixel2catch.robots.poses import (
     vertices_of,
 )
 from pixel2catch.robots.spec import Placed, RobotSpec
-from pixel2catch.robots.workcell import COLLISION_GROUP, robot_mjcf
+from pixel2catch.robots.workcell import COLLISION_GROUP, read_mjcf, require_simple, robot_mjcf
 
 Surface = Literal["collision", "visual"]
 Line = tuple[Float[ndarray, "3"], Float[ndarray, "3"]]
@@ -136,10 +136,12 @@ def read_model(path: Path, surface: Surface) -> mujoco.MjModel:
     """Return the compiled model of a URDF or MJCF file; meshes are searched in all folders above it."""
     try:
         if path.suffix == ".urdf":
-            spec = mujoco.MjSpec.from_string(path.read_text().replace("</robot>", f"{URDF_COMPILER}</robot>"))
+            text = path.read_text()
+            require_simple(text.encode())
+            spec = mujoco.MjSpec.from_string(text.replace("</robot>", f"{URDF_COMPILER}</robot>"))
             _find_meshes(spec, path.parent.resolve())
         else:
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = read_mjcf(path)
         spec.compiler.balanceinertia = True  # the hand's maker publishes inertias that no body can have
         spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-12
         model = spec.compile()

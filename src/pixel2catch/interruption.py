@@ -20,6 +20,11 @@ def raise_on_termination() -> AbstractContextManager[None]:
     return _handling(_terminations(), _terminate)
 
 
+def on_signals(handler: Handler) -> AbstractContextManager[None]:
+    """Call a handler in this context, in the main thread, for each signal that ends a program in order."""
+    return _handling((signal.SIGINT, *_terminations()), handler)
+
+
 def _terminate(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
@@ -53,7 +58,7 @@ class StopRequest(ExitStack):
 
     def __enter__(self) -> "StopRequest":
         """Handle the first signal; later ones act as before."""
-        self.enter_context(_handling((signal.SIGINT, *_terminations()), self._request))
+        self.enter_context(on_signals(self._request))
         return self
 
     def _request(self, number: int, frame: FrameType | None) -> None:

@@ -87,7 +87,11 @@ BAD = [
     ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),
     ("track {text} --topic /images --out {new}", "--topic needs a rosbag"),
     ("transfer --engines", "engines is empty"),
+    ("operate /dev/null --keys 35 35 1", "give three different ones"),
+    ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
     # places
+    ("deploy --write-profile {text}", "end the file's name in .yaml"),
+    ("deploy --profile nobody --write-profile my_lab.yaml", "unknown profile 'nobody'"),
     ("evaluate --out .", "out is '.', a folder; name a file in it"),
     ("evaluate --out {file}/x.json", "nothing can be written in"),
     ("evaluate --out {pipe}", "a pipe or a device; name a file"),

@@ -13,6 +13,7 @@ from networks import MakeNode, ros_nodes
 
 from domains import PATIENCE
 from pixel2catch.cli.main import main
+from pixel2catch.cli.operate import KEYS
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import (
     DROPPED,
@@ -174,7 +175,7 @@ def test_an_invalid_status_changes_nothing(text: str):
         assert console.status == good
 
 
-HOLD, ARM, STOP, OTHER = 57, 28, 1, 30
+HOLD, ARM, STOP, OTHER = 35, 30, 57, 31  # H, A, space, S
 
 
 class Device:
@@ -257,8 +258,7 @@ class Desk:
             self._clock.time = max(self._clock.time, next(moments))
             return self._clock.now() > end
 
-        keys = (HOLD,), (ARM,), (STOP,)
-        operate_by_keys(self._console, self._switches, keys, self._clock, is_over, lambda *_: None)
+        operate_by_keys(self._console, self._switches, KEYS, self._clock, is_over, lambda *_: None)
 
     def received(self) -> dict[str, list[bool]]:
         return {name: taken(queue) for name, queue in self._queues.items()}

@@ -1,5 +1,6 @@
 """Robot profiles: the shipped ones, commands, joint states, and errors."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import yaml
 
 from paper_robot import JOINTS
 from pixel2catch.camera.image import Image
+from pixel2catch.cli.main import main
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
@@ -170,3 +172,13 @@ def test_a_file_that_is_not_a_profile_is_refused(tmp_path: Path):
         Profile.load(path)
     with pytest.raises(DeploymentError, match=r"cannot read the profile '.*gone\.yaml': .* Correct it"):
         Profile.load(tmp_path / "gone.yaml")
+
+
+def test_a_copy_of_a_shipped_profile_has_its_comments_and_its_own_name(tmp_path: Path):
+    path = tmp_path / "my_lab.yaml"
+    assert main(["deploy", "--profile", "ur5e_leap", "--write-profile", str(path)]) == 0
+    text, ours = path.read_text(), (PROFILES / "ur5e_leap.yaml").read_text()
+    assert text.replace('name: "my_lab"', "name: ur5e_leap") == ours
+    assert Profile.load(path) == replace(Profile.load("ur5e_leap"), name="my_lab")
+    assert main(["deploy", "--write-profile", str(path)]) == 2
+    assert path.read_text() == text

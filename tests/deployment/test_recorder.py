@@ -1,8 +1,11 @@
 """Recordings: what is written, and what a bad disk or an interruption does."""
 
+import os
 import resource
+import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.errors import DeploymentError, PerceptionError
+from pixel2catch.interruption import raise_on_termination
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
@@ -134,6 +138,7 @@ def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
     script = """
 import sys, time, numpy as np
 from pathlib import Path
+from pixel2catch.interruption import raise_on_termination
 from pixel2catch.ros2 import messages
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.ros2.transport import Topic
@@ -155,3 +160,22 @@ sys.stdin.read()
     assert file.stat().st_size > 9 * 480 * 640 * 3
     with pytest.raises(PerceptionError, match="'mcap recover' for a file that was cut off"), opened_bag(file):
         pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_recording_is_completed_leaves_it_readable(tmp_path: Path, number: int):
+    """What still waits is dropped and reported; the file has its metadata."""
+
+    def interrupt(data: bytes) -> bytes:
+        os.kill(os.getpid(), number)
+        while not bag._is_hurried:
+            time.sleep(0.001)
+        return data
+
+    with raise_on_termination(), BagRecorder(tmp_path / "throw") as bag:
+        for i, convert in enumerate((bytes, interrupt, bytes)):
+            bag.record(NUMBER, messages.number(i), EPOCH + i, convert)
+    assert len(read(tmp_path / "throw")) == 2
+    assert (tmp_path / "throw" / "metadata.yaml").exists()
+    with pytest.raises(DeploymentError, match="lacks 1 messages"):
+        recording_with(bag).require_whole()

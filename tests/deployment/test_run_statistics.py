@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.deployment.statistics import BIN, LONGEST, PERCENTAGES, Histogram, RunStatistics
 
 
@@ -41,3 +42,14 @@ def test_the_ages_of_an_image_at_each_stage_are_in_the_summary():
     assert {name: values["p50"] for name, values in stages.items()} == pytest.approx(
         {"received": 17.0, "begun": 18.0, "perceived": 24.0, "decided": 26.0}
     )
+
+
+def test_a_summary_has_reasons_in_words_and_no_control_characters():
+    statistics = RunStatistics()
+    statistics.stops["dead man, image stale"] = 2
+    statistics.clamps.update(acceleration=30, lead=4)
+    statistics.refused_prompts["\x1b[2Jprogram\u202e"] = 1
+    lines = "\n".join(summary_lines(statistics.summary()))
+    assert "stopped 2 x: the dead-man's switch is not held; no image for 0.1 s" in lines
+    assert "acceleration and jerk in 30, the distance ahead of a joint in 4 ticks" in lines
+    assert "\ufffd[2Jprogram\ufffd: 1 x" in lines

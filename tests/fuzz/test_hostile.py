@@ -3,26 +3,36 @@
 import io
 import json
 import os
+import re
 import struct
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import mujoco
 import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from valid import ARM, KINDS, PIXELS
+from valid import ARM, KINDS, PIXELS, Learner
 
 from pixel2catch.arrays import read_arrays
 from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
+from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
+from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
+from pixel2catch.learning.experiment import require_run
+from pixel2catch.methods import find_method
 from pixel2catch.perception.calibration.lens import read_image
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy.contract import method_of
+from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import bags, messages
 from pixel2catch.ros2.messages import STORE
@@ -73,21 +83,67 @@ def test_what_is_not_a_file_of_the_kind_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["policy", "trajectory"])
+def _changed_json(kind: str, change: Callable[[dict[str, Any], str], object]) -> Callable[[Path, str], Path]:
+    """Return what writes a file of a kind with other content; the function gets content and work cell."""
+
+    def write(folder: Path, workcell: str) -> Path:
+        file = KINDS[kind].write(folder)
+        content = json.loads(file.read_text())
+        change(content, workcell)
+        file.write_text(json.dumps(content))
+        return file
+
+    return write
+
+
+def _naming_profile(folder: Path, workcell: str) -> Path:
+    file = KINDS["profile"].write(folder)
+    text, number = re.subn("(?m)^workcell:.*", f"workcell: {json.dumps(workcell)}", file.read_text())
+    assert number == 1
+    file.write_text(text)
+    return file
+
+
+def _naming_trajectory(folder: Path, workcell: str) -> Path:
+    file, header = folder / "path.npz", {"format_version": 1, "workcell": workcell}
+    np.savez(file, header=np.array(json.dumps(header)), joints=np.array(ARM), times=0.0, positions=0.0)
+    return file
+
+
+def _naming_onnx(folder: Path, workcell: str) -> Path:
+    policy = Policy(replace(contract_of(find_method("catch+fit")), workcell=workcell), hidden=(8,))
+    (folder / "policy.onnx").write_bytes(to_onnx(policy))
+    return folder / "policy.onnx"
+
+
+def _naming_checkpoint(folder: Path, workcell: str) -> Path:
+    contract = replace(contract_of(find_method("catch+fit")), workcell=workcell)
+    save_checkpoint(folder / "checkpoint.pt", Learner(), contract, Progress(transitions=5))  # type: ignore
+    return folder / "checkpoint.pt"
+
+
+NAMING = {
+    "policy": (_changed_json("policy", lambda all, own: all.update(workcell=own)), KINDS["policy"].read),
+    "run": (
+        _changed_json("run", lambda all, own: all["env"]["scene"].update(workcell=own)),
+        lambda file: require_run(file.parent),
+    ),
+    "profile": (_naming_profile, Profile.load),
+    "trajectory": (_naming_trajectory, Trajectory.load),
+    "onnx": (_naming_onnx, load_policy),
+    "checkpoint": (_naming_checkpoint, lambda file: method_of(Checkpoint.load(file, "cpu").contract)),
+}
+"""The files that name a work cell: what writes one with another name, and what reads it."""
+
+
+@pytest.mark.parametrize("name", NAMING)
 def test_a_file_does_not_choose_what_python_runs(name: str, tmp_path: Path):
     """Its work cell is a name; a path of a Python file is none, even if the file is there."""
     own = tmp_path / "own.py"
     own.write_text("raise SystemExit('it ran')")
-    if name == "policy":
-        file = KINDS["policy"].write(tmp_path)
-        content = json.loads(file.read_text()) | {"workcell": str(own)}
-        file.write_text(json.dumps(content))
-        read = KINDS["policy"].read
-    else:
-        file, header = tmp_path / "path.npz", {"format_version": 1, "workcell": str(own)}
-        np.savez(file, header=np.array(json.dumps(header)), joints=np.array(ARM), times=0.0, positions=0.0)
-        read = Trajectory.load
-    with pytest.raises(Pixel2CatchError, match="work cell"):
+    write, read = NAMING[name]
+    file = write(tmp_path, str(own))
+    with pytest.raises(Pixel2CatchError, match=r"work cell .*--import FILE\.py"):
         read(file)
 
 
@@ -218,9 +274,11 @@ def test_a_file_may_be_as_long_as_its_bound(tmp_path: Path):
         '<mujoco><worldbody><replicate count="9999999"/></worldbody></mujoco>',
         '<mujoco><include file="/dev/zero"/></mujoco>',
         '<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>',
+        '<mujoco><worldbody><geom class="c%p-%p" size="1"/></worldbody></mujoco>',
+        '<mujoco><worldbody><geom name="%n" size="1"/></worldbody></mujoco>',
     ],
 )
-def test_a_model_that_grows_is_refused_before_mujoco_reads_it(
+def test_a_harmful_model_is_refused_before_mujoco_reads_it(
     content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(mujoco.MjSpec, "from_file", None)

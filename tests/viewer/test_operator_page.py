@@ -29,6 +29,9 @@ OPERATOR = PROFILE.operator
 WAITS = {"mode": "idle", "stopped_by": [], "refused": [], "found": ["dead man"], "message": ""}
 
 
+WORDS = "robot ur5e_allegro, profile ur5e_allegro_v4, network lo, clock 1"
+
+
 class Desk:
     """A page and the network beside it, whose time goes on by hand."""
 
@@ -45,6 +48,7 @@ class Desk:
             self.clock,
             self.console,
             button=HeldButton(PATIENCE) if has_switch else None,
+            words=WORDS,
         )
         self.heard = {
             name: self.node.subscription(getattr(OPERATOR, name), depth=1000)
@@ -259,6 +263,23 @@ def test_words_follow_the_statuses(desk: Desk):
     desk.tell(mode="armed")
     assert not desk.go_on()["refusal"]
     assert desk.go_on(1.5)["headline"] == "no status of a deployment is received"
+
+
+def test_the_page_says_which_robot_and_how_fast_and_where_it_differs(desk: Desk):
+    assert desk.go_on()["robot"] == WORDS
+    fast = f"{WORDS}; joints up to: arm 2.79 rad/s"
+    desk.tell(robot=fast)
+    assert desk.go_on()["robot"] == fast
+    desk.tell(robot=fast.replace("clock 1", "clock 0.5"))
+    assert desk.go_on()["robot"].endswith(f"; but this program: {WORDS}")
+
+
+def test_texts_of_the_network_have_no_control_characters(desk: Desk):
+    desk.tell(message="\x1b]0;owned\x07 a\nb", found=["\x9b31m"], robot="\u202e")
+    state = desk.go_on()
+    assert state["message"] == "\ufffd]0;owned\ufffd a\ufffdb"
+    assert "\ufffd31m" in state["headline"]
+    assert "\u202e" not in str(state)
 
 
 def is_on(box: Any) -> Callable[[float, float], tuple[float, float]]:

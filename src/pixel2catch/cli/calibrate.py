@@ -95,7 +95,7 @@ class Calibrate:
         joints = workcell.joint_names[workcell.palms[0].carriers]
         with (
             needs_extra("deployment"),
-            self.link.join("pixel2catch_calibrate") as (transport, _),
+            self.link.join("pixel2catch_calibrate", self.link.in_words(profile)) as (transport, _),
             StopRequest() as stop,
         ):
             capture = Capture(self.capture, CharucoBoard(self.square), joints)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from pixel2catch.files import printable
 from pixel2catch.progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ def results_console() -> Console:
 
 
 def say(text: str) -> None:
-    """Print a line of progress."""
-    print(text, file=sys.stderr, flush=True)
+    """Print a line of progress; the network's part of it may have control characters."""
+    print(printable(text), file=sys.stderr, flush=True)
 
 
 def progress_bar(name: str) -> ProgressBar:

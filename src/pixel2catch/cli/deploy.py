@@ -6,14 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder
+from pixel2catch.checks import NewFolder, OutputFile
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
-from pixel2catch.files import json_text
+from pixel2catch.files import json_text, printable
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
@@ -63,6 +63,9 @@ class Deploy:
     record: NewFolder | None = None
     json: bool = False  #: Print the summary as one JSON object, and each status as a line of JSON.
     dry_run: bool = False  #: Send nothing to the robot, and announce no command.
+    #: New file, such as my_lab.yaml, for a copy of the --profile with its comments, as the start of your own.
+    #: Nothing else is done.
+    write_profile: Annotated[Path, OutputFile((".yaml", ".yml"), is_new=True)] | None = None
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
@@ -72,6 +75,9 @@ class Deploy:
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.servo.link import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
             from pixel2catch.servo.status_words import sentence
+        if self.write_profile:
+            self.link.robot.write_copy(self.write_profile)
+            return
         set_niceness(CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
@@ -120,6 +126,18 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
     if ages:
         yield f"median age of an image [ms]: {', '.join(ages)}"
-    for name in ("stops", "refusals", "clamps", "stop_requests", "refused_prompts"):
-        for reason, count in summary[name].items():
-            yield f"{name.replace('_', ' ')}: {reason}: {count}"
+    yield from _counted(summary)
+
+
+def _counted(summary: dict[str, Any]) -> Iterator[str]:
+    """Yield what stopped or limited the robot, and who requested it."""
+    from pixel2catch.servo.status_words import CLAMP_WORDS, fault_words
+
+    for name, words in (("stops", "stopped"), ("refusals", "arming refused")):
+        for reasons, count in summary[name].items():
+            yield f"{words} {count} x: {'; '.join(fault_words(each)[0] for each in reasons.split(', '))}"
+    if clamps := [f"{CLAMP_WORDS[name]} in {count}" for name, count in summary["clamps"].items()]:
+        yield f"targets beyond a limit, which the servo kept (no fault): {', '.join(clamps)} ticks"
+    for name, words in (("stop_requests", "stop requested by"), ("refused_prompts", "prompts refused of")):
+        for sender, count in summary[name].items():
+            yield f"{words} {printable(sender)}: {count} x"

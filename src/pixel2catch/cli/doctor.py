@@ -14,7 +14,7 @@ from rich.text import Text
 
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
-from pixel2catch.files import json_text
+from pixel2catch.files import json_text, printable
 from pixel2catch.installation import (
     PACKAGE,
     Absent,
@@ -151,7 +151,9 @@ class Doctor:
             table = Table("check", "", "found")
             for each in checks:
                 style = STYLES[each.state]
-                table.add_row(each.name, Text(each.state, style=style), Text(each.found, style=style))
+                table.add_row(
+                    each.name, Text(each.state, style=style), Text(printable(each.found), style=style)
+                )
             bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
             fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
             console = results_console()
@@ -170,7 +172,7 @@ class Doctor:
         network = Network(robot=Robot(profile=profile), network=self.network, clock=self.clock)
         robot = network.robot.load()
         lens = CameraFile.load(self.lens).camera if self.lens else RGB_CAMERA
-        with network.join("pixel2catch_doctor") as (transport, clock):
+        with network.join("pixel2catch_doctor", network.in_words(robot)) as (transport, clock):
             survey = Survey(transport, robot, clock)
             survey.take()
         return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)

@@ -1,6 +1,8 @@
 """Options of the commands that communicate with a robot, or with its digital twin."""
 
+import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
 from pixel2catch.cli.console import say
+from pixel2catch.files import write_atomically
 from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, NetworkName, RealClock, make_transport
 
 if TYPE_CHECKING:
@@ -41,6 +44,16 @@ class Robot:
 
         return Profile.load(self.profile)
 
+    def write_copy(self, path: Path) -> None:
+        """Write a copy of the profile, with comments, under the name of the new file."""
+        from pixel2catch.ros2.profile import profile_file
+
+        self.load()  # refuses a file that is no profile
+        text = profile_file(self.profile).read_text(encoding="utf-8")
+        text = re.sub(r"(?m)^name:.*$", lambda _: f"name: {json.dumps(path.stem)}", text, count=1)
+        write_atomically({path: text.encode()})
+        say(f"wrote {path}: change topics and joint names to yours, then run 'deploy --profile {path}'")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
@@ -52,14 +65,21 @@ class Network:
     network: NetworkName = LOOPBACK
     clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
 
+    def in_words(self, profile: "Profile") -> str:
+        """Return robot, profile, network and clock, as commands and pages begin."""
+        reach = REACH.get(self.network, "everything on this interface")
+        domain = os.environ.get("ROS_DOMAIN_ID") or 0
+        return (
+            f"robot {profile.workcell}, profile {profile.name}, network {self.network} ({reach}), "
+            f"ROS_DOMAIN_ID {domain}, clock {self.clock:g}"
+        )
+
     @contextmanager
-    def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
-        """Join the network as a node of this name; print which network it is."""
+    def join(self, node: str, words: str) -> Iterator[tuple["Transport", "Clock"]]:
+        """Join the network as a node of this name; print the words of `in_words`."""
         clock = RealClock(self.clock)
         with make_transport(node, self.network, clock) as transport:
-            domain = os.environ.get("ROS_DOMAIN_ID") or 0
-            reach = REACH.get(self.network, "everything on this interface")
-            say(f"network: {self.network}, {reach}; ROS_DOMAIN_ID {domain}")
+            say(words)
             yield transport, clock
 
     @property
@@ -95,16 +115,22 @@ class Link(Network):
         from pixel2catch.servo.process import ServoSetup, start_servo
 
         limits = self.limits(profile)
+        speeds = (f"{part.name} {limits.joint_speed(part.ids):.3g} rad/s" for part in profile.robots)
+        words = f"{self.in_words(profile)}; joints up to: {', '.join(speeds)}"
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=is_dry_run)
         join = partial(make_transport, f"{NODE}_servo", self.network)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
-        transport, clock = stack.enter_context(self.join(NODE))
+        transport, clock = stack.enter_context(self.join(NODE, words))
+        for part in profile.robots:
+            say(f"{part.name}: {limits.in_words(part.ids)}")
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
-        return Connection(transport=transport, servo=servo, clock=clock, recording=recording)
+        return Connection(
+            transport=transport, servo=servo, clock=clock, recording=recording, robot_words=words
+        )
 
     def limits(self, profile: "Profile") -> "ServoLimits":
-        """Return the servo's limits for this robot, and print them."""
+        """Return the servo's limits for this robot; say if they are those without identified dynamics."""
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.servo.limits import JointLimits, ServoLimits
@@ -120,7 +146,4 @@ class Link(Network):
         joints = JointLimits.of(
             workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots
         )
-        limits = ServoLimits.of(workcell, joints)
-        for part in profile.robots:
-            say(f"{part.name}: {limits.in_words(part.ids)}")
-        return limits
+        return ServoLimits.of(workcell, joints)

@@ -124,7 +124,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except (Pixel2CatchError, OSError, MemoryError, RuntimeError) as error:
         if isinstance(error, BrokenPipeError):
             return 0
-        print(f"pixel2catch: error: {_sentence(error)}", file=sys.stderr)
+        say(f"pixel2catch: error: {_sentence(error)}")
         return EXIT_ERROR
     except Terminated:
         print("pixel2catch: terminated", file=sys.stderr)

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 KeyCode = Annotated[int, Within(1, 767)]  #: Code of a key or button. Source: Linux, input-event-codes.h.
 
 
-KEYS = (57, 288, 304), (28, 296, 315), (1, 289, 305)
-"""Key codes that hold the switch (space bar, first buttons), arm (enter, start) and stop (escape, second)."""
+STOP_KEYS = (57, 1)  #: Codes of space and escape, which stop, on the page as well.
+KEYS = (35, 288, 304), (30, 296, 315), (*STOP_KEYS, 289, 305)
+"""Key codes that hold the switch (H, first buttons), arm (A, start buttons) and stop (second buttons)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +40,8 @@ class Operate:
 
     #: Input device, such as /dev/input/by-id/usb-...-event-kbd; not needed with --web.
     device: Positional[Path | None] = None
-    #: Key codes of the device: hold the switch, arm, stop. Default: space bar, enter and escape, or a
-    #: gamepad's first, start and second button.
+    #: Key codes of the device: hold the switch, arm, stop. Default: H, A and space, as on the page, or a
+    #: gamepad's first, start and second button. Space and escape always stop.
     keys: tuple[KeyCode, KeyCode, KeyCode] | None = None
     web: bool = False  #: Serve a page for the operator.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
@@ -55,12 +56,13 @@ class Operate:
             raise InvalidValueError(
                 "there is no switch: name an input device, such as /dev/input/event3, or add --web."
             )
-        profile = self.network.robot.load()
+        keys, profile = self._keys(), self.network.robot.load()
         with ExitStack() as stack:
             switches = stack.enter_context(Switches(self.device)) if self.device else None
-            node, clock = stack.enter_context(self.network.join("pixel2catch_operator"))
+            words = self.network.in_words(profile)
+            node, clock = stack.enter_context(self.network.join("pixel2catch_operator", words))
             console = OperatorConsole(node, profile.operator, clock)
-            page = self._open(profile, node, clock, console) if self.web else None
+            page = self._open(profile, node, clock, console, words=words) if self.web else None
             if page:
                 stack.callback(page.close)
                 say(f"open {page.address} in a browser")
@@ -76,18 +78,32 @@ class Operate:
             say(f"listening to {self.device or 'the page'}; Ctrl-C ends it, and stops the robot")
             stop = stack.enter_context(StopRequest())
             if switches:
-                hold, arm, halt = ((key,) for key in self.keys) if self.keys else KEYS
-                operate_by_keys(console, switches, (hold, arm, halt), clock, lambda: stop.is_set, report)
+                operate_by_keys(console, switches, keys, clock, lambda: stop.is_set, report)
             elif page:
                 page.operate(lambda: stop.is_set, lambda status: report([], status))
 
-    def _open(self, *inputs: Any) -> "OperatorPage":
+    def _keys(self) -> tuple[tuple[int, ...], ...]:
+        """Return the codes that hold, arm and stop; refuse a key that would have two meanings."""
+        if self.keys is None:
+            return KEYS
+        hold, arm, stop = self.keys
+        if len({*self.keys}) < len(self.keys):
+            raise InvalidValueError(
+                f"--keys has a key twice ({hold}, {arm}, {stop}); give three different ones."
+            )
+        if {hold, arm} & {*STOP_KEYS}:
+            raise InvalidValueError(
+                f"--keys {hold} {arm} {stop}: space (57) and escape (1) stop; give others."
+            )
+        return (hold,), (arm,), (stop, *STOP_KEYS)
+
+    def _open(self, *inputs: Any, words: str) -> "OperatorPage":
         """Open the page; its button is the switch if there is no device."""
         with needs_extra("viewer"):
             from pixel2catch.viewer.operator_page import OperatorPage
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
-        return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button)
+        return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button, words=words)
 
 
 def _say_presses(presses: "list[Press]") -> None:

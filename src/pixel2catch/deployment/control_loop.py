@@ -49,6 +49,7 @@ class Connection:
     servo: LoopEnd  #: This end of the link to the servo process.
     clock: Clock
     recording: DeploymentRecorder | None
+    robot_words: str = ""  #: Robot, network and speeds, for the operator's page.
 
     def receive(self) -> Iterator[Command]:
         """Yield and record the servo's commands since the last call.
@@ -231,7 +232,8 @@ class ControlLoop:
         trouble = self._recording.trouble if self._recording else ""
         message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
         sight = self._pipeline.sight
-        return self.statistics.status(box, message, sight.at(now), now - sight.box_stamp)
+        status = self.statistics.status(box, message, sight.at(now), now - sight.box_stamp)
+        return status | {"robot": self._connection.robot_words}
 
 
 @final

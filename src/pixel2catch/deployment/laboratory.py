@@ -100,6 +100,13 @@ class Survey:
         self._profile.camera.require(image)
         return image.stamp
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether some program publishes or receives a topic of the profile's drivers or camera."""
+        topics = {part.command_topic.name for part in self._profile.robots}
+        topics |= {topic.name for topic in self._decoders}
+        return any(each.topic in topics for each in self.endpoints)
+
     def require_endpoints(self, topic: Topic, *, publish: bool, most: float = 1) -> None:
         """Refuse a topic without publishers, or subscribers, with another type, or with too many of them."""
         verb, noun = ("publishes", "publishers") if publish else ("receives", "receiving programs")
@@ -152,10 +159,11 @@ def receive_buffers(path: Path = Path("/proc/sys/net/core/rmem_max")) -> str:
 
 
 def network(survey: Survey) -> str:
-    """Check that there are other programs."""
-    if not survey.endpoints:
+    """Check that there are drivers."""
+    if not survey.is_heard:
         raise Broken(
-            "no other program is found: compare ROS_DOMAIN_ID with the drivers', check interface and "
+            f"no driver of the profile is found, and {len(survey.endpoints)} publishers and subscriptions of "
+            "others; nothing else was checked: compare ROS_DOMAIN_ID with the drivers', check interface and "
             "firewall (UDP from 7400 on), unset ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE where "
             "they were started, and start them with a middleware that is DDS, such as rmw_cyclonedds_cpp"
         )
@@ -281,6 +289,8 @@ def checks_of_laboratory(
     probes["images"] = partial(images, survey, profile, limits.image_age)
     probes["lens"] = partial(lens, survey, profile.camera.info, camera)
     probes |= {f"commands to {part.name}": partial(commands, survey, part) for part in profile.robots}
+    if not survey.is_heard:  # one line instead of one for each topic
+        probes = {"network": probes["network"]}
     return [
         check("real-time priority", real_time, is_needed=not is_loopback),
         check("receive buffers", receive_buffers, is_needed=not is_loopback),

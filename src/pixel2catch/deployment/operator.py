@@ -240,7 +240,7 @@ HELD_UP = 0.2  #: Time between two polls after which old presses do not count [s
 def operate_by_keys(
     console: OperatorConsole,
     switches: Switches,
-    keys: tuple[Sequence[int], Sequence[int], Sequence[int]],
+    keys: Sequence[Sequence[int]],
     clock: Clock,
     is_over: Callable[[], bool],
     report: Callable[[list[Press], dict[str, Any]], None],

@@ -1,5 +1,6 @@
 """Recording of a deployment as a rosbag2 (MCAP), for `identify`, `track`, `replay` and the tools of ROS 2."""
 
+import atexit
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
@@ -13,6 +14,7 @@ from rosbags.interfaces import Connection as BagConnection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from pixel2catch.errors import DeploymentError
+from pixel2catch.interruption import on_signals
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
@@ -43,7 +45,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self.problem = ""  #: Why nothing can be written; empty if messages can.
         self.unconverted = ""  #: Why the last message that could not be converted was dropped; empty if none.
         self._connections: dict[Topic, BagConnection] = {}
-        self._waiting, self._lock = 0, Lock()
+        self._waiting, self._lock, self._is_hurried = 0, Lock(), False
         self._queue: SimpleQueue[tuple[Topic, bytes, int, Convert] | None] = SimpleQueue()
         try:
             self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -54,6 +56,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             ) from error
         self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
+        atexit.register(self.__exit__)  # a second signal may come where no context ends
 
     def record(self, topic: Topic, data: bytes, stamp: float, convert: Convert = bytes) -> None:
         """Record a message of a time of day [s], converted in the recorder's thread. Any thread may call it.
@@ -68,21 +71,26 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self._queue.put((topic, data, round(stamp * 1e9), convert))
 
     def __exit__(self, *exception: object) -> None:
-        """Write the waiting messages, and complete the file."""
-        self._queue.put(None)
-        self._thread.join()
-        try:
-            self._writer.close()
-        except OSError as error:
-            self.problem = self.problem or str(error)
-            with suppress(OSError):
-                self._writer.abort()
+        """Write the waiting messages, and complete the file; a signal drops those that still wait."""
+        with on_signals(self._hurry):
+            self._queue.put(None)
+            self._thread.join()
+            try:
+                self._writer.close()
+            except OSError as error:
+                self.problem = self.problem or str(error)
+                with suppress(OSError):
+                    self._writer.abort()
+            atexit.unregister(self.__exit__)
+
+    def _hurry(self, *_: object) -> None:
+        self._is_hurried, self.unconverted = True, "the program was told to end at once"
 
     def _write_all(self) -> None:
         give_way(RECORDER_PRIORITY)
         while entry := self._queue.get():
             topic, data, stamp, convert = entry
-            is_written = not self.problem and self._write(topic, data, stamp, convert)
+            is_written = not (self.problem or self._is_hurried) and self._write(topic, data, stamp, convert)
             with self._lock:
                 self._waiting -= len(data)
                 (self.num_written if is_written else self.num_dropped)[topic.name] += 1

@@ -12,7 +12,7 @@ from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
 from pixel2catch.shipped import policy_folder
-from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells import find_workcell, known_workcell
 
 FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
 """Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn
@@ -90,12 +90,14 @@ def read_run(folder: Path) -> RunRecord:
 
     Raises:
         CheckpointError: It does not fit this code.
+        UnknownNameError: It names a work cell that is not known.
         OSError: It cannot be read.
     """
     file = folder / CONFIG_FILE
     try:
         content = _current(read_json_object(file))
         experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
+        known_workcell(experiment.env.scene.workcell)  # a run folder does not choose what Python imports
         return RunRecord(
             experiment=experiment, method=content["policy"]["method"], preset=content.get("preset")
         )

@@ -185,16 +185,23 @@ def read_mjcf(path: Path) -> mujoco.MjSpec:
     """Read an MJCF file.
 
     Raises:
-        InvalidValueError: It cannot be read, is too large or too deep, or creates elements.
+        InvalidValueError: It cannot be read, or `require_simple` refuses it.
     """
     with reading("model", path, "Write MJCF, as for MuJoCo."):
-        _require_simple(read_bytes(path, MOST_MJCF))
+        require_simple(read_bytes(path, MOST_MJCF))
         return mujoco.MjSpec.from_file(str(path))
 
 
 @lru_cache(maxsize=8)  # scenes with different objects share their robots
-def _require_simple(content: bytes) -> None:
-    """Refuse a model with forbidden content."""
+def require_simple(content: bytes) -> None:
+    """Refuse an MJCF or URDF model that is too large or too deep, creates elements, or has a `%`.
+
+    MuJoCo 4.0.0 uses the name of an unknown class as the format of its error message: `%p` prints addresses,
+    `%n` ends the process. Source: tried with `class="c%p-%p"`.
+
+    Raises:
+        InvalidValueError: It has such content.
+    """
     if b"<!DOCTYPE" in content:
         raise InvalidValueError("it declares a document type or entities; remove them")
     depth, num_elements = 0, 0
@@ -205,6 +212,10 @@ def _require_simple(content: bytes) -> None:
             if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
                 raise InvalidValueError(
                     f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
+                )
+            if any("%" in value for value in element.attrib.values()):
+                raise InvalidValueError(
+                    f"its element '{element.tag}' has a '%', which MuJoCo takes for a format; rename it"
                 )
             if element.tag in GROWING:
                 raise InvalidValueError(

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.errors import DeploymentError, InvalidValueError
-from pixel2catch.files import json_object
+from pixel2catch.files import json_object, printable
 from pixel2catch.robots.spec import IDENTITY
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
@@ -241,6 +241,18 @@ text, read_text = _single(TEXT, str)
 MOST_TEXT = 65_536  #: Longest JSON text that is read [characters]; ours have some hundreds. Source: ours.
 
 
+def _printable(value: Any) -> Any:
+    """Return a value of JSON without control characters in its texts: terminals and pages show them."""
+    match value:
+        case str():
+            return printable(value, kept="")
+        case list():
+            return [_printable(each) for each in value]
+        case dict():
+            return {_printable(name): _printable(each) for name, each in value.items()}
+    return value
+
+
 def read_json(data: bytes) -> dict[str, Any]:
     """Decode a text that is a JSON object.
 
@@ -251,7 +263,7 @@ def read_json(data: bytes) -> dict[str, Any]:
     if len(written) > MOST_TEXT:
         raise DeploymentError(f"a text has {len(written)} characters; at most {MOST_TEXT} are read.")
     try:
-        return json_object(written)
+        return _printable(json_object(written))
     except InvalidValueError as error:
         raise DeploymentError(
             f"a text is no JSON object ({error}): check the program that publishes it."

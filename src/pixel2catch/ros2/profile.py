@@ -287,7 +287,7 @@ class Profile:
     """A robot with its drivers and its camera."""
 
     name: str
-    workcell: str  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
+    workcell: str  #: Name of the work cell; of a file of the user's after `--import FILE.py` only.
     camera: CameraProfile
     robots: tuple[RobotPart, ...]  #: A driver for each joint group.
     status: StatusTopics = StatusTopics()
@@ -296,9 +296,9 @@ class Profile:
 
     def __post_init__(self) -> None:
         """Fill in the joint order; refuse joints that are not in the work cell, or driven twice."""
-        from pixel2catch.workcells import find_workcell  # needs MuJoCo: not where a profile is unpickled
+        from pixel2catch.workcells import known_workcell  # needs MuJoCo: not where a profile is unpickled
 
-        workcell = find_workcell(self.workcell)
+        workcell = known_workcell(self.workcell)
         order = tuple(joint.name for joint in workcell.joints)
         parts = tuple(replace(part, joint_order=order) for part in self.robots)
         object.__setattr__(self, "robots", parts)
@@ -324,12 +324,7 @@ class Profile:
             UnknownNameError: There is no such profile.
             DeploymentError: The file cannot be read, or is no profile.
         """
-        path = Path(name_or_path)
-        if path.suffix not in (".yaml", ".yml"):
-            shipped = {file.stem: file for file in sorted(PROFILES.glob("*.yaml"))}
-            if str(name_or_path) not in shipped:
-                raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
-            path = shipped[str(name_or_path)]
+        path = profile_file(name_or_path)
         with reading("profile", path, "Correct it.", DeploymentError):
             return decoded(cls, _with_topics(parse_yaml(read_text(path, MOST_YAML))))
 
@@ -352,3 +347,18 @@ class Profile:
                 f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
                 "joints of a part, or use a policy for this robot."
             )
+
+
+def profile_file(name_or_path: str | Path) -> Path:
+    """Return the file of a shipped profile, or the path of a .yaml file.
+
+    Raises:
+        UnknownNameError: There is no such profile.
+    """
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    shipped = {file.stem: file for file in sorted(PROFILES.glob("*.yaml"))}
+    if str(name_or_path) not in shipped:
+        raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
+    return shipped[str(name_or_path)]

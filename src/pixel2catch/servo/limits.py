@@ -227,11 +227,15 @@ class ServoLimits:
                 f"lower the speed until it takes {STOP_TIME:.1f} s"
             )
 
+    def joint_speed(self, ids: Int[np.ndarray, " some_joints"]) -> float:
+        """Return the highest speed of some joints [rad/s], by their places in joint order."""
+        return float(self.joint_records[ids]["even_speed"].max()) / SPEED_MARGIN
+
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
         """Describe the motion limits of some joints, by their places in joint order."""
         own = self.joint_records[ids]
         return (
-            f"joints up to {own['even_speed'].max() / SPEED_MARGIN:.3g} rad/s; "
+            f"joints up to {self.joint_speed(ids):.3g} rad/s; "
             f"commands up to {own['speed'].max():.3g} rad/s, {own['acceleration'].max():.0f} rad/s², "
             f"{own['jerk'].max():.0f} rad/s³; a stop takes {own['stop_time'].max():.2f} s"
         )

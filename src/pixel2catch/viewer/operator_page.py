@@ -52,6 +52,7 @@ class OperatorPage:
         console: OperatorConsole,
         *,
         button: HeldButton | None,
+        words: str = "",
         more: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
         """Serve it.
@@ -64,10 +65,11 @@ class OperatorPage:
             clock: The clock of the deployment.
             console: Sends the requests; its owner calls `watch`.
             button: The switch on the page; none beside a pedal.
+            words: Robot, profile, network and clock of this program.
             more: Handles requests besides `REQUESTS`, or raises DeploymentError.
         """
         self._console, self._clock, self._camera = console, clock, profile.camera
-        self._button, self._more, self._title = button, more, title
+        self._button, self._more, self._title, self._words = button, more, title, words
         self._images = transport.subscription(profile.camera.image)
         self._visitors = Visitors(self._handle, self._release)
         self._server = open_server(cfg, title, self._visitors.talk)
@@ -139,6 +141,7 @@ class OperatorPage:
         words = status_words(status)
         return {
             "title": self._title,
+            "robot": self._robot(str(status.get("robot", ""))),
             "tone": words.tone,
             "headline": words.headline,
             "advice": words.advice,
@@ -157,6 +160,13 @@ class OperatorPage:
             "latency_ms": latencies(status),
             "details": status_rows(status) if is_heard else [],
         }
+
+    def _robot(self, theirs: str) -> str:
+        """Return the robot of a deployment in words; with those of this program where they differ."""
+        is_same = theirs.startswith(self._words)
+        return (
+            theirs if theirs and is_same else "; but this program: ".join(filter(None, (theirs, self._words)))
+        )
 
     def _handle(self, visitor: Visitor, request: dict[str, Any]) -> None:
         """Do what a browser requests; stops at any time, the rest only if its state is recent."""

@@ -41,6 +41,7 @@ function receive(message) {
   state = message;
   document.title = state.title;
   document.body.dataset.tone = state.tone;
+  setText("robot", state.robot);
   setText("headline", state.headline);
   setText("advice", state.advice.join(" "));
   setText("refusal", errorText || state.refusal);
