@@ -23,6 +23,14 @@ def python(*folders: str) -> list[Path]:
     return [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
 
 
+def all_python() -> dict[bool, list[Path]]:
+    """Return the files that are tests, and the others."""
+    tests, others = python("tests"), python("src", "benchmarks")
+    for path in python("companions"):
+        (tests if path.name.startswith("test_") else others).append(path)
+    return {True: tests, False: others}
+
+
 def room_files(room: str) -> list[Path]:
     return [*SOURCE.glob("*.py")] if room == "ground" else [*(SOURCE / room).rglob("*.py")]
 
@@ -30,9 +38,9 @@ def room_files(room: str) -> list[Path]:
 MEASURES = {
     "source_lines": lambda: lines(python("src")),
     "source_files": lambda: len(python("src")),
-    "all_but_tests_lines": lambda: lines(python("src", "companions", "benchmarks")),
+    "all_but_tests_lines": lambda: lines(all_python()[False]),
     "javascript_lines": lambda: lines((ROOT / "src").rglob("*.js")),
-    "test_lines": lambda: lines(python("tests", "companions")),
+    "test_lines": lambda: lines(all_python()[True]),
 }
 
 

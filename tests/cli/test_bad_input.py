@@ -86,9 +86,9 @@ BAD = [
     ("rehearse --plain --out {new}", "--plain needs --lockstep"),
     ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),
     ("track {text} --topic /images --out {new}", "--topic needs a rosbag"),
-    ("transfer --engines", "engines is empty"),
     ("operate /dev/null --keys 35 35 1", "give three different ones"),
     ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
+    ("stress --restitution 0", "--engines"),
     # places
     ("deploy --write-profile {text}", "end the file's name in .yaml"),
     ("deploy --profile nobody --write-profile my_lab.yaml", "unknown profile 'nobody'"),

@@ -271,7 +271,8 @@ def test_nothing_bounces_in_drake(tmp_path: Path):
 
 
 def transfer(policies: list[str], out: Path, *options: str) -> list[str]:
-    return ["transfer", policies[1], "--throws", "2", "--objects", "cube_s", "--out", str(out), *options]
+    size = ("--num-envs", "2", "--trials", "1", "--objects", "cube_s")
+    return ["stress", policies[1], *size, "--out", str(out), *options]
 
 
 def test_transfer_at_home(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -286,7 +287,7 @@ def test_transfer_at_home(policies: list[str], tmp_path: Path, capsys: pytest.Ca
 
 @NEEDS_PHYSX
 def test_transfer_away(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(transfer(policies, tmp_path, "--env.scene.physics-hz", "120")) == 0
+    assert main(transfer(policies, tmp_path, "--engines", *ENGINES, "--env.scene.physics-hz", "120")) == 0
     assert f"| second | {AS_TRAINED} | physx |" in capsys.readouterr().out
 
 
@@ -294,7 +295,6 @@ def test_transfer_away(policies: list[str], tmp_path: Path, capsys: pytest.Captu
     ("options", "message"),
     [
         (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
-        (("--engines", "mujoco", "--throws", "30"), "throws is 30"),
         (("--engines", "mujoco", "--restitution", "1.5"), "restitution is 1.5"),
     ],
 )

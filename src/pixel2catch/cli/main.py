@@ -20,7 +20,7 @@ from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
 COMMANDS = (
-    *("train", "evaluate", "stress", "transfer", "reproduce", "play", "catch"),
+    *("train", "evaluate", "stress", "reproduce", "play", "catch"),
     *("excite", "record", "identify", "calibrate", "track"),
     *("deploy", "operate", "twin", "rehearse", "replay"),
     *("export", "scene", "bench", "doctor"),
@@ -28,7 +28,8 @@ COMMANDS = (
 """Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
 
 REMOVED = {
-    "label": "label the video with CVAT or Label Studio, and give their file to 'track VIDEO --truth FILE'"
+    "label": "label the video with CVAT or Label Studio, and give their file to 'track VIDEO --truth FILE'",
+    "transfer": "run 'stress --engines mujoco physx'",
 }
 """Commands that are gone, and what to do instead."""
 
@@ -58,14 +59,14 @@ REMOVED_OPTIONS = (
     ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),
     ("operate", "--hold --arm --stop", "give --keys HOLD ARM STOP"),
     (
-        "evaluate stress transfer play scene",
+        "evaluate stress play scene",
         "--robot-model --surface",
         "run companions/makers_bodies/makers_bodies.py",
     ),
     ("play", "--layout --meshes --view", "leave it out; every film has the robot's view in a corner"),
     ("play operate twin", "--host --port", "give --address HOST:PORT"),
     ("record", "--dry-run", "leave it out; a recording needs motion"),
-    ("calibrate rehearse replay stress transfer track", "--json", "read the .json file that it writes"),
+    ("calibrate rehearse replay stress track", "--json", "read the .json file that it writes"),
     ("rehearse twin", "--domain", "set ROS_DOMAIN_ID"),
     ("replay", "--perception-ms", "leave it out; a replay takes 10 ms for an image"),
     ("replay", "--web --host --port", "open the recording with a viewer of MCAP files"),
@@ -82,7 +83,7 @@ REMOVED_OPTIONS = (
     ("train", "--cone", "give --env.scene.cone"),
     ("train", "--latency-steps", "give --env.sensing.latency-steps"),
     ("train", "--multiccd --no-multiccd", "give --env.scene.multiccd True or --env.scene.multiccd False"),
-    ("evaluate stress train transfer", "--physics-hz", "give --env.scene.physics-hz, or --physics-stages"),
+    ("evaluate stress train", "--physics-hz", "give --env.scene.physics-hz, or --physics-stages"),
     ("train", " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN), "set it by 'reproduce --training'"),
     ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
     ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),

@@ -1,11 +1,11 @@
-"""`pixel2catch stress`: evaluate policies under disturbances that the paper's training lacks."""
+"""`pixel2catch stress`: policies under disturbances that the paper's training lacks, or in other engines."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, Device, ResultsFolder, Seed
+from pixel2catch.checks import Count, Device, ResultsFolder, Seed, Share
 from pixel2catch.cli.console import prepare
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
@@ -14,12 +14,22 @@ from pixel2catch.shipped import PolicyPath
 
 @dataclass(frozen=True, kw_only=True)
 class Stress:
-    """Evaluate policies under disturbances, the same throws for all. The same command continues."""
+    """Evaluate policies under disturbances, the same throws for all. The same command continues.
+
+    With --engines the policies are evaluated in several physics engines instead, and each engine is compared
+    with the first one.
+    """
 
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: all shipped.
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()
+    #: Engines: mujoco, physx, drake. The last two step one throw after the other: 20 throws in a round are
+    #: enough.
+    engines: tuple[str, ...] = ()
+    #: With --engines: restitutions of the objects; drake has 0 alone. Default: drawn for every throw, from 0
+    #: to 0.5, as in training.
+    restitution: tuple[Share, ...] = ()
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     num_envs: Count = 100  #: Throws in a round.
@@ -36,16 +46,24 @@ class Stress:
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.studies import cpu_slots, evaluate_policies
-        from pixel2catch.evaluation.policy_report import stress_sections
+        from pixel2catch.evaluation.policy_cells import transfer_settings
+        from pixel2catch.evaluation.policy_report import stress_sections, transfer_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.stress import select_settings
+        from pixel2catch.evaluation.stress import Setting, select_settings
         from pixel2catch.scene.objects import select_objects
+        from pixel2catch.sim.factory import require_engine
 
+        if (self.axes and self.engines) or (self.restitution and not self.engines):
+            raise InvalidValueError("give --axes, or --engines and --restitution")
         if self.jobs > 1 and self.device != "cpu":
             raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
         device = prepare(self.device, is_here=not self.slurm)
         slots = cpu_slots(self.jobs, device, self.slurm, self.out)
-        settings = tuple(self.task.beneath(each, "stress") for each in select_settings(self.axes))
+        for engine in self.engines:
+            require_engine(engine)
+        engines, restitutions = (tuple(dict.fromkeys(each)) for each in (self.engines, self.restitution))
+        settings = transfer_settings(engines, restitutions) if engines else select_settings(self.axes)
+        settings = tuple(self.task.beneath(each, "stress") for each in settings)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -53,13 +71,9 @@ class Stress:
             seed=self.seed,
             device=device,
         )
-        evaluate_policies(
-            "Stress suite",
-            self.policies,
-            settings,
-            cfg,
-            slots,
-            self.out,
-            lambda _: "nominal",
-            stress_sections,
-        )
+
+        def home_of(setting: Setting) -> str:
+            return replace(setting, axis=settings[0].axis).name if engines else "nominal"
+
+        title, sections = ("Transfer", transfer_sections) if engines else ("Stress suite", stress_sections)
+        evaluate_policies(title, self.policies, settings, cfg, slots, self.out, home_of, sections)
