@@ -12,6 +12,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.ros2.profile import DriverJoint, MotionBudget, Profile, RobotPart
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.workspace import Workspace
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NOMINAL = JointDynamics.nominal()
@@ -92,6 +93,19 @@ def test_a_budget_lowers_only_the_limits_of_its_part():
     assert words == (
         "joints up to 1 rad/s; commands up to 3.58 rad/s, 150 rad/s², 20000 rad/s³; a stop takes 0.05 s"
     )
+
+
+def test_commands_may_be_slower_than_their_joints_and_as_often_as_the_driver_takes_them():
+    """An FR3's interface: 10 rad/s² and 2 ms of averaging leave 2.86 rad/s for a stop in 0.3 s."""
+    fr3 = Profile.load("fr3_allegro")
+    workcell, arm = find_workcell(fr3.workcell), fr3.robots[0]
+    wider = replace(arm, limits=replace(arm.limits, command_speed=np.inf))
+    for parts, most in (((arm,), 2.62), ((wider,), 10.0 * (0.3 - 0.004 - 0.01))):
+        limits = ServoLimits.of(workcell, JointLimits.of(workcell, parts=parts), parts)
+        assert limits.dt == 0.001
+        assert limits.joint_records["speed"][:7] == pytest.approx(most)
+        assert limits.joints.acceleration[0] == 10.0
+        assert limits.joints.jerk[0] == 5000.0
 
 
 def test_a_stop_that_takes_a_joint_too_long_is_refused():

@@ -123,6 +123,8 @@ class Link(Network):
         transport, clock = stack.enter_context(self.join(NODE, words))
         for part in profile.robots:
             say(f"{part.name}: {limits.in_words(part.ids)}")
+            if part.notice:
+                say(f"{part.name}: {part.notice}")
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
@@ -146,4 +148,4 @@ class Link(Network):
         joints = JointLimits.of(
             workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots
         )
-        return ServoLimits.of(workcell, joints)
+        return ServoLimits.of(workcell, joints, profile.robots)

@@ -79,6 +79,9 @@ class MotionBudget:
     """A laboratory's limits of a part's motion, in addition to those of the servo."""
 
     speed: Limit = inf  #: Largest speed of a joint [rad/s].
+    command_speed: Limit = (
+        inf  #: Largest speed of a command, which may be more than that of its joint [rad/s].
+    )
     acceleration: Limit = inf  #: Largest acceleration of a command [rad/s²].
     jerk: Limit = inf  #: Largest jerk of a command [rad/s³].
 
@@ -116,6 +119,7 @@ class RobotPart:
     rate_hz: Limit  #: Rate at which the driver takes commands [Hz].
     limits: MotionBudget = MotionBudget()
     controller: Controller | None = None  #: Not checked if absent.
+    notice: str = ""  #: What its driver does that an operator must expect; said before anything is sent.
     joint_order: tuple[str, ...] = ()  #: All joints of the work cell; the profile fills it in.
 
     def require_complete(self) -> None:

@@ -137,9 +137,10 @@ class JointLimits:
             part * each(1000.0 if is_identified else 300.0, 2000.0), most["acceleration"]
         )
         jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
-        stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
-        even_speed = np.minimum(SPEED_MARGIN * own_speed, stoppable)
-        speed = np.minimum(part * each(10.0, 20.0), stoppable) if is_identified else even_speed
+        braking_time = STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN
+        fastest = np.minimum(most["command_speed"], acceleration * braking_time)
+        even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
+        speed = np.minimum(part * each(10.0, 20.0), fastest) if is_identified else even_speed
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
@@ -213,9 +214,15 @@ class ServoLimits:
     ramp_time: float = 1.0  #: Time in which commands go over to the policy's targets [s]. Source: ours.
 
     @classmethod
-    def of(cls, workcell: WorkcellSpec, joints: JointLimits | None = None) -> "ServoLimits":
-        """Return the limits of a work cell, with nominal joint limits if none are given."""
-        return cls(joints=joints or JointLimits.of(workcell), workspace=Workspace(workcell=workcell))
+    def of(
+        cls, workcell: WorkcellSpec, joints: JointLimits | None = None, parts: Iterable[RobotPart] = ()
+    ) -> "ServoLimits":
+        """Return the limits of a work cell, with nominal joint limits if none are given.
+
+        A driver that takes commands more often than every `dt` gets one in each of its cycles.
+        """
+        joints, periods = joints or JointLimits.of(workcell), [1.0 / part.rate_hz for part in parts]
+        return cls(joints=joints, workspace=Workspace(workcell=workcell), dt=min((cls.dt, *periods)))
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""

@@ -24,6 +24,10 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled
 
 HAND_CLEARANCE = 0.01  #: Distance of a hand to its own arm [m]. Source: ours.
+MOST_POSES, STRIDE = (
+    32,
+    8,
+)  #: Ticks of braking that are all checked; step between those checked beyond. Source: ours.
 HALVINGS = 10  #: Bisection steps for the point of a capsule nearest to a box. Source: ours.
 ROUNDING = 1e-9  #: Gap that counts as none [m].
 
@@ -97,29 +101,42 @@ def limit_to_workspace(
 
     Braking with all joints is always possible, by the tick before. One joint after the other gets its
     requested speed if the arms can still stop. Recent positions are (joints, ticks) [rad], oldest first.
+    Where braking takes many ticks, only some are checked until all joints have their speeds.
     """
     moves, requested = False, speeds.copy()
     for joint in space.columns:
         moves |= speeds[joint] != 0.0
-    if not moves or can_stop(space, joints, recent, speeds, limits):
+    if not moves or (
+        can_stop(space, joints, recent, speeds, limits, STRIDE)
+        and can_stop(space, joints, recent, speeds, limits, 1)
+    ):
         return
+    braked = speeds.copy()
     for joint in space.columns:
-        speeds[joint] = braked_speed(joints[joint].velocity, limits[joint])
+        speeds[joint] = braked[joint] = braked_speed(joints[joint].velocity, limits[joint])
     for joint in space.columns:
         slower = speeds[joint]
         speeds[joint] = requested[joint]
-        if requested[joint] != slower and not can_stop(space, joints, recent, speeds, limits):
+        if requested[joint] != slower and not can_stop(space, joints, recent, speeds, limits, STRIDE):
             speeds[joint] = slower
+    if not can_stop(space, joints, recent, speeds, limits, 1):
+        speeds[:] = braked
 
 
 @compiled
-def can_stop(space: Space, joints: Records, recent: np.ndarray, speeds: np.ndarray, limits: Records) -> bool:
-    """Return whether arms with these speeds stay in the workspace while they brake in the next ticks."""
+def can_stop(
+    space: Space, joints: Records, recent: np.ndarray, speeds: np.ndarray, limits: Records, stride: int
+) -> bool:
+    """Return whether arms with these speeds stay in the workspace while they brake in the next ticks.
+
+    Beyond `MOST_POSES` ticks, each `stride`-th is checked, and the last.
+    """
     longest = 0.0
     for joint in space.columns:
         longest = max(longest, np.ceil(abs(speeds[joint]) / limits[joint].change) + limits[joint].window)
-    command = np.empty(len(space.columns))
-    for tick in range(int(longest)):
+    command, last = np.empty(len(space.columns)), int(longest) - 1
+    step = stride if last >= MOST_POSES else 1
+    for tick in range(last % step, last + 1, step):
         for place, joint in enumerate(space.columns):
             speed = float(speeds[joint])
             command[place] = braking_command(joints[joint], recent[joint], speed, tick, limits[joint])
