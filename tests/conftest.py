@@ -87,7 +87,7 @@ def pytest_runtest_setup() -> None:
     CALLS.clear()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def opengl() -> None:
     """Skip what draws where no OpenGL back end works."""
     from pixel2catch.errors import DeviceUnavailableError

@@ -21,6 +21,13 @@ const { episodes, steps } = JSON.parse(await readFile(file, "utf8"));
 Object.assign(task.sensing, { corner_noise: 0, joint_noise: 0 });
 for (const joint of task.joints) joint.action_noise = 0;
 
+/** What was drawn, by the page's names: mass_scale is massScale. */
+function renamed(value) {
+  if (Array.isArray(value) || typeof value !== "object") return value;
+  const name = (key) => key.replace(/_(.)/g, (_, letter) => letter.toUpperCase());
+  return Object.fromEntries(Object.entries(value).map(([key, each]) => [name(key), renamed(each)]));
+}
+
 const simulate = world.run.bind(world);
 const result = { forced: {}, free: {}, num_steps_free: 0 };
 
@@ -39,7 +46,7 @@ for (const [kind, differences] of [["forced", result.forced], ["free", result.fr
       world.data.qpos.set(recorded.qpos[i]);
       mujoco.mj_kinematics(world.model, world.data);
     };
-    env.begin(episode);
+    env.begin(renamed(episode));
     for (recorded of steps) {
       if (kind === "free" && recorded.is_touched[i]) break;
       const observations = env.observations();

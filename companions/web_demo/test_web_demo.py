@@ -35,12 +35,8 @@ PACKAGES = Path(os.environ.get("PIXEL2CATCH_NODE_MODULES", ROOT / "node_modules"
 CHROMIUM = shutil.which("chromium")
 BROWSER_ARGUMENTS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
-    *(
-        "--disable-component-update",
-        "--disable-sync",
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-    ),
+    *("--disable-component-update", "--disable-sync"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
 )
 
 needs_packages = pytest.mark.skipif(
@@ -52,11 +48,15 @@ NUM_THROWS, NUM_STEPS = 3, 50
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of the shipped policy, with npm's packages where there are any."""
-    folder = tmp_path_factory.mktemp("demo")
+    """The page of the shipped policy."""
+    return exported(tmp_path_factory.mktemp("demo"), None)
+
+
+def exported(folder: Path, policy: str | None) -> Path:
+    """The page of a policy, with npm's packages where there are any."""
     if PACKAGES.is_dir():
         (folder / "node_modules").symlink_to(PACKAGES)
-    write_web_demo(None, folder)
+    write_web_demo(policy, folder)
     return folder
 
 
@@ -159,24 +159,12 @@ def quiet_throws(policy_name: str | None) -> dict[str, Any]:
 
 
 def drawn(episode: Episode, names: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What was drawn for each throw, by the page's names."""
-    parameters, throw = episode.parameters, episode.throw
-    values = {
-        "latency": parameters.latency.long(),
-        "massScale": parameters.mass_scale,
-        "restitution": parameters.restitution,
-        "friction": parameters.friction,
-        "stiffnessScale": parameters.stiffness_scale,
-        "dampingScale": parameters.damping_scale,
-        "actionBias": parameters.action_bias,
-        "jointBias": parameters.joint_bias,
-        "jointOffset": parameters.joint_offset,
-    }
-    thrown = {"pos": throw.pos, "quat": throw.quat, "linVel": throw.lin_vel, "hoverSteps": throw.hover_steps}
+    """What was drawn for each throw; latencies are whole control steps."""
+    parameters = vars(episode.parameters) | {"latency": episode.parameters.latency.long()}
     return [
-        {name: value[i].tolist() for name, value in values.items()}
-        | {"object": names[int(parameters.object_id[i])]}
-        | {"throw": {name: value[i].tolist() for name, value in thrown.items()}}
+        {name: value[i].tolist() for name, value in parameters.items()}
+        | {"object": names[int(parameters["object_id"][i])]}
+        | {"throw": {name: value[i].tolist() for name, value in vars(episode.throw).items()}}
         for i in range(NUM_THROWS)
     ]
 
@@ -185,12 +173,7 @@ def drawn(episode: Episode, names: tuple[str, ...]) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("policy", [None, "proposed"])
 def test_javascript_and_python_agree(demo: Path, tmp_path: Path, policy: str | None):
     """On the states of the Python code to float32, and freely until the hand touches the object."""
-    folder = demo
-    if policy:
-        folder = tmp_path / "web"
-        folder.mkdir()
-        (folder / "node_modules").symlink_to(PACKAGES)
-        write_web_demo(policy, folder)
+    folder = exported(tmp_path, policy) if policy else demo
     (tmp_path / "throws.json").write_text(json.dumps(quiet_throws(policy)))
     result = node("agreement.mjs", folder, tmp_path / "throws.json")
     assert max(result["forced"].values()) < 1e-4

@@ -4,20 +4,10 @@ import pytest
 import torch
 from box_error import BoxErrors, compare, sample_frames
 
-from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.scene.objects import OBJECTS
 
 NUM_POINTS = 64
 FRAMES_PER_OBJECT = 9
-
-
-@pytest.fixture(scope="module", autouse=True)
-def opengl() -> None:
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +16,7 @@ def frames() -> dict[str, torch.Tensor]:
 
 
 @pytest.fixture(scope="module")
-def errors(frames: dict[str, torch.Tensor]) -> dict[str, BoxErrors]:
+def errors(opengl: None, frames: dict[str, torch.Tensor]) -> dict[str, BoxErrors]:
     return {name: compare(name, frames[name], NUM_POINTS) for name in OBJECTS}
 
 

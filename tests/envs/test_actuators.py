@@ -1,11 +1,24 @@
 """The joints' drives in simulation: what was identified is what a policy trains with, on both back ends."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from rollouts import HOVERING, make
 
 from paper_robot import JOINTS
-from pixel2catch.envs.actuators import JointActuators
+from pixel2catch.envs.actuators import (
+    EFFORT_MARGIN,
+    FRICTION_SPEED,
+    SPEED_MARGIN,
+    ActuatorLimits,
+    ActuatorState,
+    CommandPath,
+    JointActuators,
+)
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.identification.recording import Recording
@@ -15,7 +28,7 @@ from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, s
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import PROPOSED
-from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_step, filter_transition
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.batch import BatchSimulation
@@ -171,3 +184,169 @@ def test_a_new_episode_does_not_feel_the_last_one():
     moved = (world.joint_pos - torch.tensor(HOME)).abs()
     assert moved[0, :6].max() < 1e-5
     assert moved[1, :6].min() > 0.02
+
+
+DT = 1.0 / 240.0
+NUM_STEPS, HOLD = 40, 8
+TIMES = DT * np.arange(NUM_STEPS + 1)
+DIRECT = JointDynamics.nominal(("elbow_joint", "index_joint_1"))
+FILTERED = DIRECT.with_values(filter_gain=[300.0, 200.0], filter_lookahead=[0.1, 0.08])
+
+
+def ramps() -> np.ndarray:
+    """Commands (num_steps + 1, 2) at the edges of steps: first at rest, then a new ramp every eight steps."""
+    knots = np.random.default_rng(5).uniform(-1.0, 1.0, (NUM_STEPS // HOLD, 2))
+    knots = np.concatenate((np.zeros((1, 2)), knots))
+    return np.stack([np.interp(TIMES, TIMES[::HOLD], knots[:, j]) for j in range(2)], axis=-1)
+
+
+def make_path(dynamics: JointDynamics, num_envs: int = 1) -> CommandPath:
+    path = CommandPath(dynamics, DT, torch.zeros(num_envs, 2, dtype=torch.float64))
+    path.reset(torch.ones(num_envs, dtype=torch.bool), torch.zeros(num_envs, 2, dtype=torch.float64))
+    return path
+
+
+def passed(dynamics: JointDynamics, commands: np.ndarray) -> np.ndarray:
+    """What arrives in every step of commands at the edges of steps, (num_steps, 2)."""
+    path = make_path(dynamics)
+    return np.stack([path.advance(torch.tensor(row)[None])[0].numpy().copy() for row in commands[1:]])
+
+
+@pytest.mark.parametrize("latency", [(0.0, 0.3 * DT), (0.0123, 0.05), (DT, 3 * DT)])
+def test_what_arrives_is_the_mean_of_the_delayed_ramp_over_the_step(latency):
+    """At any latency: against a fine sum over every step."""
+    dynamics = DIRECT.with_values(latency=np.array(latency))
+    arrived, commands, lag = passed(dynamics, ramps()), ramps(), command_lag(dynamics, DT)
+    fine = (np.arange(2000) + 0.5) / 2000 * DT
+    for j in range(2):
+        sent = TIMES[:-1, None] + fine - lag[j]
+        mean = np.interp(sent, TIMES, commands[:, j]).mean(axis=1)
+        np.testing.assert_allclose(arrived[:, j], mean, atol=1e-6)
+
+
+def test_a_command_by_hand():
+    """It rises from 0 to 1 in the third step: its mean over the step about that one's beginning is 1/8."""
+    rise = np.repeat(np.array((0.0, 0.0, 0.0, 1.0, 1.0, 1.0))[:, None], 2, axis=1)
+    np.testing.assert_allclose(passed(DIRECT, rise)[:, 0], (0.0, 0.0, 0.125, 0.875, 1.0))
+
+
+def test_step_response_of_the_filter_is_the_analytic_one():
+    """A damped oscillator, ω² = gain and 2ζω = gain · lookahead, from rest to 1."""
+    transition = torch.tensor(filter_transition(FILTERED, DT))
+    state, goal, path = torch.zeros(1, 2, 2, dtype=torch.float64), torch.ones(1, 2, dtype=torch.float64), []
+    for _ in range(NUM_STEPS):
+        filter_step(transition, state, goal)
+        path.append(state[0].numpy().copy())
+    decay = FILTERED.filter_gain * FILTERED.filter_lookahead / 2
+    omega = np.sqrt(FILTERED.filter_gain - decay**2)
+    time = TIMES[1:, None]
+    wave = np.exp(-decay * time) * (np.cos(omega * time) + decay / omega * np.sin(omega * time))
+    speed = np.exp(-decay * time) * FILTERED.filter_gain / omega * np.sin(omega * time)
+    np.testing.assert_allclose(np.stack(path)[..., 0], 1.0 - wave, atol=1e-12)
+    np.testing.assert_allclose(np.stack(path)[..., 1], speed, atol=1e-12)
+
+
+@pytest.mark.parametrize("dynamics", [DIRECT, FILTERED], ids=["direct", "filtered"])
+def test_reset_changes_masked_environments_only(dynamics):
+    path, untouched = make_path(dynamics, 2), make_path(dynamics, 2)
+    mask, place = torch.tensor((True, False)), torch.full((2, 2), 0.4, dtype=torch.float64)
+    commands = torch.tensor(ramps()[1:14])
+    for command in commands[:-1]:
+        path.advance(command.expand(2, 2))
+        untouched.advance(command.expand(2, 2))
+    path.reset(mask, place)
+    command = torch.where(mask[:, None], place, commands[-1])
+    arrived, expected = path.advance(command), untouched.advance(command)
+    torch.testing.assert_close(arrived[0], place[0])
+    assert torch.equal(arrived[1], expected[1])
+    assert (arrived[0] - arrived[1]).abs().min() > 0.01
+
+
+SPEED_LIMIT = 2.79253
+SERVOS = ActuatorLimits(
+    torch.tensor([joint.effort_limit for joint in JOINTS], dtype=torch.float64),
+    torch.tensor([joint.velocity_limit for joint in JOINTS], dtype=torch.float64),
+    torch.tensor(JointDynamics.nominal().frictionloss),
+)
+STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
+DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
+SEEDS = st.integers(0, 2**31)
+
+
+def random_state(seed: int, speed: float = 1.0) -> tuple[torch.Tensor, ActuatorState]:
+    """A command and joints anywhere, at speeds up to a share of the limits, with randomised gains."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def draw(low: float, high: float) -> torch.Tensor:
+        return low + (high - low) * torch.rand(5, len(JOINTS), generator=generator, dtype=torch.float64)
+
+    pos = draw(-3.0, 3.0)
+    state = ActuatorState(
+        joint_pos=pos,
+        joint_vel=speed * draw(-1.0, 1.0) * SERVOS.velocity_limit,
+        stiffness=STIFFNESS * draw(0.7, 1.3),
+        damping=DAMPING * draw(0.7, 1.3),
+    )
+    return pos + draw(-2.0, 2.0), state
+
+
+def torque(command: torch.Tensor, state: ActuatorState) -> torch.Tensor:
+    return state.stiffness * (command - state.joint_pos) - state.damping * state.joint_vel
+
+
+@given(SEEDS)
+def test_torque_of_a_limited_command_is_within_the_effort_limit(seed):
+    command, state = random_state(seed)
+    limited = torque(SERVOS.limited(command, state), state)
+    assert (limited.abs() <= EFFORT_MARGIN * SERVOS.effort_limit * (1 + 1e-9)).all()
+
+
+@given(SEEDS)
+def test_steady_speed_of_a_limited_command_is_within_the_speed_limit(seed):
+    """At rest, where effort does not bind further out, k / d times the distance is the speed that follows."""
+    command, state = random_state(seed, speed=0.0)
+    lead = SERVOS.limited(command, state) - state.joint_pos
+    speed = state.stiffness / state.damping * lead
+    assert (speed.abs() <= SPEED_MARGIN * SERVOS.velocity_limit * (1 + 1e-9)).all()
+
+
+@given(SEEDS, st.floats(0.0, 1.0))
+def test_a_command_that_keeps_the_limits_is_left_alone(seed, share):
+    _, state = random_state(seed, speed=0.0)
+    lead = SPEED_MARGIN * SERVOS.velocity_limit * state.damping / state.stiffness
+    reach = EFFORT_MARGIN * SERVOS.effort_limit / state.stiffness
+    command = state.joint_pos + share * torch.minimum(lead, reach)
+    torch.testing.assert_close(SERVOS.limited(command, state), command)
+
+
+@given(SEEDS)
+def test_friction_opposes_motion_and_is_bounded(seed):
+    _, state = random_state(seed)
+    friction = SERVOS.friction(state.joint_vel)
+    assert (friction * state.joint_vel <= 0.0).all()
+    assert (friction.abs() <= SERVOS.frictionloss).all()
+    torch.testing.assert_close(SERVOS.friction(-state.joint_vel), -friction)
+
+
+def test_friction_by_hand():
+    speed = torch.full((1, len(JOINTS)), FRICTION_SPEED, dtype=torch.float64)
+    torch.testing.assert_close(SERVOS.friction(speed)[0], -math.tanh(1.0) * SERVOS.frictionloss)
+    assert not SERVOS.friction(0.0 * speed).any()
+
+
+def test_bang_bang_actions_keep_the_limits_in_free_motion():
+    """Until the robot touches something, for 2 s; a contact's impulse is not the servos' to limit."""
+    env = make(16, seed=4, method="single_agent", throws=HOVERING)
+    phases = torch.arange(len(JOINTS))
+    speed, share, num_free = 0.0, 0.0, 0
+    for step in range(60):
+        wave = torch.sin(2.0 * math.pi * step / torch.arange(2, env.num_envs + 2)[:, None] + phases)
+        result = env.step({"robot": torch.where(wave >= 0.0, 1.0, -1.0)})
+        record, log = result.record, result.log
+        is_free = ~(record.is_self_contact | record.is_table_contact | record.is_hand_contact)
+        num_free += int(is_free.sum())
+        speed = max(speed, torch.where(is_free, log.joint_speed, 0.0).max().item())
+        share = max(share, torch.where(is_free, log.torque_share, 0.0).max().item())
+    assert num_free > 200
+    assert 0.5 < speed < SPEED_LIMIT
+    assert share <= 1.0

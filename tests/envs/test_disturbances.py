@@ -1,20 +1,23 @@
 """What tests of policies disturb: each has its effect on the environment, and none where it is zero."""
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
-from rollouts import AT_ONCE, after, make, object_path, rollout
-from rollouts import EXACT as LATE
+from rollouts import AT_ONCE, EXACT, HOVERING, after, make, object_path, rollout
+from torch import Tensor
 
 from paper_robot import JOINTS
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
+from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.mdp.randomization import RandomizationCfg
-from pixel2catch.mdp.sensing import SensingCfg, detect
+from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg, detect
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
@@ -24,7 +27,7 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import SceneCfg
 
-EXACT = replace(LATE, latency_steps=(0, 0))
+PROMPT = replace(EXACT, latency_steps=(0, 0))
 ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=600.0, fy=601.0))
 MEASURED = replace(
     ELSEWHERE,
@@ -56,10 +59,10 @@ def test_vanishing_disturbances_throw_the_same():
 
 def test_boxes_are_those_of_the_calibrated_camera():
     """And a tracker that knows the camera is right about the position."""
-    env = make(sensing=replace(EXACT, camera=ELSEWHERE), throws=AT_ONCE)
+    env = make(sensing=replace(PROMPT, camera=ELSEWHERE), throws=AT_ONCE)
     camera = nominal_projection(ELSEWHERE.camera, torch.zeros(1))
     for step in rollout(env, 12):
-        box, is_seen = detect(*env.world.surface_points(ELSEWHERE.camera), EXACT.least_visible, camera)
+        box, is_seen = detect(*env.world.surface_points(ELSEWHERE.camera), PROMPT.least_visible, camera)
         assert is_seen.all()
         torch.testing.assert_close(step.measurement.box, box)
         truth = env.world.privileged(step.log).object_pos
@@ -69,8 +72,8 @@ def test_boxes_are_those_of_the_calibrated_camera():
 def test_a_measured_camera_is_another_one_in_every_episode():
     """10 mrad at 600 px: a spread of about 6 px that stays through an episode."""
     task: dict[str, Any] = {"throws": ThrowCfg(hover_steps=(3, 3)), "episode": EpisodeCfg(max_steps=3)}
-    env = make(200, sensing=replace(EXACT, camera=MEASURED), **task)
-    exact = make(200, sensing=replace(EXACT, camera=ELSEWHERE), **task)
+    env = make(200, sensing=replace(PROMPT, camera=MEASURED), **task)
+    exact = make(200, sensing=replace(PROMPT, camera=ELSEWHERE), **task)
     shifts = []
     for step, known in zip(rollout(env, 2), rollout(exact, 2), strict=True):
         shifts.append((step.measurement.box - known.measurement.box)[:, 0])
@@ -83,7 +86,7 @@ def test_a_measured_camera_is_another_one_in_every_episode():
 
 
 def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():
-    env, exact = make(sensing=replace(EXACT, box_bias=5.0)), make(sensing=EXACT)
+    env, exact = make(sensing=replace(PROMPT, box_bias=5.0)), make(sensing=PROMPT)
     first = None
     for step, true in zip(rollout(env, 12), rollout(exact, 12), strict=True):
         shift = step.measurement.box - true.measurement.box
@@ -173,3 +176,110 @@ def test_everything_at_once_runs_and_a_seed_gives_it_again(task: CatchEnvCfg, me
     torch.testing.assert_close(*rollouts[:2])
     assert (rollouts[0] != rollouts[2]).any()
     assert (rollouts[0][1:] != rollouts[0][:-1]).any(dim=-1).all()
+
+
+ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)
+STILL = RandomizationCfg(action_noise=0.0, action_bias=0.0)
+COARSE = SceneCfg(physics_hz=60.0)
+
+
+def make_late(num_envs: int = 4, **changes: Any) -> CatchEnv:
+    return make(num_envs, seed=7, method="proposed+boxes", scene=COARSE, **changes)
+
+
+def remembered(env: CatchEnv, num_steps: int) -> Iterator[tuple[BoxHistory, Tensor]]:
+    """The boxes after each step, and the latency of the episodes (num_envs, 1)."""
+    for step in rollout(env, num_steps):
+        yield clone(step.measurement.boxes), env.episode.parameters.latency[:, None].clone()
+
+
+def test_a_box_between_two_latencies_is_the_mean_of_both():
+    """Of one throw, seen half a control step earlier and half a step later; so is the tracked position."""
+    paths = []
+    for late in (1.0, 1.5, 2.0):
+        env = make_late(2, sensing=replace(EXACT, latency_steps=(late, late)), throws=AT_ONCE)
+        paths.append([clone(step.measurement) for step in rollout(env, 9)])
+    for newer, between, older in zip(*paths, strict=True):
+        torch.testing.assert_close(between.box, (newer.box + older.box) / 2, atol=1e-3, rtol=0)
+        mean = (newer.object_pos + older.object_pos) / 2
+        torch.testing.assert_close(between.object_pos, mean, atol=1e-5, rtol=0)
+        assert (between.boxes.age == 1.5 + torch.arange(8)).all()
+    assert (paths[0][-1].box - paths[2][-1].box).abs().max() > 3.0
+
+
+def test_a_missed_image_makes_the_newest_box_older_by_one_step():
+    """And adds none: boxes that are not of the beginning differ by the noise of each."""
+    late = 2.5
+    sensing = SensingCfg(latency_steps=(late, late), drop_rate=0.4)
+    env = make_late(12, sensing=sensing, throws=HOVERING)
+    path = [boxes for boxes, _ in remembered(env, 24)][int(late) :]
+    is_missed = []
+    for before, now in itertools.pairwise(path):
+        is_new = now.age[:, 0] == late
+        kept = torch.where(is_new, now.age[:, 1], now.age[:, 0])
+        torch.testing.assert_close(kept, before.age[:, 0] + 1.0)
+        assert torch.equal(now.box[:, 0] == before.box[:, 0], ~is_new[:, None].expand(-1, 4))
+        is_missed.append(~is_new)
+    missed = torch.stack(is_missed)
+    assert missed.float().mean().item() == pytest.approx(0.4, abs=4 * (0.4 * 0.6 / missed.numel()) ** 0.5)
+    last = path[-1]
+    assert (last.age.diff(dim=1) >= 1.0).all()
+    for one, other in itertools.combinations(last.box.unbind(dim=1), 2):
+        assert (one != other).any(dim=-1).all()
+
+
+def test_no_box_is_measured_in_a_blackout_however_late_images_are():
+    """Of four control steps: the newest box grows older by four, and no more."""
+    for late in (1.0, 1.5):
+        sensing = replace(EXACT, latency_steps=(late, late), blackout_steps=4, least_visible=0.0)
+        env = make_late(8, sensing=sensing, throws=AT_ONCE, episode=EpisodeCfg(max_steps=40))
+        stale = torch.stack([boxes.age[:, 0] - late for boxes, _ in remembered(env, 27)])
+        assert stale.amax(dim=0).tolist() == [4.0] * 8, late
+
+
+def test_the_jitter_of_a_stamp_stays_with_its_box():
+    env = make_late(8, sensing=replace(EXACT, stamp_jitter=0.004), throws=HOVERING)
+    path, latencies = zip(*remembered(env, 4), strict=True)
+    for before, now in itertools.pairwise(path):
+        torch.testing.assert_close(now.age[:, 1:], before.age[:, :-1] + 1.0)
+    error = path[-1].age[:, 0] - latencies[-1][:, 0]
+    assert len(error.unique()) == 8
+    assert 0.2 * 0.12 < error.std() < 5 * 0.12
+
+
+def test_boxes_without_stamps_are_taken_for_as_old_as_in_training():
+    """When they are delivered: after a missed image they are a control step older."""
+    env = make_late(8, sensing=replace(ANY, unstamped=1.0, clock_error=0.02, drop_rate=0.3), throws=HOVERING)
+    ages = torch.stack([boxes.age[:, 0] for boxes, _ in remembered(env, 12)])
+    stale = ages - ASSUMED_AGE
+    torch.testing.assert_close(stale, stale.round())
+    assert stale.min().item() == pytest.approx(0.0, abs=1e-5)
+    assert stale.max().item() > 0.5
+
+
+def test_a_command_between_two_delays_moves_the_hand_between_both():
+    """Of a change of the targets, half has arrived after 1.5 steps when with 1 all has, and with 2 none."""
+    moved = []
+    for delay in (1.0, 1.5, 2.0):
+        randomization = replace(STILL, command_delay=(delay, delay), command_delay_grid=0.0)
+        env = make_late(2, randomization=randomization, sensing=EXACT, throws=HOVERING)
+        list(rollout(env, 18))  # then the hand is where action 0 wants it
+        list(rollout(env, 1, action=0.1))
+        before = env.world.joint_pos[:, 6:]
+        list(rollout(env, 1, action=0.1))
+        moved.append(env.world.joint_pos[:, 6:] - before)
+    prompt, between, late = moved
+    assert prompt.min() > 0.01
+    torch.testing.assert_close(between, prompt / 2, rtol=0.1, atol=0)
+    assert late.abs().max() < 2e-3
+
+
+def test_perception_that_looks_at_one_image_in_several():
+    """Newest ages go from the latency up by one, and begin again with each image that is looked at."""
+    sensing = replace(EXACT, latency_steps=(1, 1), image_period=1.5)
+    ages = [
+        boxes.age[0, 0].item() for boxes, _ in remembered(make_late(1, sensing=sensing, throws=HOVERING), 31)
+    ]
+    assert sum(age == 1.0 for age in ages[1:]) == 20
+    assert max(ages) == 2.0
+    assert all(after in (1.0, before + 1.0) for before, after in itertools.pairwise(ages))

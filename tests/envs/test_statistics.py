@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+from rollouts import make, rollout
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, StepExtremes, failure
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.methods import METHODS
 from pixel2catch.scene.scene import SceneCfg
 from snapshots import privileged, transition
 
@@ -216,18 +215,15 @@ def test_deceleration_counts_from_the_first_contact_to_success():
         assert episode.peak_deceleration.item() == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("name", ["proposed"])
-def test_reward_terms_sum_to_the_rewards(name):
-    method = METHODS[name]
-    env = CatchEnv(CatchEnvCfg(episode=EpisodeCfg(max_steps=5)), method, num_envs=4)
+def test_reward_terms_sum_to_the_rewards():
+    env = make(episode=EpisodeCfg(max_steps=5))
     keys, total = list(env.statistics.pop()), dict.fromkeys(env.action_sizes, 0.0)
-    for _ in range(6):
-        step = env.step({agent: torch.full((4, size), 0.5) for agent, size in env.action_sizes.items()})
+    for step in rollout(env, 6, action=0.5):
         total = {agent: total[agent] + step.rewards[agent].mean().item() / 6 for agent in total}
     result = env.statistics.pop()
     assert list(result) == keys
     assert result["episodes"] == 4.0
-    for agent in method.agents:
+    for agent in env.method.agents:
         prefixes = tuple(f"reward_term/{part.name}." for part in agent.parts)
         terms = [value for key, value in result.items() if key.startswith(prefixes)]
         assert sum(terms) == pytest.approx(total[agent.name], abs=1e-5)

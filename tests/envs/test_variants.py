@@ -134,7 +134,7 @@ def test_the_longest_delays_are_those_of_any_variant():
     assert TASKS["wide"].longest_latency == 4
 
 
-def test_files_of_robot_and_camera_are_those_of_all_variants():
+def test_files_of_robot_and_camera_and_hovering_are_those_of_all_variants():
     """And without a file each keeps its own."""
     assert TASKS["wide"].with_files(None, None) == TASKS["wide"]
     camera = CameraFile(camera=replace(RGB_CAMERA, fx=600.0))
@@ -143,6 +143,7 @@ def test_files_of_robot_and_camera_are_those_of_all_variants():
     assert all(each.sensing.camera == camera for each in task.all_variants)
     assert all(each.randomization.gains == gains for each in task.all_variants)
     assert task.scene.camera == camera.camera
+    assert all(each.throws.hover_steps == (5, 26) for each in MIXED.with_longer_hovering(7).all_variants)
 
 
 def test_drawn_parameters_by_hand():

@@ -4,8 +4,11 @@ Same interface as `CatchEnv`. It writes observations into the same buffers in ev
 agent inputs in pixels, which little can be learnt from unless they are standardised.
 """
 
+import csv
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -70,19 +73,12 @@ def observed(policy: dict[str, Tensor], state: Tensor) -> Observation:
     return Observation(policy=policy, state=state, teacher={})
 
 
-Reduction = Callable[[Tensor], Tensor]
-
-
-def _same(values: Tensor) -> Tensor:
-    return values
-
-
 class Statistics:
     def __init__(self) -> None:
         self.episodes = self.successes = 0.0
         self.time_penalty = -0.02
 
-    def pop(self, total: Reduction = _same, largest: Reduction = _same) -> dict[str, float]:
+    def pop(self, total: Any = torch.clone, largest: Any = torch.clone) -> dict[str, float]:
         counts = total(torch.tensor([self.episodes, self.successes])).tolist()
         popped = {
             "success_rate": counts[1] / counts[0] if counts[0] else float("nan"),
@@ -204,3 +200,12 @@ def during_step(number: int, function: Callable[[], object]) -> Callable[..., An
             return super().step(actions)
 
     return Env
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with open(folder / "metrics.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text())

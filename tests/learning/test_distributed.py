@@ -1,6 +1,5 @@
 """Trainings in two processes: they learn as one, tell one story, and end together."""
 
-import csv
 import dataclasses
 import json
 import os
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, ReachingEnv
+from reaching import CONTRACT, SMALL, ReachingEnv, rows, summary
 
 from domains import PATIENCE
 from pixel2catch.cli.main import main
@@ -54,15 +53,6 @@ def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
     ]
     outputs = [process.communicate(timeout=PATIENCE)[0] for process in processes]
     return [(process.returncode, output) for process, output in zip(processes, outputs, strict=True)]
-
-
-def rows(folder: Path) -> list[dict[str, str]]:
-    with open(folder / "metrics.csv", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def summary(folder: Path) -> dict[str, object]:
-    return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, needs_two_gpus])])
@@ -118,7 +108,6 @@ def test_interruption(tmp_path: Path) -> None:
     ended = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     transitions = summary(tmp_path / "run")["transitions"]
     assert ended == [["interrupted", transitions]] * 2
-    assert isinstance(transitions, int)
     cfg = dataclasses.replace(SMALL, transitions=transitions + 1024)
     resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path / "run", resume=True)
     assert resumed.transitions == transitions + 1024

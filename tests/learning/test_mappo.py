@@ -15,6 +15,7 @@ from pixel2catch.learning.config import PRESETS, TrainCfg
 from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.networks import gru_rollout
 from pixel2catch.mdp.tensors import assign
 from pixel2catch.policy import HIDDEN, Policy
 
@@ -245,3 +246,82 @@ def test_presets() -> None:
 def test_impossible_configurations(values: dict[str, float], message: str) -> None:
     with pytest.raises(InvalidValueError, match=message):
         TrainCfg(**values)  # pyright: ignore[reportArgumentType]
+
+
+RECURRENT = dataclasses.replace(SMALL, recurrent=16)
+
+
+def test_a_sequence_and_its_gradients_are_those_of_a_loop_by_hand() -> None:
+    """Where an episode begins, the hidden state is 0."""
+    torch.manual_seed(0)
+    gru, inputs, state = nn.GRUCell(4, 5), torch.randn(6, 3, 4), torch.randn(1, 3, 5)
+    is_first = torch.rand(6, 3) < 0.3
+    weights = torch.randn(6, 3, 5)
+    found = gru_rollout(gru, inputs, state, is_first)
+    now, steps = state[0], []
+    for t in range(6):
+        now = gru(inputs[t], torch.where(is_first[t][:, None], torch.zeros_like(now), now))
+        steps.append(now)
+    expected = torch.stack(steps)
+    torch.testing.assert_close(found, expected)
+    gradients = [
+        torch.autograd.grad((weights * each).sum(), [*gru.parameters()]) for each in (found, expected)
+    ]
+    torch.testing.assert_close(*gradients)
+
+
+def test_learning_sees_what_acting_saw() -> None:
+    """The probabilities of a whole rollout are those of its actions, over episodes and over updates."""
+    torch.manual_seed(0)
+    mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT), ReachingEnv(RECURRENT)
+    observation = env.reset()
+    mappo.reset_hidden()
+    for number in range(3):
+        for _ in range(RECURRENT.rollout_steps):
+            step = env.step(mappo.act(observation))
+            mappo.record(step)
+            observation = step.observation
+        networks, rollout = mappo.networks["arm"], mappo.rollout["arm"]
+        is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
+        assert is_first.any()
+        assert bool(rollout.policy_hidden_state.any()) == bool(number)
+        inputs = networks.observation_scale(rollout.observations)
+        features = gru_rollout(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
+        log_prob = networks.log_prob(networks.policy(features), rollout.actions)
+        torch.testing.assert_close(log_prob, rollout.log_prob)
+        mappo.update(0.0)
+
+
+def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
+    mappo = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
+    roll_out(mappo, ReachingEnv(RECURRENT))
+    mappo.update(0.0)
+    roll_out(mappo, ReachingEnv(RECURRENT))
+    policy, networks, rollout = mappo.export(), mappo.networks["arm"], mappo.rollout["arm"]
+    inputs = networks.observation_scale(rollout.observations)
+    is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
+    features = gru_rollout(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
+    for t, expected in enumerate(networks.policy(features)):
+        policy.reset(is_first[t])
+        observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}
+        torch.testing.assert_close(policy.act(observations)["arm"], expected.clamp(-1.0, 1.0))
+    other = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
+    other.adopt(policy)
+    for name, tensor in other.export().state_dict().items():
+        torch.testing.assert_close(tensor, policy.state_dict()[name])
+    with pytest.raises(InvalidValueError, match="--recurrent 16"):
+        Mappo(SMALL, ReachingEnv(SMALL), CONTRACT).adopt(policy)
+
+
+def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
+    """The teacher actions are those of its policy, acted by itself."""
+    Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
+    cfg = dataclasses.replace(SMALL, teacher=tmp_path)
+    mappo = Mappo(cfg, TaughtEnv(cfg), CONTRACT)
+    roll_out(mappo, TaughtEnv(cfg))
+    teacher = Policy.load(tmp_path)
+    for t in range(cfg.rollout_steps):
+        actions = teacher.act({agent: batch.observations[t] for agent, batch in mappo.rollout.items()})
+        for agent, action in actions.items():
+            torch.testing.assert_close(mappo.rollout[agent].teacher_actions[t], action)
+        teacher.reset(mappo.is_done[t])

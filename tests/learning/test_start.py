@@ -89,13 +89,13 @@ def test_what_does_not_fit_is_refused(policy: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def teacher(tmp_path: Path) -> Path:
-    torch.manual_seed(1)
-    policy = Policy(CONTRACT, SMALL.hidden)
+def teacher(policy: Path) -> Path:
+    """Its actions differ from 0."""
+    networks = Policy.load(policy / "policy")
     for agent in CONTRACT.agents:
-        torch.nn.init.normal_(policy.network(agent).network[-1].bias, std=0.5)  # pyright: ignore[reportArgumentType]
-    policy.save(tmp_path / "teacher")
-    return tmp_path / "teacher"
+        torch.nn.init.normal_(networks.network(agent).network[-1].bias, std=0.5)  # pyright: ignore[reportArgumentType]
+    networks.save(policy / "policy")
+    return policy / "policy"
 
 
 def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Mappo, Observation]:

@@ -1,7 +1,6 @@
 """Whole trainings of a small task, and everything that can get in their way."""
 
 import contextlib
-import csv
 import dataclasses
 import json
 import signal
@@ -12,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step
+from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step, rows, summary
 
 from pixel2catch.errors import (
     CheckpointError,
@@ -25,11 +24,6 @@ from pixel2catch.learning.gradient_step import GradientStep
 from pixel2catch.learning.log import CsvLog
 from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy
-
-
-def rows(folder: Path) -> list[dict[str, str]]:
-    with open(folder / "metrics.csv", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 @contextlib.contextmanager
@@ -69,10 +63,9 @@ def test_run_folder(tmp_path: Path) -> None:
     assert config["policy"] == CONTRACT.to_dict()
     session = json.loads((tmp_path / "run/sessions.json").read_text())[0]
     assert session["versions"]["torch"] == torch.__version__
-    summary = json.loads((tmp_path / "run/summary.json").read_text())
-    assert summary["status"] == "finished"
-    assert summary["transitions"] == 4096
-    assert 0 < summary["seconds"] < 100
+    ended = summary(tmp_path / "run")
+    assert (ended["status"], ended["transitions"]) == ("finished", 4096)
+    assert 0 < ended["seconds"] < 100
     assert list((tmp_path / "run").glob("events.out.tfevents.*"))
     assert Policy.load(result.policy).contract == CONTRACT
     assert not list((tmp_path / "run").rglob("*.tmp"))
@@ -155,7 +148,7 @@ def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str,
     task = ReachingCfg(bad_step=step, bad_quantity=quantity)
     with pytest.raises(NonFiniteError, match=name):
         train(cfg, partial(ReachingEnv, task=task), CONTRACT, tmp_path)
-    assert json.loads((tmp_path / "summary.json").read_text())["status"] == "failed"
+    assert summary(tmp_path)["status"] == "failed"
     assert all(tensor.isfinite().all() for tensor in Policy.load(tmp_path / "policy").state_dict().values())
     resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path, resume=True)
     assert resumed.transitions == 4096
@@ -222,7 +215,7 @@ def test_interruption(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     result = train(SMALL, env, CONTRACT, tmp_path)
     assert (result.status, result.transitions) == ("interrupted", 2048)
     assert "--resume" in capsys.readouterr().out
-    assert json.loads((tmp_path / "summary.json").read_text())["status"] == "interrupted"
+    assert summary(tmp_path)["status"] == "interrupted"
     assert Policy.load(tmp_path / "policy").contract == CONTRACT
     assert train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 4096
 
@@ -237,22 +230,11 @@ def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
         train(SMALL, make, CONTRACT, tmp_path)
 
 
-def test_the_simulation_is_checked_once_a_rollout(tmp_path: Path) -> None:
-    made = []
-
-    def make(cfg: TrainCfg, _: float | None) -> Any:
-        made.append(ReachingEnv(cfg))
-        return made[-1]
-
-    train(SMALL, make, CONTRACT, tmp_path)
-    assert made[0].num_checks == len(rows(tmp_path)) == 4
-
-
 @pytest.mark.parametrize("staggered", [True, False])
 def test_physics_rates_share_the_training(staggered: bool, tmp_path: Path) -> None:
     """Of four rollouts three begin in the first two thirds; at the change the environments are new.
 
-    A resume in the last stage makes only the environments of that stage.
+    The simulation is checked once a rollout. A resume in the last stage makes only its environments.
     """
     made: list[Any] = []
 
@@ -264,6 +246,7 @@ def test_physics_rates_share_the_training(staggered: bool, tmp_path: Path) -> No
     train(cfg, make_env, CONTRACT, tmp_path)
     assert [env.physics_hz for env in made] == [120.0, 240.0]
     assert [env.num_steps for env in made] == [3 * SMALL.rollout_steps, SMALL.rollout_steps]
+    assert [env.num_checks for env in made] == [3, 1]
     assert [env.staggered_resets for env in made] == [[staggered], [staggered]]
     assert [cfg.rate_at(n) for n in (0, 2730, 2731, 4095, 4096)] == [120.0, 120.0, 240.0, 240.0, 240.0]
     longer = dataclasses.replace(cfg, transitions=5120)

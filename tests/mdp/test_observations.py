@@ -1,7 +1,8 @@
-"""Observations: sizes, layout, and that every difference comes from (before, now)."""
+"""Observations: sizes, layout, memories, and that every difference comes from (before, now)."""
 
 import dataclasses
 import itertools
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,10 +11,21 @@ import torch
 
 from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import BoxHistory, History
-from pixel2catch.mdp.observations import ObservationInputs, observe, pixel_columns, privileged_state
+from pixel2catch.mdp.observations import (
+    NUM_BOXES,
+    ObservationInputs,
+    box_age,
+    box_fit,
+    box_track,
+    observe,
+    pixel_columns,
+    privileged_state,
+)
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
+from pixel2catch.policy import contract_of, method_of
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from snapshots import measurement, privileged
@@ -172,3 +184,44 @@ def test_privileged_state_by_hand():
     )
     expected = [1, 2, 3, 1.5, 2, 2, 0.5, 0, -1, 1, 2, 1, 7, 8, 9, 1, 0, 0, 1, 0, 1]
     assert privileged_state(before, now)[0].tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("memory", "num_boxes", "terms"),
+    [("age", 1, (box_age,)), ("boxes", 8, (box_track,)), ("fit", NUM_BOXES, (box_fit,))],
+)
+def test_boxes_and_terms_of_each_memory(memory: str, num_boxes: int, terms: tuple[object, ...]):
+    method = find_method(f"catch+{memory}")
+    assert method.num_boxes == num_boxes
+    assert all(agent.memory == terms for agent in method.agents)
+
+
+@pytest.mark.parametrize("name", ["without_pf", "object_position"])
+def test_without_pixel_features_a_memory_is_the_age(name: str):
+    method = find_method(f"{name}+fit")
+    assert (method.name, method.num_boxes) == (f"{name}+fit", 1)
+    assert all(agent.memory == (box_age,) for agent in method.agents)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("propsed", r"'propsed'.*proposed"),
+        ("+fit", r"unknown method ''"),
+        ("catch+nonsense", r"'nonsense'.*age, boxes, fit"),
+        ("catch+age+fit", r"'age\+fit'"),
+        ("catch+boxes0", r"'boxes0'.*boxes5"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_valid_ones(name: str, message: str):
+    with pytest.raises(UnknownNameError, match=message):
+        find_method(name)
+
+
+def test_a_number_behind_a_memory_is_that_of_its_boxes():
+    """Of five boxes: the newest's centre and size, four speeds of both, five ages."""
+    method = find_method("proposed+boxes5")
+    assert (method.name, method.num_boxes) == ("proposed+boxes5", 5)
+    assert contract_of(method).agents["arm"].observation[-1] == ("box_track[t]", 4 + 4 * 4 + 5)
+    assert method_of(replace(contract_of(method), method="mine+boxes5")).num_boxes == 5
+    assert find_method("without_pf+boxes5").num_boxes == 1

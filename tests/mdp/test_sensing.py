@@ -1,4 +1,4 @@
-"""What counts as a detection, and what becomes of an object that is not seen."""
+"""What counts as a detection, and the errors of the sight as they are drawn."""
 
 from dataclasses import replace
 
@@ -6,9 +6,18 @@ import pytest
 import torch
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.mdp.camera_errors import (
+    CameraErrors,
+    is_camera_exact,
+    sample_camera_errors,
+    scaled_box,
+    tracked_position,
+)
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
 def detection(mark: float, num_envs: int = 1, **changes: torch.Tensor) -> Detection:
@@ -66,3 +75,129 @@ def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
 def test_a_camera_with_images_of_another_size_is_refused():
     with pytest.raises(InvalidValueError, match="1280 x 480 pixels; policies need 640 x 480"):
         SensingCfg(camera=CameraFile(camera=replace(RGB_CAMERA, width=1280)))
+
+
+NUM_ENVS = 2000
+ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.0), fx=600.0, fy=601.0))
+STDS = (0.01, 0.02, 0.03, 0.004, 0.005, 0.006)
+MEASURED = replace(
+    ELSEWHERE,
+    pose_covariance=tuple(tuple(s * s if i == j else 0.0 for j in range(6)) for i, s in enumerate(STDS)),
+    focal_std=0.02,
+)
+
+
+def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[CameraErrors, Throw]:
+    generator = torch.Generator().manual_seed(0)
+    throw = sample_throws(ThrowCfg(), num_envs, generator)
+    return sample_camera_errors(cfg, throw, generator), throw
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_exact"),
+    [
+        ({}, True),
+        ({"camera": ELSEWHERE, "corner_noise": 9.0, "edge_noise": 2.0, "box_scale": 1.2}, True),
+        *(({name: 0.01}, False) for name in ("camera_offset", "drop_rate", "clock_error", "stamp_jitter")),
+        ({"camera_turn": (0.0, 0.01)}, False),
+        ({"camera": replace(ELSEWHERE, focal_std=0.01)}, False),
+    ],
+)
+def test_a_camera_with_any_error_is_not_exact(changes, is_exact):
+    assert is_camera_exact(SensingCfg(**changes)) == is_exact
+
+
+def test_a_calibrated_camera_is_drawn_as_well_as_it_is_known():
+    """With R's rows x, y, z the matrix is (fx x + cx z, fy y + cy z, z): the second row gives fy."""
+    spec = ELSEWHERE.camera
+    for focal_std, spread in ((0.02, 0.02), (None, 0.0)):
+        sight, _ = draw(SensingCfg(camera=replace(MEASURED, focal_std=focal_std)))
+        offset = sight.camera.center - torch.tensor(spec.pos)
+        torch.testing.assert_close(offset.std(dim=0), torch.tensor(STDS[:3]), rtol=0.06, atol=0.0)
+        assert (offset.mean(dim=0).abs() < 0.1 * torch.tensor(STDS[:3])).all()
+        assert not sight.box_bias.any()
+        matrix = sight.camera.matrix
+        focal_length = (matrix[:, 1] - spec.cy * matrix[:, 2]).norm(dim=-1)
+        assert (focal_length / spec.fy).std().item() == pytest.approx(spread, rel=0.06, abs=1e-5)
+
+
+def test_camera_offset_has_its_length_in_every_direction():
+    sight, _ = draw(SensingCfg(camera_offset=0.02))
+    offset = sight.camera.center - nominal_projection(RGB_CAMERA, torch.zeros(1)).center
+    torch.testing.assert_close(offset.norm(dim=-1), torch.full((NUM_ENVS,), 0.02), rtol=1e-4, atol=0)
+    assert offset.mean(dim=0).abs().max() < 0.001
+    assert not sight.box_bias.any()
+
+
+def test_a_turned_camera_is_turned_by_the_angle():
+    """Of a rotation by angle a about axis k, trace = 1 + 2 cos(a)."""
+    sight, _ = draw(SensingCfg(camera_turn=0.02))
+    nominal = nominal_projection(RGB_CAMERA, torch.zeros(1)).matrix
+    rotation = torch.linalg.solve(nominal, sight.camera.matrix).double()
+    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(dim=-1)
+    angle = torch.acos((trace - 1.0).clamp(-2.0, 2.0) / 2.0)
+    assert angle.median().item() == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_focal_error_has_either_sign():
+    sight, _ = draw(SensingCfg(focal_error=0.05))
+    point = torch.tensor([[[2.0, 0.4, 1.0]]])
+    principal = torch.tensor([RGB_CAMERA.cx, RGB_CAMERA.cy])
+    nominal = nominal_projection(RGB_CAMERA, point).pixels(point)[0] - principal
+    factor = (sight.camera.pixels(point.expand(NUM_ENVS, 1, 3))[0] - principal) / nominal
+    assert sorted({round(value, 3) for value in factor.flatten().tolist()}) == [0.95, 1.05]
+    assert (factor[:, 0, 0] > 1.0).float().mean() == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_bias_has_its_length_in_every_direction_of_the_image():
+    sight, _ = draw(SensingCfg(box_bias=5.0))
+    torch.testing.assert_close(sight.box_bias.norm(dim=-1), torch.full((NUM_ENVS,), 5.0))
+    assert sight.box_bias.mean(dim=0).abs().max() < 0.3
+
+
+def test_a_blackout_is_once_in_the_flight():
+    sight, throw = draw(SensingCfg(blackout_steps=6))
+    is_dark = torch.stack([sight.is_dark(torch.full((NUM_ENVS,), step)) for step in range(90)])
+    assert (is_dark.sum(dim=0) == 6).all()
+    first = is_dark.int().argmax(dim=0)
+    assert (first >= throw.hover_steps).all()
+    last_of_flight = throw.hover_steps + throw.flight_time() / CONTROL_DT
+    assert (first + 6 <= last_of_flight + 0.5).all()
+    share = (first - throw.hover_steps) / (throw.flight_time() / CONTROL_DT - 6.0)
+    assert share.mean() == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_clock_is_wrong_by_as_much_either_way_in_every_image_of_an_episode():
+    """20 ms are 0.6 control steps."""
+    sight, _ = draw(SensingCfg(clock_error=0.02))
+    torch.testing.assert_close(sight.clock_error.abs(), torch.full((NUM_ENVS,), 0.02 / CONTROL_DT))
+    assert (sight.clock_error > 0).float().mean() == pytest.approx(0.5, abs=4 * 0.5 / NUM_ENVS**0.5)
+    generator = torch.Generator().manual_seed(0)
+    for latency in (torch.zeros(NUM_ENVS), torch.full((NUM_ENVS,), 3.5)):
+        assert torch.equal(sight.age_error(latency, generator), sight.clock_error)
+
+
+def test_a_box_is_scaled_about_its_centre():
+    """20 x 10 px about (110, 205), made 1.2 times larger: 24 x 12 about the same point."""
+    box = torch.tensor([[100.0, 200.0, 120.0, 210.0]])
+    torch.testing.assert_close(scaled_box(box, 1.2), torch.tensor([[98.0, 199.0, 122.0, 211.0]]))
+    assert torch.equal(scaled_box(box, 1.0), box)
+
+
+def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
+    """5 px at depth d are 5 d / fx: 2 cm at 2.5 m, across the optical axis, along -y for u."""
+    forward = torch.tensor([0.8746197, 0.0, -0.4848096])
+    object_pos = (torch.tensor(RGB_CAMERA.pos) + 2.5 * forward)[None]
+    nominal = nominal_projection(RGB_CAMERA, object_pos)
+    found = tracked_position(nominal, RGB_CAMERA, object_pos, torch.tensor([[5.0, 0.0]]))
+    expected = torch.tensor([[0.0, -5.0 * 2.5 / RGB_CAMERA.fx, 0.0]])
+    torch.testing.assert_close(found - object_pos, expected, atol=1e-5, rtol=0)
+
+
+def test_a_misplaced_camera_misplaces_the_tracked_position_as_much():
+    """The tracker reports where the object would be if the camera were where it is assumed."""
+    object_pos = torch.tensor([[2.0, 0.1, 1.2]])
+    offset = torch.tensor([[0.01, -0.02, 0.005]])
+    camera = nominal_projection(RGB_CAMERA, object_pos).moved(offset)
+    found = tracked_position(camera, RGB_CAMERA, object_pos, torch.zeros(1, 2))
+    torch.testing.assert_close(found, object_pos - offset, atol=2e-6, rtol=0)

@@ -2,37 +2,21 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 import pytest
+from rendered_scenes import RELEASE, STILL, THROWER, moment
 
-from pixel2catch.rendering.camera import (
-    CameraCfg,
-    Exposure,
-    Moment,
-    RoomCamera,
-    room_positions,
-)
+from pixel2catch.rendering.camera import Exposure, Moment, RoomCamera, room_positions
 from pixel2catch.rendering.renderer import Renderer
-from pixel2catch.rendering.room import Bystanders, build_room
-from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
+from pixel2catch.rendering.room import build_room
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-RELEASE = np.array((2.6, 0.1, 0.8))
-MODEL = build_model(SceneCfg())
-THROWER = Bystanders(release_pos=RELEASE, phase=0.3, release=inf)
-STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
 
 
 def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, speed: float = 0.0) -> Exposure:
-    qpos, qvel = MODEL.qpos0.copy(), np.zeros(MODEL.nv)
-    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
-    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, (0.0, speed, 0.0)
-    moment = Moment(qpos=qpos, qvel=qvel, time=1.0)
-    return Exposure(moment=moment, object_name=object_name, thrower=THROWER.joint_pos)
+    shown = moment(pos, speed, time=1.0)
+    return Exposure(moment=shown, object_name=object_name, thrower=THROWER.joint_pos)
 
 
 @pytest.fixture

@@ -35,20 +35,18 @@ def throws() -> list[RecordedThrow]:
     return recorded_throws(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
 
 
-def test_the_box_belongs_to_the_object(throws: list[RecordedThrow]):
-    """While the object hovers, its centre is in the box, but for the corners' noise; then both move on."""
+def test_a_recorded_throw_has_its_boxes_and_ends_before_the_next_episode(throws: list[RecordedThrow]):
+    """While the object hovers, its centre is in the box, but for the corners' noise; then both move on.
+
+    A reset would move the object back to its release point, x > 2.4 m.
+    """
     for throw in throws:
+        assert throw.object_name == "cube_l"
         centers = torch.from_numpy(throw.qpos[:, None, 19:22]).float()
         pixels = project(RGB_CAMERA, centers)[0][:, 0].numpy()
         low, high = throw.box[:, :2] - 6.0, throw.box[:, 2:] + 6.0
         assert ((low <= pixels) & (pixels <= high))[:5].all()
         assert np.abs(throw.box[-1] - throw.box[0]).max() > 30.0
-        assert throw.object_name == "cube_l"
-
-
-def test_a_throw_ends_before_the_next_episode_begins(throws: list[RecordedThrow]):
-    """A reset would move the object back to its release point, x > 2.4 m."""
-    for throw in throws:
         assert throw.qpos[0, 19] > 2.3
         assert throw.qpos[-1, 19] < 1.5
         assert (np.diff(throw.qpos[:, 19]) < 0.5).all()

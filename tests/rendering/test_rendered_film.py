@@ -6,29 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from rendered_scenes import MODEL, RELEASE, STILL, moment
 from rendered_throws import FilmCfg, ThrowFilm, moments
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
-from pixel2catch.methods import METHODS
-from pixel2catch.rendering.camera import CameraCfg, Moment
+from pixel2catch.methods import PROPOSED
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.rendering.camera import CameraCfg
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, HAND_DROP, Bystanders, build_room
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL, RGB_CAMERA
-from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-RELEASE = np.array((2.6, 0.1, 0.8))
-SCENE_MODEL = build_model(SceneCfg())
-STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
-
-
-def moment(
-    pos: np.ndarray, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), time: float = -1.0
-) -> Moment:
-    qpos, qvel = SCENE_MODEL.qpos0.copy(), np.zeros(SCENE_MODEL.nv)
-    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
-    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, velocity
-    return Moment(qpos=qpos, qvel=qvel, time=time)
+from pixel2catch.scene.scene import SceneCfg
 
 
 @pytest.fixture
@@ -41,7 +29,7 @@ def film(opengl: None, request: pytest.FixtureRequest) -> Iterator[ThrowFilm]:
 def test_the_positions_of_the_scene_come_first_in_the_room():
     room = build_room(SceneCfg(), "cube_l", seed=0)
     names = [room.joint(i).name for i in range(room.njnt)]
-    assert names == [SCENE_MODEL.joint(i).name for i in range(SCENE_MODEL.njnt)] + list(BYSTANDER_JOINTS)
+    assert names == [MODEL.joint(i).name for i in range(MODEL.njnt)] + list(BYSTANDER_JOINTS)
 
 
 def test_the_object_lies_on_the_throwers_hand_until_it_is_released():
@@ -88,20 +76,9 @@ def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
         assert difference[band].var() == pytest.approx(expected, rel=0.2)
 
 
-class Idle:
-    """Does nothing."""
-
-    def reset(self, is_ended: torch.Tensor | None = None) -> None:
-        pass
-
-    def act(self, observations: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        num_envs = next(iter(observations.values())).shape[0]
-        return {agent.name: torch.zeros(num_envs, agent.num_joints) for agent in METHODS["proposed"].agents}
-
-
 def test_throws_are_recorded_with_the_time_of_their_release():
     cfg = EvaluationCfg(objects=("cube_l", "sphere_s"), num_envs=2, trials=1)
-    for throw in recorded_throws(cfg, Idle(), METHODS["proposed"]):
+    for throw in recorded_throws(cfg, Policy(contract_of(PROPOSED), hidden=(16,)), PROPOSED):
         states = moments(throw)
         times = [moment.time for moment in states]
         assert -19 * CONTROL_DT <= times[0] <= -4 * CONTROL_DT

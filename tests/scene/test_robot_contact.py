@@ -9,7 +9,6 @@ from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.scene.cfg import PUSH_OUT, contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -67,12 +66,3 @@ def test_contacts_can_be_drawn_softer():
     assert shares.std() > 0.02
     torch.testing.assert_close(-solref[:, 0, 1] * dt, 1.25 - 0.5 * shares, rtol=1e-5, atol=0.0)
     env.close()
-
-
-def test_solref_of_arrays_and_tensors():
-    restitution = np.linspace(0.0, 0.5, 3)
-    stiffness, damping = contact_solref(restitution, 0.01)
-    np.testing.assert_allclose(stiffness, -PUSH_OUT * 1e4)
-    np.testing.assert_allclose(damping, -100 * (1 - PUSH_OUT / 2 + restitution))
-    tensors = contact_solref(torch.tensor(restitution), 0.01)
-    np.testing.assert_allclose(torch.stack(tensors).numpy(), (stiffness, damping))

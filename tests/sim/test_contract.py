@@ -81,20 +81,15 @@ def test_a_write_to_an_expanded_field_stays_in_its_environment(simulation):
         assert difference.tolist() == pytest.approx([0, 1, 0, 0], rel=1e-3), name
 
 
-def test_a_written_position_is_where_the_next_step_starts(simulation):
-    qpos, height = simulation.bind("qpos"), TABLE.indices.qpos.start + 2
-    qpos[0, height] = 2.0
+def test_a_written_state_is_where_the_next_step_starts(simulation):
+    qpos, qvel, first = simulation.bind("qpos"), simulation.bind("qvel"), TABLE.indices.qpos.start
+    qpos[0, first + 2] = 2.0
+    qvel[0, TABLE.indices.dofs.start] = 3.0
     simulation.forward()
     simulation.step()
     fallen = GRAVITY * PHYSICS_DT**2  # semi-implicit: the new velocity moves the object
     expected = torch.tensor([2.0, 1.5, 1.5, 1.5], dtype=torch.float64) - fallen
-    torch.testing.assert_close(qpos[:, height].double(), expected, atol=1e-6, rtol=0)
-
-
-def test_a_written_velocity_acts_at_the_next_step(simulation):
-    simulation.bind("qvel")[0, TABLE.indices.dofs.start] = 3.0
-    simulation.forward()
-    simulation.step()
+    torch.testing.assert_close(qpos[:, first + 2].double(), expected, atol=1e-6, rtol=0)
     moved = copies.object_pos(simulation)[:, 0] - 1.5
     torch.testing.assert_close(moved, 3.0 * PHYSICS_DT * ONLY_FIRST.double(), atol=1e-6, rtol=0)
 
@@ -164,24 +159,17 @@ def test_different_meshes_rest_at_different_heights(simulation):
     simulation.check()
 
 
-def test_force_over_mass_is_acceleration(simulation):
-    scale = (0.5, 1.0, 1.25, 1.5)
-    copies.give(simulation, ("cube_s",) * NUM_ENVS, scale)
-    simulation.bind("xfrc_applied")[:, BODY, 0] = 0.3
-    copies.run(simulation, 12)
-    expected = 0.3 / (0.03 * torch.tensor(scale, dtype=torch.float64)) * 12 * PHYSICS_DT
-    torch.testing.assert_close(copies.object_vel(simulation)[:, 0], expected, rtol=1e-4, atol=0)
-
-
-def test_torque_over_inertia_is_angular_acceleration(simulation):
-    names, scale = ("cube_s", "cube_s", "cube_l", "capsule_l"), (0.5, 1.5, 1.0, 1.5)
+def test_force_over_mass_and_torque_over_inertia_are_accelerations(simulation):
+    names, scale = ("cube_s", "cube_s", "cube_l", "capsule_l"), (0.5, 1.5, 1.0, 1.25)
     copies.give(simulation, names, scale)
+    simulation.bind("xfrc_applied")[:, BODY, 0] = 0.3
     simulation.bind("xfrc_applied")[:, BODY, 5] = 1e-5
     copies.run(simulation, 6)
     rows = [TABLE.names.index(name) for name in names]
-    inertia = torch.as_tensor(TABLE.fields["body_inertia"][rows, 0, 2]) * torch.tensor(scale)
-    expected = 1e-5 / inertia * 6 * PHYSICS_DT
-    torch.testing.assert_close(copies.object_vel(simulation)[:, 5], expected, rtol=1e-3, atol=0)
+    scales, velocity = torch.tensor(scale, dtype=torch.float64), copies.object_vel(simulation)
+    inertia = torch.as_tensor(TABLE.fields["body_inertia"][rows, 0, 2]) * scales
+    torch.testing.assert_close(velocity[:, 0], 0.3 / (0.03 * scales) * 6 * PHYSICS_DT, rtol=1e-4, atol=0)
+    torch.testing.assert_close(velocity[:, 5], 1e-5 / inertia * 6 * PHYSICS_DT, rtol=1e-3, atol=0)
 
 
 def softness(simulation: Simulation) -> float:

@@ -14,7 +14,6 @@ from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_
 from pixel2catch.mdp.control_step import Columns, Transition, take
 from pixel2catch.mdp.randomization import (
     EpisodeParameters,
-    RandomizationCfg,
     sample_delay,
     sample_parameters,
 )
@@ -205,11 +204,15 @@ def draw_episode(
             drag = density * by_object / parameters.mass_scale
         throw = sample_throws(task.throws, num_envs, generator, drag)
         camera_errors = None if is_exact else sample_camera_errors(task.sensing, throw, generator)
+        delay = ranges.command_delay
+        is_drawn = delay[0] != delay[1]  # otherwise a seed throws the same without a delay
         return Episode(
             parameters=parameters,
             throw=throw,
             camera_errors=camera_errors,
-            command_delay=_command_delay(ranges, num_envs, generator),
+            command_delay=sample_delay(delay, ranges.command_delay_grid, num_envs, generator)
+            if is_drawn
+            else drawn(delay[0], num_envs, generator),
             drag=drag,
             record=EpisodeRecord.start(parameters.object_id, throw.aim),
         )
@@ -223,16 +226,6 @@ def draw_episode(
         episode = select(is_of, draw(variant.of(cfg)), episode)
         chance = chance - variant.share
     return episode
-
-
-def _command_delay(
-    cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
-) -> Float[Tensor, " num_envs"]:
-    """Draw the delays; equal ones are not drawn, so that a seed throws the same without a delay."""
-    first, last = cfg.command_delay
-    if first == last:
-        return torch.full((num_envs,), float(first), device=generator.device)
-    return sample_delay(cfg.command_delay, cfg.command_delay_grid, num_envs, generator)
 
 
 @cache

@@ -101,7 +101,7 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
         closeness=share * share * (3.0 - 2.0 * share),
         decision=decision,
         catch=catch,
-        focus=_between(steps, np.arange(len(focus)), focus),
+        focus=np.stack([np.interp(steps, np.arange(len(focus)), column) for column in focus.T], axis=-1),
     )
 
 
@@ -116,12 +116,6 @@ def _positions_between(
     mujoco.mj_differentiatePos(model, change, 1.0, before, after)
     mujoco.mj_integratePos(model, before, change, step - first)
     return before[: throw.qpos.shape[1]]
-
-
-def _between(
-    steps: Float[ndarray, " num_pictures"], known: ndarray, rows: Float[ndarray, "num_known 3"]
-) -> Float[ndarray, "num_pictures 3"]:
-    return np.stack([np.interp(steps, known, column) for column in rows.T], axis=-1)
 
 
 def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:

@@ -52,7 +52,7 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
 
 
 class VideoWriter(AbstractContextManager["VideoWriter"]):
-    """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
+    """Writes pictures of one size to an H.264 file; a context manager."""
 
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
         """Open the file; its ending names the container, such as .mp4.
@@ -90,12 +90,8 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
             self._is_sized = True
         self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
 
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Write the remaining data and close the file."""
         if self._is_sized:
             self._container.mux(self._stream.encode())
         self._container.close()
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the file."""
-        self.close()
