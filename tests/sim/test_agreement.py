@@ -8,7 +8,7 @@ import pytest
 import torch
 from copies import HOME, NUM_ENVS, NUM_JOINTS
 
-from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, NonFiniteError, UnknownNameError
+from pixel2catch.errors import DeviceUnavailableError, NonFiniteError, UnknownNameError
 from pixel2catch.scene.constants import PHYSICS_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim import warp
@@ -89,10 +89,6 @@ def test_threads_change_no_bit():
 
 def test_impossible_simulations_are_refused():
     model = build_model(SceneCfg())
-    with pytest.raises(InvalidValueError, match="num_envs is 0; it must be at least 1"):
-        copies.make("batch", 0)
-    with pytest.raises(UnknownNameError, match=r"unknown device 'tpu'.*Valid: cpu, cuda"):
-        make_simulation(model, 1, "tpu")
     with pytest.raises(UnknownNameError, match=r"unknown engine 'bullet'\. Valid: mujoco, physx, drake"):
         make_simulation(model, 1, "cpu", "bullet")
     with pytest.raises(DeviceUnavailableError, match=r"'cuda:99'"):

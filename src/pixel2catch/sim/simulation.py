@@ -21,8 +21,6 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from pixel2catch.errors import InvalidValueError
-
 Result = TypeVar("Result")
 
 MAX_GEOM_GROUPS = mujoco.mjNGROUP
@@ -35,8 +33,6 @@ class Simulation(ABC):
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
     ) -> None:
         """Store the attributes of all back ends."""
-        if num_envs < 1:
-            raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1.")
         self.model = model  #: The common model.
         self.num_envs = num_envs
         self.device = device  #: Device of bound and expanded tensors.
