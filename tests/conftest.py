@@ -35,8 +35,8 @@ CHECKED_CALLS = {
 
 CALLS: Counter[Callable[..., Any]] = Counter()  #: Those of the present test.
 
-# Shared machines are too uneven for limits on the wall-clock time of examples and of their draws, one of which
-# also reads the sources of all imported modules. The same examples in every run.
+# Shared machines are too uneven for limits on the wall-clock time of examples and of their draws: a draw may
+# also read the sources of all imported modules. The same examples in every run.
 hypothesis.settings.register_profile(
     "repeatable",
     deadline=None,
