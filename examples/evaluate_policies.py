@@ -1,7 +1,7 @@
 """Evaluate a policy in Python, and under a disturbance of one's own.
 
 python examples/evaluate_policies.py
-pixel2catch stress --axes nominal examples/evaluate_policies.py:heavy
+pixel2catch stress --axes nominal heavy --import examples/evaluate_policies.py
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
 """Objects of one's own: a bottle of two shapes, and a cup from a mesh file that this script writes.
 
 python examples/own_object.py
-pixel2catch evaluate --objects examples/own_object.py:bottle
-pixel2catch play --objects examples/own_object.py:bottle
+pixel2catch evaluate --objects bottle --import examples/own_object.py
+pixel2catch play --objects bottle --import examples/own_object.py
 """
 
 import tempfile

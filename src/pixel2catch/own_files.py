@@ -1,13 +1,11 @@
 """Python files of users: their methods, objects, work cells and axes of disturbances join the catalogues.
 
-`pixel2catch --import FILE.py COMMAND ...` imports a file. `FILE.py:NAME` in place of a name imports the file
-and selects a value in it. Values at the top level of the file are found by their `name`, also in child
-processes.
+`pixel2catch --import FILE.py COMMAND ...` imports a file. Values at its top level are found by their
+`name`, also in child processes.
 """
 
 import importlib.util
 import os
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +20,6 @@ OPTION = "--import"
 VARIABLE = "PIXEL2CATCH_IMPORT"
 """Environment variable with the files, separated as in PATH, for child processes."""
 
-_NAME_IN_FILE = re.compile(r"(?P<option>--[\w.-]+=)?(?P<file>.+\.py):(?P<name>[^:/\\]+)")
 _MODULES: dict[str, ModuleType] = {}  # imported modules, by path
 _CATALOGUES: list["_Catalogue"] = []
 
@@ -30,31 +27,24 @@ Value = TypeVar("Value")
 
 
 def take_option(args: Sequence[str]) -> list[str]:
-    """Return arguments without `--import FILE.py`, and names for `FILE.py:NAME`; `VARIABLE` gets the files.
+    """Return arguments without `--import FILE.py`; `VARIABLE` gets the files.
 
     Raises:
-        InvalidValueError: The option names no file.
+        InvalidValueError: The option names no file, or a file stands before a name.
     """
     rest: list[str] = []
     remaining = iter(args)
     for argument in remaining:
         name, _, value = argument.partition("=")
-        if name == OPTION:
-            if not (file := value or next(remaining, "")):
-                raise InvalidValueError(f"{OPTION} needs a Python file behind it, such as {OPTION} mine.py.")
+        if ".py:" in argument:
+            raise InvalidValueError(f"'{argument}': give {OPTION} FILE.py, and the name alone.")
+        if name != OPTION:
+            rest.append(argument)
+        elif file := value or next(remaining, ""):
             announce(file)
         else:
-            rest.append(named(argument))
+            raise InvalidValueError(f"{OPTION} needs a Python file behind it, such as {OPTION} mine.py.")
     return rest
-
-
-def named(argument: str) -> str:
-    """Return NAME for `FILE.py:NAME`, also after `--option=`, and announce the file; else the argument."""
-    found = _NAME_IN_FILE.fullmatch(argument)
-    if not found:
-        return argument
-    announce(found["file"])
-    return (found["option"] or "") + found["name"]
 
 
 def announce(file: str) -> None:

@@ -105,10 +105,11 @@ BAD = [
     ("train --dynamics {empty}", "a folder; name a file in it"),
     # files of one's own
     ("--import", "--import needs a Python file"),
+    ("train mine.py:mine", "give --import FILE.py, and the name alone"),
     ("--import {exits} train", "SystemExit"),
-    ("train {no_agents}:mine", "it needs one or more, each with its own name"),
-    ("train {twins}:mine", "it needs one or more, each with its own name"),
-    ("train {blind}:mine", "unknown pixel feature 'cz'"),
+    ("train mine --import {no_agents}", "it needs one or more, each with its own name"),
+    ("train mine --import {twins}", "it needs one or more, each with its own name"),
+    ("train mine --import {blind}", "unknown pixel feature 'cz'"),
 ]
 
 IMPORTS = "from dataclasses import replace\nfrom pixel2catch.methods import PROPOSED\n"

@@ -98,10 +98,9 @@ def test_how_many_boxes_an_own_memory_holds_is_not_told():
 def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(VARIABLE, "")
-    given = ["--import", "a.py", "evaluate", "run", "--import=b.py", "c.py:mine+fit", "--objects=./b.py:mug"]
-    assert take_option(given) == ["evaluate", "run", "mine+fit", "--objects=mug"]
-    assert take_option(["C:/a.py", "--workcell", "cell.py"]) == ["C:/a.py", "--workcell", "cell.py"]
-    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b", "c"))
+    given = ["--import", "a.py", "evaluate", "run", "--import=b.py", "--workcell", "cell.py"]
+    assert take_option(given) == ["evaluate", "run", "--workcell", "cell.py"]
+    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b"))
 
 
 def test_own_methods_are_trained_and_evaluated(
@@ -111,7 +110,7 @@ def test_own_methods_are_trained_and_evaluated(
     monkeypatch.chdir(tmp_path)
     Path("my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
-        assert run("train", f"my_methods.py:{name}", *TRAINING, "--out", name) == 0
+        assert run("train", name, "--import", "my_methods.py", *TRAINING, "--out", name) == 0
     capsys.readouterr()
     results = []
     for more in ((), ("--import", "my_methods.py")):
@@ -124,8 +123,8 @@ def test_own_methods_are_trained_and_evaluated(
     assert "--import FILE.py" in error
     assert run("--import", "absent.py", "evaluate", "with_height") == 2
     assert "cannot import" in capsys.readouterr().err
-    thrown = (*THROWS[:-1], "my_methods.py:brick")
-    options = ("--axes", "my_methods.py:heavy", "--jobs", "2", "--out", "stress")
+    thrown = (*THROWS[:-1], "brick")
+    options = ("--import", "my_methods.py", "--axes", "heavy", "--jobs", "2", "--out", "stress")
     assert run("stress", "size_alone", "with_height", *thrown, *options) == 0
     for name in ("size_alone", "with_height"):
         cell = json.loads(Path("stress", "cells", name, "heavy-60.json").read_text())

@@ -20,7 +20,7 @@ from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.learning.train import train as train_policy
 from pixel2catch.methods import Method, find_method
-from pixel2catch.own_files import add, import_files, named
+from pixel2catch.own_files import add, import_files
 from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, largest_radius, select_objects
@@ -43,7 +43,7 @@ def make(
     """Make environments that act on tensors; the views for other libraries wrap them.
 
     Args:
-        method: A method or its name, such as "single_agent", "catch+fit" or "my_file.py:mine".
+        method: A method or its name, such as "single_agent" or "catch+fit".
         num_envs: How many robots catch side by side.
         task: A task or its name: nominal, wide, ...
         objects: What is thrown: seen, unseen, real, sizes, names, or your own objects. Default: the task's.
@@ -158,7 +158,7 @@ def train(
     if resume:
         if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):
             raise InvalidValueError("resume is given with an experiment or a task; leave that out.")
-        method_name = method.name if isinstance(method, Method) else named(method)
+        method_name = method.name if isinstance(method, Method) else method
         names = {"method": method_name, "preset": name, "task": task, "workcell": cell}
         run_there = require_run(Path(out), files.get("dynamics"), files.get("camera"), **names)
         experiment, name = run_there.experiment, run_there.preset
@@ -240,8 +240,8 @@ def _selected(objects: Objects) -> tuple[str, ...]:
 
 
 def _known(value: Any) -> str:
-    """Return the name of a value, which joins its catalogue, or the name in a text such as FILE.py:NAME."""
+    """Return a name, or the name of a value, which joins its catalogue."""
     _require_named("name", value, Method, ObjectSpec, WorkcellSpec)
-    name = named(value) if isinstance(value, str) else add(value)
+    name = value if isinstance(value, str) else add(value)
     import_files()
     return name

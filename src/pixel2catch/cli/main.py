@@ -94,7 +94,7 @@ DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera
 
 'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
 'pixel2catch --import FILE.py COMMAND ...' knows the methods, objects, robots and disturbances that a Python
-file of yours defines; so does FILE.py:NAME in place of a name."""
+file of yours defines."""
 
 EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
 EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
