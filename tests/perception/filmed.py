@@ -1,27 +1,96 @@
-"""The painted throw as files: a video, a bag of ROS 2, and the camera that took it."""
+"""The images that perception is tested with, painted with known truth; one throw of them as files."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from painted import HEIGHT, WIDTH, Disc, images, thrown
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
-from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.image import Pixels
+from pixel2catch.camera.image import Mask, Pixels
 from pixel2catch.files import json_text
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.labels import FORMAT_VERSION, Labels
+from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
+from ros_bags import EPOCH, TYPES, Message, header
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES: dict[str, Any] = STORE.types
-EPOCH = 1_790_000_000
-PERIOD_NS = 33_333_333
+HEIGHT, WIDTH = 240, 320
+RED = (200, 40, 30)
+BLUE = (30, 60, 200)
+NUM_EMPTY = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disc:
+    """A disc at one place in every image."""
+
+    path: np.ndarray
+    radius: float
+    color: tuple[int, int, int] = RED
+
+    def mask(self, step: int) -> Mask:
+        (u, v), (rows, columns) = self.path[step], np.ogrid[:HEIGHT, :WIDTH]
+        return (columns + 0.5 - u) ** 2 + (rows + 0.5 - v) ** 2 <= self.radius**2
+
+
+class Follower:
+    """A segmenter with its foreground, as the tracker uses them."""
+
+    def __init__(self, segmenter: Segmenter | None = None) -> None:
+        self.segmenter = segmenter or BackgroundSubtraction()
+        self.foreground = Foreground()
+
+    def start(self, image: Pixels, prompt: BoxPrompt, ignored: Mask | None = None) -> Segmentation:
+        motion = self.foreground.reveal(self.foreground.step(image, ignored), prompt)
+        return self._kept(self.segmenter.start(image, prompt, motion))
+
+    def track(self, image: Pixels, ignored: Mask | None = None) -> Segmentation:
+        return self._kept(self.segmenter.track(image, self.foreground.step(image, ignored)))
+
+    def settle(self) -> None:
+        self.foreground.settle()
+        self.segmenter.settle()
+
+    def _kept(self, found: Segmentation) -> Segmentation:
+        self.foreground.keep(found.mask)
+        return found
+
+
+def background(seed: int = 0) -> np.ndarray:
+    """A texture of grey levels 60 to 190."""
+    noise = np.random.default_rng(seed).normal(size=(HEIGHT, WIDTH))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 4)
+    grey = 125 + 65 * np.clip(smooth / (3 * smooth.std()), -1, 1)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def images(discs: tuple[Disc, ...], num_steps: int, noise: float = 3.0) -> Iterator[Pixels]:
+    """The discs, later ones in front, over the background, with Gaussian noise of this deviation."""
+    rng, still = np.random.default_rng(1), background()
+    for step in range(num_steps):
+        picture = still.copy()
+        for disc in discs:
+            picture[disc.mask(step)] = disc.color
+        yield np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
+
+
+def thrown(num_still: int, num_flying: int) -> np.ndarray:
+    """Away, held still at the left, then thrown to the right: middle of the object in every image [px]."""
+    away = np.full((NUM_EMPTY, 2), -100.0)
+    start = np.array((40.0, 150.0))
+    times = np.arange(1, num_flying + 1)[:, None]
+    flight = start + times * (11.0, -14.0) + 0.5 * times**2 * (0.0, 1.2)
+    return np.concatenate((away, np.tile(start, (num_still, 1)), flight))
+
+
+def box_of(mask: Mask) -> np.ndarray:
+    """The box around a mask [px]."""
+    rows, columns = np.nonzero(mask)
+    return np.array((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1), dtype=float)
+
 
 NUM_STILL, NUM_FLYING = 5, 15
 PATH = thrown(NUM_STILL, NUM_FLYING)
@@ -31,9 +100,6 @@ HELD = 41
 
 CAMERA = replace(RGB_CAMERA, width=WIDTH, height=HEIGHT, cx=WIDTH / 2, cy=HEIGHT / 2)
 """A camera of the size of the painted images: a quarter of the pixels, a quarter of the time."""
-
-Message = tuple[str, int, Any]
-"""Topic, time of reception [ns], message."""
 
 
 def save_labels(path: Path, labels: Labels) -> None:
@@ -46,9 +112,9 @@ def throw() -> Iterator[Pixels]:
     return images((DISC,), len(PATH))
 
 
-def box_at(step: int, margin: float = 1.0) -> list[str]:
+def box_at(step: int) -> list[str]:
     """The object's box, as words of a command."""
-    (u, v), reach = PATH[step], DISC.radius + margin
+    (u, v), reach = PATH[step], DISC.radius + 1.0
     return [f"{edge:g}" for edge in (u - reach, v - reach, u + reach, v + reach)]
 
 
@@ -59,19 +125,9 @@ def save_video(path: Path, pictures: Iterable[Pixels], fps: int = 30) -> Path:
     return path
 
 
-def save_camera(path: Path) -> Path:
-    CameraFile(camera=CAMERA).save(path)
-    return path
-
-
-def header(stamp: int) -> Any:
-    time = TYPES["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-    return TYPES["std_msgs/msg/Header"](stamp=time, frame_id="camera")
-
-
 def stamp_of(step: int) -> int:
     """When an image was taken [ns]."""
-    return EPOCH * 10**9 + step * PERIOD_NS
+    return EPOCH * 10**9 + step * 33_333_333
 
 
 def raw(step: int, pixels: np.ndarray, encoding: str = "rgb8", padding: int = 0) -> Message:
@@ -98,19 +154,3 @@ def compressed(step: int, data: bytes, kind: str = "rgb8; jpeg compressed bgr8")
 
 def jpeg(image: Pixels) -> bytes:
     return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
-
-
-def joint_state(stamp: int, names: Iterable[str], positions: np.ndarray) -> Message:
-    empty = np.zeros(0)
-    message = TYPES["sensor_msgs/msg/JointState"](header(stamp), list(names), positions, empty, empty)
-    return "/joint_states", stamp + 1_000_000, message
-
-
-def save_bag(path: Path, messages: Iterable[Message], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    with Writer(path, version=9, storage_plugin=storage) as bag:
-        connections = {}
-        for topic, received, message in messages:
-            if topic not in connections:
-                connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=STORE)
-            bag.write(connections[topic], received, STORE.serialize_cdr(message, message.__msgtype__))
-    return path

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, replace
 
+import filmed
 import numpy as np
-import painted
-from painted import NUM_EMPTY, Disc, Follower
+from filmed import NUM_EMPTY, Disc, Follower
 
 from pixel2catch.perception.segmenter import BoxPrompt
 
 NUM_STILL, NUM_FLYING = 8, 22
 NUM_STEPS = NUM_EMPTY + NUM_STILL + NUM_FLYING
-BALL = Disc(path=painted.thrown(NUM_STILL, NUM_FLYING), radius=9.0)
+BALL = Disc(path=filmed.thrown(NUM_STILL, NUM_FLYING), radius=9.0)
 
 
 def errors(
@@ -24,14 +24,14 @@ def errors(
     It is NaN where no pixel of the truth is in the image, and nothing was found.
     """
     segmenter, worst = Follower(), []
-    for step, image in enumerate(painted.images(discs, len(truth[0].path))):
+    for step, image in enumerate(filmed.images(discs, len(truth[0].path))):
         ignored = None if robot is None else robot.mask(step)
         if step < NUM_EMPTY:
             segmenter.track(image, ignored)
             continue
         mask = np.logical_or.reduce([disc.mask(step) for disc in truth])
         if step == NUM_EMPTY:
-            given = prompt or BoxPrompt(box=tuple(painted.box_of(mask).tolist()))
+            given = prompt or BoxPrompt(box=tuple(filmed.box_of(mask).tolist()))
             found = segmenter.start(image, given, ignored)
         else:
             found = segmenter.track(image, ignored)
@@ -39,12 +39,12 @@ def errors(
             worst.append(np.inf if mask.any() else np.nan)
         else:
             assert mask.any()
-            worst.append(np.abs(painted.box_of(found.mask) - painted.box_of(mask)).max())
+            worst.append(np.abs(filmed.box_of(found.mask) - filmed.box_of(mask)).max())
     return np.array(worst)
 
 
 def held_box() -> BoxPrompt:
-    xmin, ymin, xmax, ymax = painted.box_of(BALL.mask(NUM_EMPTY)).tolist()
+    xmin, ymin, xmax, ymax = filmed.box_of(BALL.mask(NUM_EMPTY)).tolist()
     return BoxPrompt(box=(xmin, ymin, xmax, ymax))
 
 
@@ -52,7 +52,7 @@ def test_other_moving_things_are_not_followed():
     """A large thing where the throw begins, such as an arm, and a ball of another colour that crosses."""
     times = np.arange(NUM_STEPS)[:, None]
     arm = Disc(path=(25.0, 190.0) + 4.0 * np.sin(times * (1.0, 1.3)), radius=30.0, color=(150, 110, 90))
-    across = Disc(path=(300.0, 230.0) - times[::-1] * (0.0, 3.5), radius=8.0, color=painted.BLUE)
+    across = Disc(path=(300.0, 230.0) - times[::-1] * (0.0, 3.5), radius=8.0, color=filmed.BLUE)
     worst = errors((arm, across, BALL))
     assert (worst <= 5.0).mean() >= 0.95
 
@@ -127,7 +127,7 @@ class Coming(Disc):
 
     first: int
 
-    def mask(self, step: int) -> painted.Mask:
+    def mask(self, step: int) -> filmed.Mask:
         nearer = replace(self, radius=self.radius * 1.06 ** max(step - self.first, 0))
         return super(Coming, nearer).mask(step)
 
@@ -159,13 +159,13 @@ def test_a_flight_is_followed_only_if_it_resembles_the_lost_object():
     """After the red ball has left, a blue one flies; then one like the red one."""
     others = {
         color: Disc(path=np.tile((160.0, 120.0), (2, 1)), radius=9.0, color=color)
-        for color in (painted.RED, painted.BLUE)
+        for color in (filmed.RED, filmed.BLUE)
     }
     guess = BoxPrompt(box=(151.0, 111.0, 169.0, 129.0), is_guess=True)
-    for color, is_taken in ((painted.BLUE, False), (painted.RED, True)):
+    for color, is_taken in ((filmed.BLUE, False), (filmed.RED, True)):
         segmenter = Follower()
         gone = Disc(path=BALL.path[:NUM_STEPS], radius=9.0)
-        for step, image in enumerate(painted.images((gone,), NUM_STEPS)):
+        for step, image in enumerate(filmed.images((gone,), NUM_STEPS)):
             _ = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
-        image = next(painted.images((others[color],), 1))
+        image = next(filmed.images((others[color],), 1))
         assert (segmenter.start(image, guess).mask is not None) == is_taken

@@ -4,6 +4,8 @@ import csv
 import os
 import signal
 import threading
+from collections.abc import Sequence
+from itertools import count, islice
 from pathlib import Path
 
 import cv2
@@ -42,9 +44,9 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def write_table(path: Path, rows: list[list], names: list[str] | None = None) -> Path:
+def write_table(path: Path, rows: list[list], names: Sequence[str] = ("image", *JOINTS)) -> Path:
     with open(path, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([names or ["image", *JOINTS], *rows])
+        csv.writer(file).writerows([names, *rows])
     return path
 
 
@@ -86,6 +88,8 @@ def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.Capt
     edge = 1e-3 * 25.4 / 300 * np.linalg.norm(view.pixels[1] - view.pixels[0])
     assert edge == pytest.approx(SQUARE, rel=2e-3)
     assert "exists" in error_of(capsys, "--print-marker", path)
+    assert "end the file's name in .png or .pdf" in error_of(capsys, "--print-marker", tmp_path / "board.jpg")
+    assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")  # nothing to do
 
 
 def test_a_table_that_cannot_be_is_refused(
@@ -97,12 +101,12 @@ def test_a_table_that_cannot_be_is_refused(
     cases = {
         "no column image": (rows, ["picture", *JOINTS]),
         "no column wrist_3_joint": (rows, ["image", *JOINTS[:5], "wrist_4_joint"]),
-        "if the file is in degrees, convert it": (degrees, None),
-        "5 images show the board in the hand, 6 are needed": (rows[:5], None),
-        "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows], None),
+        "if the file is in degrees, convert it": (degrees,),
+        "5 images show the board in the hand, 6 are needed": (rows[:5],),
+        "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows],),
     }
-    for words, (table, names) in cases.items():
-        assert words in error_of(capsys, write_table(tmp_path / "views.csv", table, names), *lens)
+    for words, table in cases.items():
+        assert words in error_of(capsys, write_table(tmp_path / "views.csv", *table), *lens)
     assert not (tmp_path / "camera.json").exists()
 
 
@@ -119,11 +123,6 @@ def test_images_of_another_size_are_refused(
     text = (laboratory / "lens.json").read_text()
     lens.write_text(text.replace('"width": 640', '"width": 1280'))
     assert "set the camera to that resolution" in error_of(capsys, table, "--intrinsics", lens, *out)
-
-
-def test_nothing_to_do_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")
-    assert "end the file's name in .png or .pdf" in error_of(capsys, "--print-marker", tmp_path / "board.jpg")
 
 
 PROFILE = Profile.load("ur5e_allegro_v4")
@@ -143,25 +142,22 @@ def picture(pose: np.ndarray) -> np.ndarray:
     return image_of(pose)
 
 
-class Session:
-    """Images shown to a capture, 0.1 s apart."""
-
-    def __init__(self, folder: Path) -> None:
-        self.capture = Capture(folder, CharucoBoard(), JOINTS)
-        self._time = 0.0
-
-    def show(self, pixels: np.ndarray, joint_pos: np.ndarray | None, times: int = 5) -> list[str]:
-        said = []
-        for _ in range(times):
-            self._time += 0.1
-            image = Image(pixels=pixels, stamp=self._time, joint_pos=joint_pos)
-            said.append(self.capture.look(image))
-        return said
+@pytest.fixture
+def capture(tmp_path: Path) -> Capture:
+    return Capture(tmp_path / "views", CharucoBoard(), JOINTS)
 
 
-def test_a_still_view_is_taken_once(tmp_path: Path, pose: np.ndarray, picture: np.ndarray):
-    session = Session(tmp_path / "views")
-    said = session.show(picture, pose)
+TIMES = count(0.1, 0.1)
+
+
+def show(capture: Capture, pixels: np.ndarray, joint_pos: np.ndarray | None, number: int = 5) -> list[str]:
+    """Show an image as often as that, 0.1 s apart."""
+    times = islice(TIMES, number)
+    return [capture.look(Image(pixels=pixels, stamp=time, joint_pos=joint_pos)) for time in times]
+
+
+def test_a_still_view_is_taken_once(capture: Capture, tmp_path: Path, pose: np.ndarray, picture: np.ndarray):
+    said = show(capture, picture, pose)
     assert said[0] == "hold still"
     assert said[3] == "1 of 15: wrote pose01.png"
     assert said[4].startswith("like pose01.png")
@@ -171,15 +167,16 @@ def test_a_still_view_is_taken_once(tmp_path: Path, pose: np.ndarray, picture: n
     assert np.array_equal(read_image(tmp_path / "views" / row["image"]), picture)
 
 
-def test_an_unsuitable_image_is_refused_with_a_reason(tmp_path: Path, pose: np.ndarray, picture: np.ndarray):
-    session = Session(tmp_path / "views")
-    assert session.show(np.full_like(picture, 90), pose)[-1].startswith("no board: show all of it")
-    assert session.show(picture, None)[-1].startswith("no positions of the arm's joints")
-    assert session.show(cv2.GaussianBlur(picture, (0, 0), 1.4), pose)[-1].startswith("blurred (")
-    session.show(np.full_like(picture, 90), pose)
-    moving = [session.show(picture, pose + 2e-3 * i, times=1)[0] for i in range(8)]
+def test_an_unsuitable_image_is_refused_with_a_reason(
+    capture: Capture, pose: np.ndarray, picture: np.ndarray
+):
+    assert show(capture, np.full_like(picture, 90), pose)[-1].startswith("no board: show all of it")
+    assert show(capture, picture, None)[-1].startswith("no positions of the arm's joints")
+    assert show(capture, cv2.GaussianBlur(picture, (0, 0), 1.4), pose)[-1].startswith("blurred (")
+    show(capture, np.full_like(picture, 90), pose)
+    moving = [show(capture, picture, pose + 2e-3 * i, number=1)[0] for i in range(8)]
     assert all(words.startswith("hold still") for words in moving)
-    assert not session.capture.taken
+    assert not capture.taken
 
 
 @pytest.mark.parametrize("spread", [0.8, 1.4])

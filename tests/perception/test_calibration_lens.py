@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 from calibration_views import CORNERS, lens, pixels_of, rendered
-from filmed import TYPES, header, save_bag
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
@@ -20,6 +19,7 @@ from pixel2catch.perception.calibration.lens import (
     undistorted,
 )
 from pixel2catch.scene.constants import RGB_CAMERA
+from ros_bags import TYPES, header, save_bag
 
 YAML = """image_width: 640
 image_height: 480
@@ -42,12 +42,6 @@ def board_pose(rng: np.random.Generator) -> np.ndarray:
     return pose
 
 
-def write_yaml(folder: Path, text: str = YAML) -> Path:
-    path = folder / "ost.yaml"
-    path.write_text(text)
-    return path
-
-
 def write_bag(path: Path, *topics: str) -> Path:
     """The same lens as a CameraInfo on several topics."""
     region = TYPES["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
@@ -66,7 +60,8 @@ def check_lens(found: CameraFile) -> None:
 
 
 def test_reads_the_lens_of_a_file_and_of_a_bag_rectified_or_not(tmp_path: Path):
-    for path in (write_yaml(tmp_path), write_bag(tmp_path / "bag", "/camera_info")):
+    (tmp_path / "ost.yaml").write_text(YAML)
+    for path in (tmp_path / "ost.yaml", write_bag(tmp_path / "bag", "/camera_info")):
         check_lens(read_lens(path, BOARD))
         found = read_lens(path, BOARD, is_rectified=True)
         np.testing.assert_allclose(found.camera.matrix, ((610, 0, 320.5), (0, 611, 240.5), (0, 0, 1)))
@@ -107,17 +102,15 @@ def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (
-            "header:\n  a: 1\nk:\n- 1.0\n",
-            "cannot read the file of camera_calibration .* It needs image_width",
-        ),
+        ("header: 1\nk: [1.0]\n", "cannot read the file of camera_calibration .* It needs image_width"),
         (YAML.replace("618.1", "0.0"), "not calibrated yet"),
         (YAML.replace("plumb_bob", "equidistant"), "'equidistant'.*--rectified"),
     ],
 )
 def test_a_file_without_a_lens_is_refused(tmp_path: Path, text: str, words: str):
+    (tmp_path / "ost.yaml").write_text(text)
     with pytest.raises(PerceptionError, match=words):
-        read_lens(write_yaml(tmp_path, text), BOARD)
+        read_lens(tmp_path / "ost.yaml", BOARD)
 
 
 def test_a_bag_without_the_topic_is_refused(tmp_path: Path):
@@ -126,10 +119,6 @@ def test_a_bag_without_the_topic_is_refused(tmp_path: Path):
     for topic in (None, "/rgb"):
         with pytest.raises(PerceptionError, match=r"on /left/camera_info, /right/camera_info; .* --topic"):
             read_lens(two, BOARD, topic)
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(b"no bag")
-    with pytest.raises(PerceptionError, match="not a readable rosbag2"):
-        read_lens(broken, BOARD)
 
 
 def test_other_paths_are_refused(tmp_path: Path):

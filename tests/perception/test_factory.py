@@ -17,43 +17,24 @@ from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 RED = (340.0, 20.0)
 
 
-def test_segmenters():
+def test_segmenters_and_their_missing_options():
     assert isinstance(PerceptionArgs().make_segmenter(), BackgroundSubtraction)
     assert isinstance(PerceptionArgs(segmenter="color", color=RED).make_segmenter(), ColorThreshold)
+    for name, words in (("color", "--color 340 20"), ("sam2", "sam2 needs --checkpoint")):
+        with pytest.raises(InvalidValueError, match=words):
+            PerceptionArgs(segmenter=name).make_segmenter()
 
 
-@pytest.mark.parametrize(
-    ("args", "words"),
-    [
-        (PerceptionArgs(segmenter="color"), "--color 340 20"),
-        (PerceptionArgs(segmenter="sam2"), "sam2 needs --checkpoint"),
-    ],
-)
-def test_a_missing_option_of_a_segmenter_is_named(args: PerceptionArgs, words: str):
-    with pytest.raises(InvalidValueError, match=words):
-        args.make_segmenter()
-
-
-@pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_tiny_sam2(tmp_path_factory.mktemp("sam2"))
-
-
-def test_the_time_of_sam2_is_printed(checkpoint: Path):
-    said: list[str] = []
-    alone = PerceptionArgs(segmenter="sam2", checkpoint=checkpoint).make_segmenter(say=said.append)
-    assert isinstance(alone, Sam2Segmenter)
+def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    args, said = PerceptionArgs(segmenter="sam2", checkpoint=save_tiny_sam2(tmp_path)), list[str]()
+    assert isinstance(args.make_segmenter(say=said.append), Sam2Segmenter)
     (line,) = said
     assert re.fullmatch(r"SAM 2 takes \d+\.\d ms for an image of 64 px on cpu: .*camera.*\.", line)
-
-
-def test_a_model_too_slow_for_a_camera_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(factory, "LONGEST_IMAGE_TIME", 0.0)
-    small = PerceptionArgs(segmenter="sam2", checkpoint=checkpoint)
-    with pytest.raises(
-        InvalidValueError, match=r"takes \d+\.\d ms for an image of 64 px on cpu, and a camera"
-    ):
-        small.make_segmenter(is_live=True)
+    with pytest.raises(InvalidValueError, match=r"takes \d+\.\d ms .* of 64 px on cpu, and a camera"):
+        args.make_segmenter(is_live=True)
 
 
 def test_options_reach_the_prompter():
@@ -66,14 +47,7 @@ def test_options_reach_the_prompter():
     assert PerceptionArgs(color=RED, region=(0, 0, 200, 200)).make_prompter().look(image) is None
 
 
-@pytest.mark.parametrize(
-    "args",
-    [
-        PerceptionArgs(box=(30, 10, 10, 30)),
-        PerceptionArgs(box=(600, 10, 700, 30)),
-        PerceptionArgs(region=(0, 0, 641, 480)),
-    ],
-)
-def test_places_off_the_image_are_refused(args: PerceptionArgs):
-    with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
-        args.make_prompter()
+def test_places_off_the_image_are_refused():
+    for args in ({"box": (30, 10, 10, 30)}, {"box": (600, 10, 700, 30)}, {"region": (0, 0, 641, 480)}):
+        with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
+            PerceptionArgs(**args).make_prompter()

@@ -1,10 +1,10 @@
 """Connected regions, the track of an object in the image, and an object that is followed by its colour."""
 
+import filmed
 import numpy as np
-import painted
 import pytest
 import torch
-from painted import Disc
+from filmed import Disc
 
 from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.image import Edges
@@ -128,13 +128,13 @@ def test_grey_and_dark_have_no_colour():
 def test_a_red_ball_is_followed_past_another_that_lies_still():
     other = Disc(path=np.tile((170.0, 130.0), (NUM_STEPS, 1)), radius=12.0)
     segmenter = ColorThreshold(REDS)
-    for step, image in enumerate(painted.images((other, BALL), NUM_STEPS)):
+    for step, image in enumerate(filmed.images((other, BALL), NUM_STEPS)):
         prompt = BoxPrompt(box=(11.0, 191.0, 29.0, 209.0))
         found = segmenter.start(image, prompt) if step == 0 else segmenter.track(image)
         assert found.mask is not None
         assert found.mask[BALL.mask(step)].mean() > 0.9
         if not (BALL.mask(step) & other.mask(step)).any() and abs(step - 10) > 4:
-            assert np.abs(painted.box_of(found.mask) - painted.box_of(BALL.mask(step))).max() <= 1
+            assert np.abs(filmed.box_of(found.mask) - filmed.box_of(BALL.mask(step))).max() <= 1
 
 
 def two_blobs() -> np.ndarray:

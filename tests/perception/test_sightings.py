@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from filmed import CAMERA, DISC, HELD, PATH, throw
+from filmed import CAMERA, DISC, throw
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -19,18 +18,12 @@ from pixel2catch.methods import find_method
 from pixel2catch.perception import sightings as looks
 from pixel2catch.perception.regions import PlausibilityCfg, find_blobs
 from pixel2catch.perception.segmenter import ColorRange, ColorThreshold
-from pixel2catch.perception.sightings import COLUMNS, HEADER, Sighting, annotated, follow
-from pixel2catch.perception.sources import Tick, on_control_clock
+from pixel2catch.perception.sightings import HEADER, Sighting, annotated, follow
+from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 RED = ColorRange(hue=(340, 20))
-
-
-def sightings(begin: float) -> list[Sighting]:
-    tracker = ObjectTracker(ColorThreshold(RED), Prompter(colors=RED), camera=CAMERA, waits=True)
-    images = (Image(pixels=image, stamp=step * CONTROL_DT) for step, image in enumerate(throw()))
-    return list(follow(on_control_clock(images, []), tracker, begin, CAMERA))
 
 
 def test_features_are_those_of_training():
@@ -64,15 +57,6 @@ def test_features_are_those_of_training():
         assert list(now.features) == pixels(inputs)[0].tolist()
 
 
-@pytest.mark.parametrize("step", [HELD, HELD + 3])
-def test_the_object_is_pointed_out_at_the_given_time(step: int):
-    """The object is there from image 40 on, and found in the very image that was meant."""
-    seen = sightings(step * CONTROL_DT)
-    assert [each.box.verdict for each in seen[:step]] == [Verdict.NO_PROMPT] * step
-    assert [each.box.verdict for each in seen[step:]] == [Verdict.SEEN] * (len(PATH) - step)
-    assert seen[step].features[4:] == (0.0, 0.0, 0.0, 0.0)  # the first box stands for its predecessor
-
-
 def test_skipped_images_are_counted():
     steps = {0: 0, 1: 0, 3: 1, 4: 0, 8: 3}
     image = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
@@ -80,19 +64,6 @@ def test_skipped_images_are_counted():
     ticks = [Tick(image=Image(pixels=image, stamp=stamp), now=stamp) for stamp in stamps]
     tracker = ObjectTracker(ColorThreshold(RED), Prompter(), camera=CAMERA)
     assert [each.num_skipped for each in follow(ticks, tracker)] == list(steps.values())
-
-
-def test_a_row_has_time_box_and_features():
-    seen = sightings(HELD * CONTROL_DT)[50]
-    row = seen.row()
-    assert set(row) <= set(COLUMNS)
-    assert float(row["time"]) == pytest.approx(50 * CONTROL_DT, abs=1e-4)
-    assert float(row["stamp"]) == pytest.approx(50 * CONTROL_DT, abs=1e-6)
-    center = 0.5 * (float(row["xmin"]) + float(row["xmax"])), 0.5 * (float(row["ymin"]) + float(row["ymax"]))
-    np.testing.assert_allclose(center, PATH[50], atol=1.0)
-    np.testing.assert_allclose([float(row[name]) for name in PIXEL_FEATURES], seen.features, rtol=1e-5)
-    parts = sum(float(row[f"{stage}_ms"]) for stage in ("segment", "box"))
-    assert 0.0 < parts <= float(row["total_ms"])
 
 
 IMAGE = list(throw())[50]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from filmed import EPOCH, compressed, joint_state, jpeg, raw, save_bag, save_video, stamp_of, throw
+from filmed import compressed, jpeg, raw, save_video, stamp_of, throw
 from rosbags.rosbag2 import StoragePlugin
 
 from pixel2catch.camera.image import Image
@@ -18,7 +18,7 @@ from pixel2catch.perception.sources import (
     video_images,
 )
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from ros_bags import EPOCH, joint_state, save_bag
 
 PICTURE = next(throw())
 
@@ -105,7 +105,6 @@ def test_stamps_that_go_back_are_passed_over_and_said():
     assert notes == ["images no newer than those before them, passed over: 2."]
 
 
-NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
@@ -114,11 +113,7 @@ def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -
 
 @pytest.mark.parametrize(
     ("storage", "encoding", "padding"),
-    [
-        (StoragePlugin.MCAP, "rgb8", 0),
-        (StoragePlugin.SQLITE3, "bgr8", 0),
-        (StoragePlugin.MCAP, "rgb8", 24),
-    ],
+    [(StoragePlugin.MCAP, "rgb8", 24), (StoragePlugin.SQLITE3, "bgr8", 0)],
 )
 def test_raw_images_come_out_as_they_were(
     storage: StoragePlugin, encoding: str, padding: int, tmp_path: Path
@@ -168,6 +163,6 @@ def test_encodings_without_colour_are_refused(tmp_path: Path):
 
 
 def test_a_bag_without_images_says_so(tmp_path: Path):
-    path = save_bag(tmp_path / "bag", [joint_state(stamp_of(0), NAMES, np.zeros(len(NAMES)))])
+    path = save_bag(tmp_path / "bag", [("/joint_states", 0, joint_state(0, ["elbow_joint"], [0.0]))])
     with pytest.raises(PerceptionError, match="is on no topic; record the camera"):
         read(path)

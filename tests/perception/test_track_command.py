@@ -12,24 +12,16 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from filmed import (
-    CAMERA,
-    HELD,
-    PATH,
-    box_at,
-    compressed,
-    jpeg,
-    save_bag,
-    save_camera,
-    save_video,
-    throw,
-)
+from filmed import CAMERA, HEIGHT, HELD, NUM_EMPTY, PATH, WIDTH, box_at, compressed, jpeg, save_video, throw
 
 from domains import PATIENCE
+from pixel2catch.camera.boxes import PIXEL_FEATURES
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.perception.sightings import COLUMNS, HEADER
 from pixel2catch.scene.constants import CONTROL_DT
+from ros_bags import save_bag
 
 AT = ["--at", f"{HELD * CONTROL_DT:.3f}"]
 RED = ["--segmenter", "color", "--color", "340", "20"]
@@ -42,7 +34,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pictures = list(throw())
     save_video(folder / "throw.mp4", pictures)
     save_bag(folder / "bag", [compressed(step, jpeg(picture)) for step, picture in enumerate(pictures)])
-    save_camera(folder / "camera.json")
+    CameraFile(camera=CAMERA).save(folder / "camera.json")
     return folder
 
 
@@ -56,24 +48,30 @@ def track(files: Path, source: str, out: Path, *args: str) -> tuple[dict[str, An
     return json.loads((out / SUMMARY).read_text()), rows
 
 
-def worst_center(rows: list[dict[str, str]]) -> float:
-    """Largest distance of the middle of a box from the truth, in images that show the object [px]."""
-    errors = [0.0]
-    for row, truth in zip(rows, PATH, strict=True):
-        if row["verdict"] == "seen":
-            box = np.array([float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax")])
-            errors.append(float(np.abs(0.5 * (box[:2] + box[2:]) - truth).max()))
-    return max(errors)
+def numbers(rows: list[dict[str, str]], *names: str) -> np.ndarray:
+    return np.array([[float(row[name]) for name in names] for row in rows])
 
 
 @pytest.mark.parametrize("source", ["throw.mp4", "bag"])
 @pytest.mark.parametrize("options", [[*AT, "--box", *box_at(HELD)], RED], ids=["background", "color"])
 def test_the_object_is_followed(source: str, options: list[str], files: Path, tmp_path: Path):
+    """In the very image that was meant; a row has times, the box, its features, and durations."""
     summary, rows = track(files, source, tmp_path / "new" / "out", *options)
     assert summary["num_steps"] == len(rows) == len(PATH)
-    assert summary["verdicts"]["seen"] >= len(PATH) - HELD - 1
     assert not summary["notes"]
-    assert worst_center(rows) < 3.0
+    first = HELD if AT[1] in options else NUM_EMPTY
+    seen, steps = rows[first:], np.arange(first, len(PATH))[:, None]
+    assert {row["verdict"] for row in rows[:first]} == {"no prompt"}
+    assert {row["verdict"] for row in seen} == {"seen"}
+    np.testing.assert_allclose(numbers(seen, "time"), steps * CONTROL_DT, atol=1e-3)
+    np.testing.assert_allclose(np.diff(numbers(seen, "stamp"), axis=0), CONTROL_DT, atol=1e-3)
+    box = numbers(seen, "xmin", "ymin", "xmax", "ymax")
+    assert np.abs(0.5 * (box[:, :2] + box[:, 2:]) - PATH[first:]).max() < 3.0
+    now = np.hstack((0.5 * (box[:, :2] + box[:, 2:]), box[:, 2:] - box[:, :2]))
+    features = np.hstack((now / (2 * (WIDTH, HEIGHT)), np.diff(now, axis=0, prepend=now[:1])))
+    np.testing.assert_allclose(numbers(seen, *PIXEL_FEATURES), features, rtol=1e-4, atol=1e-5)
+    parts = numbers(seen, "segment_ms", "box_ms").sum(axis=1, keepdims=True)
+    assert ((parts > 0.0) & (parts <= numbers(seen, "total_ms"))).all()
     with av.open(str(tmp_path / "new" / "out" / VIDEO)) as video:
         pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
     assert len(pictures) == len(PATH)
