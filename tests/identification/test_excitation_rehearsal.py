@@ -8,11 +8,7 @@ from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.cli.main import main
 from pixel2catch.identification.recording import Recording, Trajectory
-from pixel2catch.identification.rehearsal import (
-    assess,
-    clearances,
-    simulated_recordings,
-)
+from pixel2catch.identification.rehearsal import assess, clearances, simulated_recordings
 from pixel2catch.identification.simulation import FIT_DT
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -58,11 +54,8 @@ def test_a_folded_arm_is_too_near_to_itself_and_to_the_table():
 
 def test_an_arm_that_bends_down_is_stopped_above_the_table():
     down = moved("shoulder_lift_joint", there_and_back(1.8, 4.0))
-    (violation,) = [
-        violation
-        for violation in assess(down, JointDynamics.nominal(down.joints)).violations
-        if "table" in violation.text
-    ]
+    found = assess(down, JointDynamics.nominal(down.joints)).violations
+    (violation,) = (each for each in found if "table" in each.text)
     assert violation.joints == ("shoulder_lift_joint",)
     assert "keep 50 mm" in violation.text
     assert 0.0 < violation.remedy < 1.0
@@ -87,26 +80,15 @@ def test_a_joint_that_is_too_fast_is_told_by_how_much():
     assert violation.remedy == pytest.approx(0.95 * 2.79253 / top)
 
 
-JOINTS = ("elbow_joint", "index_joint_2")
-START = (2 / 3 * np.pi, 0.0)
-
-
-def bump(size: float) -> Trajectory:
-    """A smooth motion there and back."""
-    times = np.arange(401) / 125.0
-    positions = np.tile(START, (401, 1))
-    positions[130:260] += size * np.sin(np.linspace(0.0, np.pi, 130))[:, None] ** 2
-    return Trajectory(joints=JOINTS, times=times, positions=positions)
-
-
 def test_both_loops_stall_each_in_its_own_time():
-    nominal = JointDynamics.nominal(JOINTS)
-    (recording,) = simulated_recordings([bump(0.2)], nominal, np.random.default_rng(0))
+    bump = moved("elbow_joint", there_and_back(0.2, 1.0))
+    nominal = JointDynamics.nominal(bump.joints)
+    (recording,) = simulated_recordings([bump], nominal, np.random.default_rng(0))
     assert sorted(set(np.round(np.diff(recording.t_meas), 6))) == [0.008, 0.04]
     sent, read = (time[:-1][np.diff(time) > 0.03] for time in (recording.t_cmd, recording.t_meas))
     assert min(len(sent), len(read)) > 3
     assert not np.isin(np.round(sent, 2), np.round(read, 2)).all()
-    np.testing.assert_array_equal(recording.q_cmd, bump(0.2).at(recording.t_cmd))
+    np.testing.assert_array_equal(recording.q_cmd, bump.at(recording.t_cmd))
 
 
 def run(*args: object) -> int:
@@ -126,15 +108,12 @@ def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pyte
 
 
 def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_robot(tmp_path: Path):
-    assert (
-        run("--robot", "allegro", "--seconds", "20", "--recordings", "2", "--rehearse", tmp_path / "new") == 0
-    )
+    options = ("--seconds", "20", "--recordings", "2", "--rehearse", tmp_path / "new")
+    assert run("--robot", "allegro", *options) == 0
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
     assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
-    truth, nominal = (
-        DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics,
-        JointDynamics.nominal(ROBOTS["allegro"]),
-    )
+    truth = DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics
+    nominal = JointDynamics.nominal(ROBOTS["allegro"])
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         ratio = getattr(truth, name) / getattr(nominal, name)
         assert 0.7 <= ratio.min() < 0.9

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -111,38 +111,34 @@ def test_the_report_has_pictures_and_names_what_was_run(out: Path):
     assert "Nothing was held out" not in text
 
 
+def identified(folder: Path, change: Callable[[Recording], Recording], *options: str) -> Path:
+    """The results of two recordings that were changed."""
+    paths = [folder / f"{seed}.npz" for seed in range(2)]
+    for seed, path in enumerate(paths):
+        change(motion(seed)).save(path)
+    assert main(["identify", *map(str, paths), *SMALL, *options, "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
 def test_clocks_that_drift_and_play_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Clocks that differ by 2 ms in a second, and 6 mrad of play."""
-    paths = []
-    for seed in range(2):
-        recording, play = motion(seed), np.array((0.0, 0.0, 0.0, 0.0, 0.0, 6e-3))
-        loose = replace(recording, t_meas=1.002 * recording.t_meas, q=behind_play(recording.q, play))
-        paths.append(tmp_path / f"{seed}.npz")
-        loose.save(paths[-1])
-    assert main(["identify", *map(str, paths), *SMALL, "--out", str(tmp_path / "out")]) == 0
+    play = np.array((0.0, 0.0, 0.0, 0.0, 0.0, 6e-3))
+    found = identified(tmp_path, lambda r: replace(r, t_meas=1.002 * r.t_meas, q=behind_play(r.q, play)))
     printed = " ".join(capsys.readouterr().out.split())
-    page = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
-    texts = " ".join(result(tmp_path / "out")["warnings"])
-    for text in (printed, page, texts):
+    page = (found / "report.md").read_text(encoding="utf-8")
+    for text in (printed, page, " ".join(result(found)["warnings"])):
         assert re.search(r"0.npz: the clock of the measurements is (19|20)\d\d ± \d+ ppm fast", text)
         assert re.search(r"Play between servo and encoder \[mrad\]: wrist 3 [567]", text)
 
 
 def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """A controller's own target is where the joint is: no servo with a lag predicts it as well."""
-    paths = []
-    for seed in range(2):
-        recording = motion(seed)
-        target = replace(recording, t_cmd=recording.t_meas, q_cmd=recording.q + 1e-4)
-        paths.append(tmp_path / f"{seed}.npz")
-        target.save(paths[-1])
-    small = (*SMALL, "--free", "latency", "--out", str(tmp_path / "out"))
-    assert main(["identify", *map(str, paths), *small]) == 0
+    found = identified(tmp_path, lambda r: replace(r, t_cmd=r.t_meas, q_cmd=r.q + 1e-4), "--free", "latency")
     printed = " ".join(capsys.readouterr().out.split())
     assert "shoulder pan, shoulder lift, elbow, wrist 1, wrist 2, wrist 3, the command predicts" in printed
-    assert result(tmp_path / "out")["worse_than_command"] == list(ARM)
+    assert result(found)["worse_than_command"] == list(ARM)
     with pytest.warns(UserWarning, match="the command alone predicts motion better"):
-        assert DynamicsFile.load(tmp_path / "out" / "dynamics.json").worse_than_command == ARM
+        assert DynamicsFile.load(found / "dynamics.json").worse_than_command == ARM
 
 
 def test_the_next_fit_starts_from_the_file_and_warns_that_nothing_was_held_out(

@@ -91,20 +91,10 @@ def test_the_reach_is_that_of_an_arm_or_a_hand():
         require_motion("file", ("thumb_joint_1",), time, positions)
 
 
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"q": np.zeros((3, 6))}, "no array t_cmd, q_cmd, t_meas; a recording has"),
-        (None, "cannot be read as an npz file"),
-    ],
-)
-def test_a_broken_file_is_refused(arrays: dict | None, message: str, tmp_path: Path):
-    path = tmp_path / "motion.npz"
-    path.write_text("hello")
-    if arrays is not None:
-        np.savez(path, joints=np.array(ARM), **arrays)
-    with pytest.raises(RecordingError, match=rf"motion\.npz.*{message}"):
-        Recording.load(path)
+def test_a_file_without_an_array_is_refused(tmp_path: Path):
+    np.savez(tmp_path / "motion.npz", joints=np.array(ARM), q=np.zeros((3, 6)))
+    with pytest.raises(RecordingError, match=r"motion\.npz.*no array t_cmd, q_cmd, t_meas; a recording has"):
+        Recording.load(tmp_path / "motion.npz")
 
 
 MOVED = ("elbow_joint", "index_joint_1")

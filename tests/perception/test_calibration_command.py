@@ -101,6 +101,7 @@ def test_a_table_that_cannot_be_is_refused(
     cases = {
         "no column image": (rows, ["picture", *JOINTS]),
         "no column wrist_3_joint": (rows, ["image", *JOINTS[:5], "wrist_4_joint"]),
+        "line 3: 6 columns instead of 7": ([rows[0], rows[1][:-1]],),
         "if the file is in degrees, convert it": (degrees,),
         "5 images show the board in the hand, 6 are needed": (rows[:5],),
         "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows],),
