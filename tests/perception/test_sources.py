@@ -105,8 +105,6 @@ def test_stamps_that_go_back_are_passed_over_and_said():
     assert notes == ["images no newer than those before them, passed over: 2."]
 
 
-
-
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[Image]:
     return list(images_of(str(path), [] if notes is None else notes, topic))
 
