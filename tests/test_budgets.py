@@ -25,7 +25,7 @@ def python(*folders: str) -> list[Path]:
 
 def all_python() -> dict[bool, list[Path]]:
     """Return the files that are tests, and the others."""
-    tests, others = python("tests"), python("src", "benchmarks")
+    tests, others = python("tests"), python("src", "benchmarks", "ros")
     for path in python("companions"):
         (tests if path.name.startswith("test_") else others).append(path)
     return {True: tests, False: others}

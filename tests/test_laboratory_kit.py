@@ -4,7 +4,8 @@ import ast
 import json
 import re
 import shlex
-import tomllib
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+from pixel2catch.cli.main import parse
 from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -23,7 +25,7 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells import find_workcell
 
 ROOT = Path(__file__).parents[1]
-LAUNCH = PROFILES.parent / "launch"
+LAUNCH = ROOT / "ros" / "pixel2catch_ros" / "launch"
 GUIDE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "laboratory.md").read_text("utf-8"))
 RISKS = (ROOT / "docs" / "risks.md").read_text("utf-8")
 SHIPPED = sorted(path.stem for path in PROFILES.glob("ur5e_allegro_*.yaml"))
@@ -158,20 +160,56 @@ def lines(start: str) -> list[list[str]]:
 
 
 def test_lines_of_our_launch_files_have_arguments_that_there_are():
-    ours = [words for words in lines("ros2 launch ") if words[2].endswith(".launch.xml")]
-    assert {words[2] for words in ours} == {path.name for path in LAUNCH.glob("*.xml")}
-    for _, _, name, *given in ours:
+    ours = [words[3:] for words in lines("ros2 launch pixel2catch_ros ")]
+    assert {words[0] for words in ours} == {path.name for path in LAUNCH.glob("*.xml")}
+    for name, *given in ours:
         known = arguments(name.removesuffix(".launch.xml"))
         assert {word.partition(":=")[0] for word in given} <= set(known)
         assert {key for key, default in known.items() if default is None} <= {w.split(":=")[0] for w in given}
 
 
-def test_launch_files_are_shipped_and_refer_to_what_is_there():
-    shipped = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]
-    assert "ros2/launch/*" in shipped["package-data"]["pixel2catch"]
+DRIVERS = yaml.safe_load((ROOT / "tests" / "ros_drivers.yaml").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("distribution", DRIVERS["ur_robot_driver"])
+def test_the_arms_driver_has_the_arguments_and_controllers_in_every_distribution(distribution: str):
+    driver = DRIVERS["ur_robot_driver"][distribution]
+    given = included("ur5e").keys() - {"use_mock_hardware", "use_fake_hardware"}
+    assert given <= {*driver["arguments"]}
+    assert len({"use_mock_hardware", "use_fake_hardware"} & {*driver["arguments"]}) == 1
+    prefix = "" if distribution == "lyrical" else "scaled_"
+    homing = f"{prefix}joint_trajectory_controller"
+    assert {homing, "forward_position_controller"} <= {*driver["controllers"]}
+    assert homing in GUIDE
+
+
+def test_the_drivers_of_camera_and_hand_have_the_arguments():
+    assert included("camera").keys() <= {*DRIVERS["realsense2_camera"]}
+    (description,) = (each.attrib["value"] for each in launch("hand_v4").iterfind("let[@name='description']"))
+    assert {*re.findall(r"(\w+):=", description)} <= {*DRIVERS["allegro_hand_bringup"]}
+
+
+def test_the_deployment_is_launched_with_options_that_it_has():
+    command = launch("deploy").findall("executable")[0].attrib["cmd"]
+    words = re.sub(
+        r"\$\(var (\w+)\)", lambda found: {"network": "lo", "options": ""}.get(found[1], "x"), command
+    )
+    assert str(parse(words.split()[1:]).record) == "x"
+
+
+def test_the_ros_package_builds_and_installs_its_launch_files(tmp_path: Path):
+    uv = [str(Path(sys.executable).with_name("uv")), "tool", "run", "--with", "colcon-ros==0.5.0"]
+    colcon = ["--from", "colcon-core==0.21.3", "colcon", "build", "--base-paths", str(LAUNCH.parents[1])]
+    done = subprocess.run([*uv, *colcon], cwd=tmp_path, capture_output=True, text=True)
+    if done.returncode and not (tmp_path / "log").exists():
+        pytest.skip(f"colcon cannot be installed here: {done.stderr.strip()[-200:]}")
+    assert done.returncode == 0, done.stderr
+    share = tmp_path / "install" / "pixel2catch_ros" / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / "pixel2catch_ros").exists()
+    installed = {path.name for path in (share / "pixel2catch_ros" / "launch").iterdir()}
+    assert installed == {path.name for path in LAUNCH.iterdir()}
     for path in LAUNCH.glob("*.xml"):
-        for file in re.findall(r"\$\(dirname\)/([\w.]+)", path.read_text("utf-8")):
-            assert (LAUNCH / file).exists()
+        assert {*re.findall(r"\$\(dirname\)/([\w.]+)", path.read_text("utf-8"))} <= installed
 
 
 def test_the_start_pose_of_the_guide_is_that_of_the_task():
@@ -209,7 +247,7 @@ def test_every_check_of_a_laboratory_is_explained():
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock()
     survey = Survey(Broker().node(clock), profile, clock)
     image = profile.camera.image
-    survey.endpoints = [Endpoint(topic=image.name, type=image.type, is_publisher=True)]
+    survey.endpoints = [Endpoint(topic=image.name, type=image.type, is_publisher=True, program="camera")]
     checks = checks_of_laboratory(profile, survey, RGB_CAMERA, is_loopback=True)
     rows = re.findall(r"^\| ([^|]+) \|", GUIDE[GUIDE.index("| check |") :], re.MULTILINE)
     assert {name for row in rows for name in row.split(", ")} >= {check.name for check in checks}
