@@ -82,6 +82,8 @@ BAD = [
     ("play --web --out film.mp4", "leave out --out, or --web"),
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
     ("export --format lerobot", "companions/datasets/to_lerobot.py"),
+    ("operate", "--web"),
+    ("deploy --network eth99", "network 'eth99'"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
     ("rehearse --plain --out {new}", "--plain needs --lockstep"),
     ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),

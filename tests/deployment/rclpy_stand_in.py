@@ -1,4 +1,7 @@
-"""The part of rclpy that `rclpy_node` uses, on the network in memory; names and parameters of rclpy 7.1."""
+"""The part of rclpy that `rclpy_node` uses, on the network in memory; names and parameters of rclpy 7.1.
+
+This file stands for each module of rclpy.
+"""
 
 import inspect
 import sys
@@ -6,8 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
-from importlib.util import find_spec, module_from_spec
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -18,9 +20,9 @@ from pixel2catch.ros2.transport import RealClock, Topic
 
 POLL = 0.002  #: Poll interval of an executor without messages [s].
 
-Durability = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
-Reliability = Enum("QoSReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
-Signals = Enum("SignalHandlerOptions", ["NO"])
+QoSDurabilityPolicy = Enum("QoSDurabilityPolicy", ["TRANSIENT_LOCAL", "VOLATILE"])
+QoSReliabilityPolicy = Enum("QoSReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
+SignalHandlerOptions = Enum("SignalHandlerOptions", ["NO"])
 
 
 class Network:
@@ -38,11 +40,11 @@ class Context:
 class QoSProfile:
     def __init__(self, *, depth: int, reliability: Any, durability: Any) -> None:
         self.depth, self.durability = depth, durability
-        self.is_latched = durability is Durability["TRANSIENT_LOCAL"]
-        assert reliability is Reliability["RELIABLE"] or not self.is_latched
+        self.is_latched = durability is QoSDurabilityPolicy["TRANSIENT_LOCAL"]
+        assert reliability is QoSReliabilityPolicy["RELIABLE"] or not self.is_latched
 
 
-class Endpoint:
+class Subscription:
     """A publisher, or a subscription if it has a callback."""
 
     class CallbackType:
@@ -53,61 +55,57 @@ class Endpoint:
     ) -> None:
         (kind,) = (kind for kind, known in STORE.types.items() if known is msg_type)
         self.topic = Topic(name=topic, type=kind, is_latched=qos_profile.is_latched)
-        self.node, self.qos_profile, self.callback, self.is_usable = node, qos_profile, callback, True
-        self.end: Any = (
-            node.memory.subscription(self.topic, qos_profile.depth)
-            if callback
-            else node.memory.publisher(self.topic)
-        )
+        self.node, self.qos_profile, self.callback = node, qos_profile, callback
+        make = node.memory.subscription if callback else node.memory.publisher
+        self.end: Any = make(self.topic, *([qos_profile.depth] if callback else []))
 
     def publish(self, msg: bytes) -> None:
-        if not self.is_usable:
+        if self.node not in self.node.network.nodes:
             raise RuntimeError("cannot use Destroyable because destruction was requested")
         assert isinstance(msg, bytes)
         self.end.publish(msg)
 
-    def spin(self, delay: int) -> None:
-        for message in self.end.take():
-            self.callback(message.data, {"source_timestamp": time.time_ns() - delay})
+    def spin(self) -> None:
+        for message in self.end.take() if self.callback else ():
+            self.callback(message.data, {"source_timestamp": time.time_ns() - self.node.network.delay})
 
 
 class Node:
-    def __init__(self, name: str, context: Context) -> None:
-        self._name, self._network = name, context.network
-        self._network.nodes.append(self)
-        self.memory = self._network.broker.node(RealClock())
-        self._endpoints: list[Endpoint] = []
+    def __init__(self, name: str, network: Network) -> None:
+        self._name, self.network = name, network
+        self.network.nodes.append(self)
+        self.memory = self.network.broker.node(RealClock())
+        self.endpoints: list[Subscription] = []
 
-    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Endpoint:
-        self._endpoints.append(Endpoint(self, msg_type, topic, qos_profile))
-        return self._endpoints[-1]
+    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Subscription:
+        self.endpoints.append(Subscription(self, msg_type, topic, qos_profile))
+        return self.endpoints[-1]
 
     def create_subscription(
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
-    ) -> Endpoint:
+    ) -> Subscription:
         assert raw, "else the callback gets no bytes"
         inspect.signature(callback).bind(object(), object())  # else rclpy gives no info of the message
-        self._endpoints.append(Endpoint(self, msg_type, topic, qos_profile, callback))
-        return self._endpoints[-1]
+        self.endpoints.append(Subscription(self, msg_type, topic, qos_profile, callback))
+        return self.endpoints[-1]
 
     def get_name(self) -> str:
         return self._name
 
-    def _all(self) -> list[Endpoint]:
-        return [each for node in self._network.nodes for each in node._endpoints]
-
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
-        return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in self._all()}]
+        found = {each.topic for node in self.network.nodes for each in node.endpoints}
+        return [(name, [kind]) for name, kind in {(topic.name, topic.type) for topic in found}]
 
     def _infos(self, topic_name: str, *, publish: bool) -> list[SimpleNamespace]:
         return [
             SimpleNamespace(
-                node_name=each.node.get_name(),
+                node_name=node.get_name(),
                 topic_type=each.topic.type,
                 qos_profile=each.qos_profile,
-                endpoint_gid=[*id(each.node).to_bytes(12), *(id(each) % 2**32).to_bytes(4)],
+                endpoint_gid=[*id(node).to_bytes(12), *(id(each) % 2**32).to_bytes(4)],
             )
-            for each in self._all()
+            for node in self.network.nodes
+            for each in node.endpoints
             if each.topic.name == topic_name and publish == (each.callback is None)
         ]
 
@@ -118,52 +116,47 @@ class Node:
         return self._infos(topic_name, publish=False)
 
     def destroy_node(self) -> None:
-        self._network.nodes.remove(self)
-        for each in self._endpoints:
-            each.is_usable = False
+        self.network.nodes.remove(self)
         self.memory.close()
-
-    def spin(self) -> None:
-        for each in list(self._endpoints):
-            if each.callback:
-                each.spin(self._network.delay)
 
 
 class SingleThreadedExecutor:
     def __init__(self, *, context: Context) -> None:
-        self._nodes: list[Node] = []
         self._tasks: deque[Callable[[], Any]] = deque()
 
     def add_node(self, node: Node) -> bool:
-        self._nodes.append(node)
+        self._node = node
         return True
 
     def create_task(self, callback: Callable[[], Any]) -> None:
         self._tasks.append(callback)
 
     def spin_once(self) -> None:
-        (node,) = self._nodes
         while not self._tasks:
-            if node.memory.wait(POLL):
-                return node.spin()
-        return self._tasks.popleft()()
+            if self._node.memory.wait(POLL):
+                for each in list(self._node.endpoints):
+                    each.spin()
+                return
+        self._tasks.popleft()()
 
     def shutdown(self) -> bool:
-        self._nodes.clear()
         return True
 
 
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
     assert args == [], "else rclpy reads the command line"
-    assert signal_handler_options is Signals["NO"], "commands have their own handlers"
-    del context
+    assert signal_handler_options is SignalHandlerOptions["NO"], "commands have their own handlers"
+
+
+def try_shutdown(*, context: Context) -> None:
+    pass
 
 
 def create_node(
     node_name: str, *, context: Context, enable_rosout: bool, start_parameter_services: bool
 ) -> Node:
     assert node_name.isidentifier()
-    return Node(node_name, context)
+    return Node(node_name, context.network)
 
 
 def get_message(identifier: str) -> type:
@@ -173,36 +166,12 @@ def get_message(identifier: str) -> type:
         raise ModuleNotFoundError(f"No module named '{identifier.partition('/')[0]}'") from None
 
 
-STAND_IN: dict[str, dict[str, Any]] = {
-    "rclpy": {"init": init, "create_node": create_node, "try_shutdown": lambda *, context: None},
-    "rclpy.context": {"Context": Context},
-    "rclpy.executors": {"SingleThreadedExecutor": SingleThreadedExecutor},
-    "rclpy.qos": {
-        "QoSDurabilityPolicy": Durability,
-        "QoSProfile": QoSProfile,
-        "QoSReliabilityPolicy": Reliability,
-    },
-    "rclpy.signals": {"SignalHandlerOptions": Signals},
-    "rclpy.subscription": {"Subscription": Endpoint},
-    "rosidl_runtime_py": {},
-    "rosidl_runtime_py.utilities": {"get_message": get_message},
-}
-
-
-NODE = "pixel2catch.ros2.rclpy_node"
+MODULES = ("rclpy", *(f"rclpy.{name}" for name in ("context", "executors", "qos", "signals", "subscription")))
 
 
 def install(patch: pytest.MonkeyPatch) -> Network:
     """Install the stand-in as rclpy until the end of a test, with an own network."""
-    for name, members in STAND_IN.items():
-        module = ModuleType(name)
-        vars(module).update(members)
-        patch.setitem(sys.modules, name, module)
-    specification = find_spec(NODE)
-    assert specification is not None
-    assert specification.loader is not None
-    module = module_from_spec(specification)
-    patch.setitem(sys.modules, NODE, module)
-    specification.loader.exec_module(module)
+    for name in (*MODULES, "rosidl_runtime_py", "rosidl_runtime_py.utilities"):
+        patch.setitem(sys.modules, name, sys.modules[__name__])
     patch.setattr(Context, "network", network := Network(), raising=False)
     return network

@@ -15,13 +15,12 @@ from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic as DdsTopic
-from networks import dds_nodes
 
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.dds import THIS_MACHINE, dds_type
-from pixel2catch.ros2.transport import ANY, ROS, RealClock, Topic, make_transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -31,7 +30,7 @@ MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
 def make(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with ExitStack() as stack:
-        yield dds_nodes(stack)
+        yield lambda name: stack.enter_context(make_transport(name, LOOPBACK, RealClock()))
 
 
 def announced():

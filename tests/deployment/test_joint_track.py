@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from servo_rows import HOME, LIMITS, Lab, noisy
+from servo_rows import HOME, Lab, noisy
 
 from pixel2catch.servo.laws import FROZEN_ANGLE, FROZEN_TIME
 from pixel2catch.servo.link import Fault, Mode
@@ -75,29 +75,6 @@ def test_an_elbow_measured_with_an_offset_stops(seconds: float):
 
         assert until_stopped(lab, seconds + 1.5, distort) < np.inf
         assert lab.outputs[-1]["stopped_by"][0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
-
-
-def check_swings(lab: Lab) -> None:
-    """Swing there and back at full speed, with pauses, without a fault."""
-    for step in range(20):
-        if step % 10 < 6:
-            lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
-        assert lab.run(1.0 / 30.0)["mode"][0] == Mode.RUN
-
-
-@pytest.mark.parametrize("share", [0.7, 1.3])
-def test_swings_of_an_arm_with_an_inexact_lag_are_no_fault(share: float):
-    lab = Lab().started()
-    lab.lag = share * lab.lag
-    check_swings(lab)
-
-
-@pytest.mark.parametrize("lag", [0.02, 0.14])
-def test_swings_of_an_arm_that_is_not_identified_are_no_fault(lag: float):
-    limits = replace(LIMITS, joints=type(LIMITS.joints).of(LIMITS.workspace.workcell, is_identified=False))
-    lab = Lab(limits=limits).started()
-    lab.lag = np.where(np.arange(NUM) < 6, lag, lab.lag)
-    check_swings(lab)
 
 
 def test_fingers_stopped_or_pushed_by_an_object_are_no_fault():

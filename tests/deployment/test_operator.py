@@ -3,16 +3,14 @@
 import json
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack
 from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from loop_lab import BOX, PROFILE, PassingClock, moved
-from networks import MakeNode, ros_nodes
 
-from domains import PATIENCE
-from pixel2catch.cli.main import main
 from pixel2catch.cli.operate import KEYS
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import (
@@ -32,8 +30,8 @@ from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import Publisher, Subscription, Transport
+from pixel2catch.ros2.memory import Broker, MemoryTransport
+from pixel2catch.ros2.transport import Publisher
 
 PROMPT, STOP_TOPIC = PROFILE.operator.prompt, PROFILE.operator.stop
 
@@ -43,9 +41,10 @@ class Requests:
 
     def __init__(self) -> None:
         self.broker, self.statistics = Broker(), RunStatistics()
-        self.received = OperatorRequests(self.node(), PROFILE.operator, self.statistics)
+        self.own = self.node()
+        self.received = OperatorRequests(self.own, PROFILE.operator, self.statistics)
 
-    def node(self) -> Transport:
+    def node(self) -> MemoryTransport:
         return self.broker.node(PassingClock())
 
     def accepts(self, *senders: Publisher) -> list[bool]:
@@ -94,29 +93,21 @@ def test_stop_requests_are_counted_by_sender(requests: Requests):
     assert requests.statistics.stop_requests == {"publisher 2": 1}
 
 
-@pytest.fixture
-def make() -> Iterator[MakeNode]:
-    with ExitStack() as stack:
-        yield ros_nodes(stack)
+def test_without_names_of_senders_prompts_count_only_from_one_publisher(requests: Requests):
+    (prompts,) = (each for each in requests.own.queues if each.topic == PROMPT)
 
+    def is_accepted() -> bool:
+        prompts.put(messages.text(json.dumps({"box": BOX})))
+        return [*requests.received.take_prompts()] == [BoxPrompt(box=BOX)]
 
-def test_without_names_of_senders_prompts_count_only_from_one_publisher(make: MakeNode):
-    node, statistics = make("deploy"), RunStatistics()
-    received = OperatorRequests(node, PROFILE.operator, statistics)
-
-    def accepts(publisher: Publisher) -> bool:
-        publisher.publish(messages.text(json.dumps({"box": BOX})))
-        assert node.wait(PATIENCE)
-        return [*received.take_prompts()] == [BoxPrompt(box=BOX)]
-
-    one = make("one").publisher(PROMPT)
-    assert accepts(one)
-    other = make("other")
+    requests.node().publisher(PROMPT)
+    assert is_accepted()
+    other = requests.node()
     other.publisher(PROMPT)
-    assert not accepts(one)
-    assert statistics.refused_prompts == {"node one or node other": 1}
+    assert not is_accepted()
+    assert requests.statistics.refused_prompts == {"publisher 1 or publisher 2": 1}
     other.close()
-    assert accepts(one)
+    assert is_accepted()
 
 
 BAD_PROMPTS = {
@@ -134,120 +125,80 @@ def test_a_prompt_without_a_box_is_refused(text: str):
         read_prompt(messages.text(text))
 
 
+STATUS = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
+
+
+class Watcher:
+    """A console and a publisher of a status."""
+
+    def __init__(self) -> None:
+        clock, self.broker = StepClock(lambda _: None), Broker()
+        self._console = OperatorConsole(self.broker.node(clock), PROFILE.operator, clock)
+        self.other = self.broker.node(clock)
+        self.publishers = [
+            node.publisher(PROFILE.operator.status) for node in (self.broker.node(clock), self.other)
+        ]
+
+    def after(self, text: str, sender: int = 0) -> dict[str, Any]:
+        """Return the console's status after a message."""
+        self.publishers[sender].publish(messages.text(text))
+        self._console.watch()
+        return self._console.status
+
+
 def test_while_several_programs_publish_a_status_none_is_used():
     """Such as a second deployment, which is idle, while the robot runs."""
-    clock, broker = StepClock(lambda _: None), Broker()
-    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
-    nodes = [broker.node(clock) for _ in range(2)]
-    publishers = [node.publisher(PROFILE.operator.status) for node in nodes]
-    lists = {"message": "", "stopped_by": [], "refused": [], "found": []}
-    for publisher, mode in zip(publishers, ("run", "idle"), strict=True):
-        publisher.publish(messages.text(json.dumps(lists | {"mode": mode})))
-        console.watch()
-        assert console.mode == "several"
-    nodes[1].close()
-    publishers[0].publish(messages.text(json.dumps(lists | {"mode": "run"})))
-    console.watch()
-    assert console.mode == "run"
-
-
-LISTS = '"stopped_by": [], "refused": [], "found": []'
+    watcher = Watcher()
+    for sender, mode in enumerate(("run", "idle")):
+        assert watcher.after(json.dumps(STATUS | {"mode": mode}), sender)["mode"] == "several"
+    watcher.other.close()
+    assert watcher.after(json.dumps(STATUS)) == STATUS
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "[]", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}'),
-        *(
-            f'{{"mode": "run", "message": "", {LISTS}, {entry}}}'
-            for entry in ('"box": [1, 2, 3]', '"box": [0, 0, 1e300, NaN]', '"latency_ms": {"p50": "x"}')
-        ),
+        *("", "[]", '{"mode": 5}', json.dumps(STATUS | {"found": "all"})),
+        *(json.dumps(STATUS | {"box": box}) for box in ([1, 2, 3], [0, 0, 1e300, np.nan])),
+        json.dumps(STATUS | {"latency_ms": {"p50": "x"}}),
     ],
 )
 def test_an_invalid_status_changes_nothing(text: str):
-    clock, broker = StepClock(lambda _: None), Broker()
-    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
-    status = broker.node(clock).publisher(PROFILE.operator.status)
-    good = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
-    for sent in (json.dumps(good), text):
-        status.publish(messages.text(sent))
-        console.watch()
-        assert console.status == good
+    watcher = Watcher()
+    watcher.other.close()
+    for sent in (json.dumps(STATUS), text):
+        assert watcher.after(sent) == STATUS
 
 
 HOLD, ARM, STOP, OTHER = 35, 30, 57, 31  # H, A, space, S
 
 
-class Device:
-    """An input device: what is written to a pipe is what its keys do."""
+class Desk:
+    """An operator with an input device, a pipe, and a subscriber; time passes while the operator waits."""
 
     def __init__(self, path: Path) -> None:
         os.mkfifo(path)
-        self.path = path
-        self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # a reader as well, so that it opens at once
-
-    def send(self, kind: int, code: int, value: int) -> None:
-        os.write(self._file, EVENT.pack(1, 2, kind, code, value))
-
-    def press(self, code: int) -> None:
-        self.send(KEY, code, 1)
-        self.send(SYNC, 0, 0)
-
-    def release(self, code: int) -> None:
-        self.send(KEY, code, 0)
-        self.send(SYNC, 0, 0)
-
-    def unplug(self) -> None:
-        os.close(self._file)
-
-
-@pytest.fixture
-def device(tmp_path: Path) -> Device:
-    return Device(tmp_path / "keys")
-
-
-@pytest.fixture
-def switches(device: Device) -> Iterator[Switches]:
-    with Switches(device.path) as switches:
-        yield switches
-
-
-def test_a_key_is_pressed_until_its_release_or_the_loss_of_events(device: Device, switches: Switches):
-    assert switches.poll() == []
-    device.press(HOLD)
-    device.send(KEY, HOLD, 2)  # repeated by the system
-    device.press(OTHER)
-    device.send(4, 4, HOLD)  # a scan code
-    device.send(3, HOLD, 1)  # a stick
-    assert switches.poll() == [Press(HOLD, True), Press(OTHER, True)]
-    device.release(HOLD)
-    assert switches.poll() == [Press(HOLD, False)]
-    assert switches.pressed == {OTHER}
-    device.send(SYNC, DROPPED, 0)
-    switches.poll()
-    assert switches.pressed == set()
-
-
-def test_a_device_that_is_not_there_is_refused(tmp_path: Path):
-    with pytest.raises(DeploymentError, match="No such file"):
-        Switches(tmp_path / "none")
-
-
-class Desk:
-    """An operator with a device, and a subscriber; time passes while the operator waits."""
-
-    def __init__(self, switches: Switches) -> None:
+        self.device = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # a reader as well, so that it opens at once
+        self.switches = Switches(path)
         self._clock, broker = StepClock(self._wait), Broker()
         self._console = OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
-        self._switches = switches
-        node = broker.node(self._clock)
-        self._queues = {
-            name: node.subscription(getattr(PROFILE.operator, name), depth=100)
-            for name in ("dead_man", "arm", "stop")
-        }
+        node, names = broker.node(self._clock), ("dead_man", "arm", "stop")
+        self._queues = {name: node.subscription(getattr(PROFILE.operator, name), depth=100) for name in names}
 
     def _wait(self, moment: float) -> None:
         self._clock.time = moment
+
+    def send(self, kind: int, code: int, value: int) -> None:
+        """What the keys of the device do."""
+        os.write(self.device, EVENT.pack(1, 2, kind, code, value))
+
+    def press(self, *codes: int, is_down: bool = True) -> None:
+        for code in codes:
+            self.send(KEY, code, int(is_down))
+            self.send(SYNC, 0, 0)
+
+    def release(self, *codes: int) -> None:
+        self.press(*codes, is_down=False)
 
     def run(self, seconds: float, held_up: float = 0.0) -> None:
         """Operate for a while, in a process that is suspended for some time before its first poll [s]."""
@@ -258,68 +209,84 @@ class Desk:
             self._clock.time = max(self._clock.time, next(moments))
             return self._clock.now() > end
 
-        operate_by_keys(self._console, self._switches, KEYS, self._clock, is_over, lambda *_: None)
+        operate_by_keys(self._console, self.switches, KEYS, self._clock, is_over, lambda *_: None)
 
     def received(self) -> dict[str, list[bool]]:
-        return {name: taken(queue) for name, queue in self._queues.items()}
+        """What was sent since the last call, by topic."""
+        taken = {name: queue.take() for name, queue in self._queues.items()}
+        return {
+            name: [messages.read_boolean(each.data) for each in sent] for name, sent in taken.items() if sent
+        }
 
 
-def taken(queue: Subscription) -> list[bool]:
-    return [messages.read_boolean(message.data) for message in queue.take()]
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    desk = Desk(tmp_path / "keys")
+    with desk.switches:
+        yield desk
 
 
-def test_the_switch_is_held_with_its_key_and_released_at_the_end(device: Device, switches: Switches):
-    desk = Desk(switches)
-    device.press(HOLD)
+def test_a_key_is_pressed_until_its_release_or_the_loss_of_events(desk: Desk):
+    assert desk.switches.poll() == []
+    desk.press(HOLD)
+    desk.send(KEY, HOLD, 2)  # repeated by the system
+    desk.press(OTHER)
+    desk.send(4, 4, HOLD)  # a scan code
+    desk.send(3, HOLD, 1)  # a stick
+    assert desk.switches.poll() == [Press(HOLD, True), Press(OTHER, True)]
+    desk.release(HOLD)
+    assert desk.switches.poll() == [Press(HOLD, False)]
+    assert desk.switches.pressed == {OTHER}
+    desk.send(SYNC, DROPPED, 0)
+    desk.switches.poll()
+    assert desk.switches.pressed == set()
+
+
+def test_a_device_that_is_not_there_is_refused(tmp_path: Path):
+    with pytest.raises(DeploymentError, match="No such file"):
+        Switches(tmp_path / "none")
+
+
+def test_the_switch_is_held_with_its_key_and_released_at_the_end(desk: Desk):
+    desk.press(HOLD)
     desk.run(10.5 * SWITCH_TIME)
-    assert desk.received() == {"dead_man": [True] * 11 + [False], "arm": [], "stop": []}
-    device.release(HOLD)
-    device.press(OTHER)
+    assert desk.received() == {"dead_man": [True] * 11 + [False]}
+    desk.release(HOLD)
+    desk.press(OTHER)
     desk.run(0.1)
-    assert desk.received()["dead_man"] == []
+    assert desk.received() == {}
 
 
-def test_keys_arm_and_stop_once_and_a_stop_comes_first(device: Device, switches: Switches):
-    desk = Desk(switches)
-    device.press(ARM)
-    device.release(ARM)
+def test_keys_arm_and_stop_once_and_a_stop_comes_first(desk: Desk):
+    desk.press(ARM)
+    desk.release(ARM)
     desk.run(0.05)
-    assert desk.received() == {"dead_man": [], "arm": [True], "stop": []}
-    device.press(ARM)
-    device.press(STOP)
+    assert desk.received() == {"arm": [True]}
+    desk.press(ARM, STOP)
     desk.run(0.05)
-    assert desk.received() == {"dead_man": [], "arm": [], "stop": [True]}
+    assert desk.received() == {"stop": [True]}
 
 
-def test_after_a_suspension_the_switch_must_be_pressed_again_and_nothing_arms(
-    device: Device, switches: Switches
-):
+def test_after_a_suspension_the_switch_must_be_pressed_again_and_nothing_arms(desk: Desk):
     """Presses of the meantime arrive as if they were new; a stop still counts."""
-    desk = Desk(switches)
-    device.press(HOLD)
+    held = {"dead_man": [True, True, False]}
+    desk.press(HOLD)
     desk.run(0.05)
-    assert desk.received()["dead_man"] == [True, True, False]
-    for key in (ARM, STOP):
-        device.press(key)
-        device.release(key)
+    assert desk.received() == held
+    desk.press(ARM, STOP)
+    desk.release(ARM, STOP)
     desk.run(0.05, held_up=1.0)
-    assert desk.received() == {"dead_man": [], "arm": [], "stop": [True]}
-    device.release(HOLD)
-    device.press(HOLD)
+    assert desk.received() == {"stop": [True]}
+    desk.release(HOLD)
+    desk.press(HOLD)
     desk.run(0.05)
-    assert desk.received()["dead_man"] == [True, True, False]
+    assert desk.received() == held
 
 
-def test_an_unplugged_device_releases_the_switch_and_is_an_error(device: Device, switches: Switches):
-    desk = Desk(switches)
-    device.press(HOLD)
-    device.unplug()
+def test_an_unplugged_device_releases_the_switch_and_is_an_error(desk: Desk):
+    desk.press(HOLD)
+    os.close(desk.device)
     with pytest.raises(DeploymentError, match="plug it in"):
         desk.run(1.0)
-    assert desk.received()["dead_man"] == [True, False]
-    assert switches.pressed == set()
-
-
-def test_the_command_without_a_switch_is_refused(capsys: pytest.CaptureFixture[str]):
-    assert main(["operate"]) == 2
-    assert "--web" in capsys.readouterr().err
+    assert desk.received() == {"dead_man": [True, False]}
+    assert desk.switches.pressed == set()

@@ -79,15 +79,17 @@ def check_swings(lab: PhysicalLab, share: float) -> None:
         assert any(output["stopped_by"] & stops for output in lab.outputs)
 
 
-def test_a_swing_and_a_stop_of_the_nominal_arm():
-    with physical_lab(None) as lab:
-        check_swings(lab, 1.0)
-        assert lab.outputs[-1]["stopped_by"] == Fault.STOP_REQUEST
+LAGS = ((0.02, True), *product((0.06, 0.1, 0.14), (True, False)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("share", [1.0, 0.25])
-@pytest.mark.parametrize(("lag", "is_identified"), [(0.02, True), *product((0.06, 0.1, 0.14), (True, False))])
-def test_a_swing_and_a_stop_at_any_lag(lag: float, share: float, is_identified: bool):
+@pytest.mark.parametrize(
+    ("lag", "is_identified", "share"),
+    [
+        (None, True, 1.0),
+        *(pytest.param(*lag, share, marks=pytest.mark.slow) for lag in LAGS for share in (1.0, 0.25)),
+    ],
+)
+def test_a_swing_and_a_stop_at_any_lag(lag: float | None, is_identified: bool, share: float):
     with physical_lab(lag, share, is_identified=is_identified) as lab:
         check_swings(lab, share)
+        assert lag or lab.outputs[-1]["stopped_by"] == Fault.STOP_REQUEST

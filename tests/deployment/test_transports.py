@@ -1,29 +1,50 @@
-"""Laws of all transports: memory, DDS and rclpy."""
+"""Laws of all transports, memory, DDS and rclpy, which has a stand-in here; and of rclpy's."""
 
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from importlib.util import find_spec
+from typing import Any
 
 import pytest
-from networks import MakeNode, dds_nodes, memory_nodes, ros_nodes
+import rclpy_stand_in
+from rclpy_stand_in import Network
 
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.transport import Subscription, Topic, Transport
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import (
+    LOOPBACK,
+    ROS,
+    RealClock,
+    Subscription,
+    Topic,
+    Transport,
+    make_transport,
+)
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 MODE = Topic(name="/mode", type=messages.SAFETY_MODE, is_latched=True)
 END = Topic(name="/end", type=messages.BOOLEAN)
 IMAGE = Topic(name="/image", type=messages.IMAGE)
 
+MakeNode = Callable[[str], Transport]
+"""Makes a node with a name, on a network that no other test is on."""
 
-@pytest.fixture(params=[memory_nodes, dds_nodes, ros_nodes], ids=["memory", "dds", "ros"])
-def make(request, monkeypatch):
+
+@pytest.fixture(params=["memory", LOOPBACK, ROS])
+def make(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    """With the rclpy that is installed, or else its stand-in."""
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    broker, name = Broker(), request.param
+    if name == ROS and not find_spec("rclpy"):
+        rclpy_stand_in.install(monkeypatch)
     with ExitStack() as stack:
-        yield request.param(stack)
+        yield lambda node: stack.enter_context(
+            broker.node(RealClock()) if name == "memory" else make_transport(node, name, RealClock())
+        )
 
 
 def numbers(subscription: Subscription) -> list[float]:
@@ -156,3 +177,66 @@ def test_waiting_ends_when_a_message_arrives(make: MakeNode):
     assert receiver.wait(0.0)
     assert numbers(subscription) == [1.0]
     assert not receiver.wait(0.0)
+
+
+def test_nodes_in_several_threads_lose_nothing():
+    """In memory."""
+    broker = Broker()
+    receiver = broker.node(RealClock())
+    subscription = receiver.subscription(NUMBER, depth=2000)
+
+    def send(start: int) -> None:
+        with broker.node(RealClock()) as node:
+            publisher = node.publisher(NUMBER)
+            for value in range(start, start + 500):
+                publisher.publish(messages.number(value))
+
+    threads = [threading.Thread(target=send, args=[500 * i]) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    received = []
+    while any(thread.is_alive() for thread in threads) or receiver.wait(0.0):
+        if receiver.wait(0.1):
+            received += numbers(subscription)
+    assert sorted(received) == list(range(2000))
+
+
+@pytest.fixture
+def network(monkeypatch: pytest.MonkeyPatch) -> Network:
+    return rclpy_stand_in.install(monkeypatch)
+
+
+def test_the_age_of_a_message_is_that_of_its_stamp(network: Network):
+    rate = 0.5
+    network.delay = 3 * 10**9
+    with make_transport("node", ROS, RealClock(rate)) as node:
+        heard = node.subscription(NUMBER)
+        node.publisher(NUMBER).publish(messages.number(1.0))
+        assert node.wait(PATIENCE)
+        (message,) = heard.take()
+    assert 3.0 * rate <= message.age < 3.0 * rate + PATIENCE
+
+
+def test_an_rclpy_without_stamps_of_messages_is_refused(network: Network, monkeypatch):
+    monkeypatch.delattr(rclpy_stand_in.Subscription, "CallbackType")
+    with pytest.raises(DeploymentError, match="ROS 2 Iron"):
+        make_transport("node", ROS, RealClock())
+
+
+def test_a_type_that_ros_2_does_not_have_is_refused(network: Network):
+    topic = Topic(name="/number", type="lab_msgs/msg/Number")
+    with (
+        make_transport("node", ROS, RealClock()) as node,
+        pytest.raises(DeploymentError, match=r"/number: ROS 2 has no .* install lab_msgs"),
+    ):
+        node.subscription(topic)
+
+
+def test_an_error_of_rclpy_is_reported(network: Network, monkeypatch):
+    def refuse(*args: Any, **options: Any) -> None:
+        raise RuntimeError("ROS_DOMAIN_ID is not an integral number")
+
+    for name in ("create_node", "init"):
+        monkeypatch.setattr(rclpy_stand_in, name, refuse)
+        with pytest.raises(DeploymentError, match=r"cannot join .*not an integral number"):
+            make_transport("node", ROS, RealClock())

@@ -1,8 +1,8 @@
-"""The twin with its topics in memory, cycle by cycle, with black images."""
+"""The twin with its topics in memory, cycle by cycle, with the same image each time."""
 
 import json
-from collections.abc import Callable
 from concurrent.futures import Future
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock
+from pixel2catch.ros2.transport import Publisher, RealClock
 from pixel2catch.twin.drivers import CameraDriver
 from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
@@ -24,19 +24,13 @@ BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
 START = 1000.0
 
 
-def draw_black(_: Exposure) -> "Future[Pixels]":
-    future: Future[Pixels] = Future()
-    future.set_result(BLACK)
-    return future
-
-
 class Bench:
     """The twin and a node that listens to all of it, in memory and without real time."""
 
-    def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Pixels]"] = draw_black) -> None:
-        self.broker, clock = Broker(), RealClock()
+    def __init__(self, task: CatchEnvCfg) -> None:
+        self.broker, clock, self.pixels = Broker(), RealClock(), BLACK
         self.lab, self.node = SimulatedLab(task, seed=0), self.broker.node(clock)
-        self.camera = CameraDriver(draw)
+        self.camera = CameraDriver(self._draw)
         topics = {
             "joints": PROFILE.robots[0].state_topic,
             "image": PROFILE.camera.image,
@@ -45,15 +39,23 @@ class Bench:
         }
         self.queue = {name: self.node.subscription(topic, depth=1000) for name, topic in topics.items()}
         self.lab_node = LabNode(self.lab, PROFILE, self.broker.node(clock), self.camera)
-        self._arm, self._hand = (self.node.publisher(part.command_topic) for part in PROFILE.robots)
         self._requests = self.node.publisher(COMMAND)
         self.joint_pos = np.zeros(len(JOINTS))
+
+    def _draw(self, _: Exposure) -> "Future[Pixels]":
+        future: Future[Pixels] = Future()
+        future.set_result(self.pixels)
+        return future
 
     def ask(self, **request: Any) -> None:
         self._requests.publish(messages.text(json.dumps(request)))
 
+    @cached_property
+    def _drivers(self) -> list[Publisher]:
+        return [self.node.publisher(part.command_topic) for part in PROFILE.robots]
+
     def command(self, joint_pos: np.ndarray) -> None:
-        for part, publisher in zip(PROFILE.robots, (self._arm, self._hand), strict=True):
+        for part, publisher in zip(PROFILE.robots, self._drivers, strict=True):
             publisher.publish(part.command(joint_pos, part.held_angles))
 
     def cycle(self, num: int = 1) -> None:
