@@ -6,7 +6,6 @@ import re
 import typing
 from collections.abc import Iterator
 from dataclasses import is_dataclass, replace
-from types import UnionType
 from typing import Any, get_args, get_origin
 
 import pytest
@@ -18,8 +17,9 @@ from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.stress import select_settings
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.config import PRESETS, TrainCfg
 from pixel2catch.learning.experiment import Experiment
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 ENV: dict[str, tuple[float, float]] = {
     # physics: at least one step in a control step of 30 Hz
@@ -153,49 +153,37 @@ VARIANT = TaskVariant(
 EXPERIMENT = Experiment(env=replace(NOMINAL, variants=(VARIANT,)), train=TrainCfg())
 
 
-def numbers_of(kind: Any, path: str) -> Iterator[str]:
-    """Names of the numbers in a type: fields by their names, entries of unlike kinds by their places."""
-    kind = getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
-    if kind in (int, float):
-        yield path
-    elif isinstance(kind, type) and is_dataclass(kind):
-        if kind.__name__ != "JointDynamics":  # arrays, which check themselves
-            for name, each in typing.get_type_hints(kind, include_extras=True).items():
-                yield from numbers_of(each, f"{path}.{name}" if path else name)
-    elif get_origin(kind) is tuple and len(get_args(kind)) == 5:
+def numbers_of(kind: Any, path: str, *, is_bounded: bool = False) -> Iterator[tuple[str, bool]]:
+    """Yield the names of the numbers in a type, and whether each has a finite range.
+
+    Names are paths of fields; entries of unlike kinds have their places in brackets.
+    """
+    if hasattr(kind, "__metadata__"):
+        ranges = [each for each in kind.__metadata__ if isinstance(each, Within)]
+        assert all(math.isfinite(each.low) and math.isfinite(each.high) for each in ranges)
+        yield from numbers_of(kind.__origin__, path, is_bounded=is_bounded or bool(ranges))
+    elif kind in (int, float):
+        yield path, is_bounded
+    elif is_dataclass(kind) and kind is not JointDynamics:  # its arrays check themselves
+        for name, each in typing.get_type_hints(kind, include_extras=True).items():
+            yield from numbers_of(each, f"{path}.{name}" if path else name)
+    else:
+        is_listed = get_origin(kind) is tuple and len(get_args(kind)) == 5
         for index, each in enumerate(get_args(kind)):
-            yield from numbers_of(each, f"{path}[{index}]")
-    elif get_origin(kind) in (dict, tuple, UnionType, typing.Union):
-        yield from dict.fromkeys(name for each in get_args(kind) for name in numbers_of(each, path))
+            place = f"{path}[{index}]" if is_listed else path
+            yield from numbers_of(each, place, is_bounded=is_bounded)
 
 
 def test_the_table_has_every_number():
-    names = [*numbers_of(Experiment, "")]
+    names = dict.fromkeys(name for name, _ in numbers_of(Experiment, ""))
     own = [name for name in names if not name.startswith("env.variants.") or name == "env.variants.share"]
     assert sorted(own) == sorted(BOUNDS)
     assert all(math.isfinite(bound) for bounds in BOUNDS.values() for bound in bounds)
 
 
-def unbounded(kind: Any, name: str, *, is_bounded: bool = False) -> Iterator[str]:
-    """Names of the numbers in a type without a finite range."""
-    if hasattr(kind, "__metadata__"):
-        ranges = [each for each in kind.__metadata__ if isinstance(each, Within)]
-        assert all(math.isfinite(each.low) and math.isfinite(each.high) for each in ranges)
-        yield from unbounded(kind.__origin__, name, is_bounded=is_bounded or bool(ranges))
-    elif kind in (int, float) and not is_bounded:
-        yield name
-    elif isinstance(kind, type) and is_dataclass(kind):
-        if not kind.__name__.endswith(("Spec", "Dynamics")):  # data of robots, which is no option
-            for field, each in typing.get_type_hints(kind, include_extras=True).items():
-                yield from unbounded(each, f"{name}.{field}")
-    else:
-        for each in get_args(kind):
-            yield from unbounded(each, name, is_bounded=is_bounded)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_number_of_a_command_has_a_finite_range(command: str):
-    assert [*unbounded(load_command(command), command)] == []
+    assert [name for name, is_bounded in numbers_of(load_command(command), command) if not is_bounded] == []
 
 
 def value_at(value: Any, path: str) -> Any:
@@ -304,8 +292,10 @@ def test_an_evaluation_refuses_bad_values_of_its_task():
         EvaluationCfg(objects=("cube_s",), task=replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0)))
 
 
-def test_tasks_and_disturbances_are_valid():
+def test_tasks_disturbances_and_presets_are_valid():
     for task in TASKS.values():
         require_valid(task)
     for setting in select_settings(()):
         require_valid(setting.level.change(TASKS["nominal"]))
+    for experiment in PRESETS.values():
+        require_valid(experiment)

@@ -187,13 +187,3 @@ def test_evaluations_of_a_recurrent_policy_repeat(tmp_path: Path):
     records = [evaluate(policy, PROPOSED, cfg).record for _ in range(2)]
     for first, second in zip(*(vars(record).values() for record in records), strict=True):
         assert torch.equal(first, second)
-
-
-def test_training_imitates_a_policy_of_another_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    size = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-    options = ("--task", "wide", "--device", "cpu", *size, "--hidden", "16", "--out", str(tmp_path / "run"))
-    assert main(["train", "catch+fit", "--teacher", "no_such_policy", *options]) == 2
-    assert "object_position-seed0" in capsys.readouterr().err
-    assert main(["train", "catch+fit", "--teacher", "object_position-seed0", *options]) == 0
-    policy, method = load_policy(tmp_path / "run")
-    assert (method.name, policy.contract.task) == ("catch+fit", "wide")

@@ -14,7 +14,6 @@ from pixel2catch.cli.main import main, parse
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.learning.experiment import preset, read_run
 from pixel2catch.methods import METHODS, find_method
@@ -114,21 +113,6 @@ def test_what_is_set_reaches_the_environment():
         env.close()
 
 
-@pytest.mark.parametrize(
-    ("option", "new"),
-    [
-        (("--latency-steps", "1", "3"), "--env.sensing.latency-steps"),
-        (("--physics-hz", "120"), "--env.scene.physics-hz"),
-        (("--cone=elliptic",), "--env.scene.cone"),
-        (("--no-multiccd",), "--env.scene.multiccd False"),
-        (("--physics-stages", "60", "--env.scene.physics-hz", "60"), "not both"),
-    ],
-)
-def test_an_option_that_moved_names_the_new_one(option: tuple[str, ...], new: str):
-    with pytest.raises(InvalidValueError, match=new):
-        parse([*TRAIN, *option])
-
-
 def test_a_given_physics_rate_holds_throughout():
     command = parse([*TRAIN, "--env.scene.physics-hz", "120"])
     assert (command.train.physics_stages, command.env.scene.physics_hz) == ((), 120.0)
@@ -145,30 +129,6 @@ def test_contacts_of_training_are_those_of_the_preset():
     assert contacts("--preset", "fast") == ("pyramidal", False)
     assert contacts("--preset", "paper") == ("elliptic", True)
     assert contacts("--env.scene.cone", "elliptic") == ("elliptic", False)
-
-
-@pytest.mark.parametrize(
-    ("option", "words"),
-    [
-        (("--env.sensing.latency-stps", "1", "3"), ("--env.sensing.latency-steps",)),
-        (("--env.sensing.latency-steps", "1"), ("--env.sensing.latency-steps", "Expected 2 values")),
-        (("--env.scene.object-scale", "9"), ("object_scale is 9",)),
-        (("--task", "wild"), ("'wild'", "nominal", "wide")),
-        (("--start", "ctach+fit"), ("ctach+fit", "catch+fit")),
-        (("--teacher", "ctach+fit"), ("ctach+fit", "catch+fit")),
-    ],
-)
-def test_a_wrong_value_is_refused_before_anything_is_written(
-    option: tuple[str, ...], words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    try:
-        status = main([*TRAIN, *option, "--out", str(tmp_path / "run")])
-    except SystemExit as stopped:
-        status = stopped.code
-    assert status == 2
-    output = "".join(capsys.readouterr())
-    assert all(word in output for word in words)
-    assert not list(tmp_path.iterdir())
 
 
 def test_help_tells_all_fields(capsys: pytest.CaptureFixture[str]):
