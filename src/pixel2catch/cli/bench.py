@@ -6,7 +6,6 @@ import itertools
 import os
 import resource
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean
@@ -16,25 +15,14 @@ from pixel2catch.checks import Count, Device, OutputFile
 from pixel2catch.cli.console import prepare, results_console, say, working
 from pixel2catch.cli.fields import Given, TaskFields, with_given
 from pixel2catch.files import json_text
-from pixel2catch.reports import circumstances
+from pixel2catch.reports import Cells, circumstances, terminal_table
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from pixel2catch.learning.experiment import Experiment
     from pixel2catch.policy import Policy
 
 Row = dict[str, Any]
-
-LINES = (
-    ("training, transitions/s", "training_steps_per_second", 1.0, ",.0f"),
-    ("rollout, µs a transition", "rollout_us", 1.0, ".1f"),
-    ("update, µs a transition", "update_us", 1.0, ".1f"),
-    ("memory, GB", "rss_bytes", 1e-9, ".2f"),
-    ("memory of the device, GB", "device_bytes", 1e-9, ".2f"),
-)
-"""Lines of the table: title, name in the results, factor and format."""
 
 LOG_STD = -1.5  #: Noise of the actions, small enough to keep the policy's throws. Source: ours.
 WARM_UPDATES = 2  #: Updates before the measurement, in which libraries initialise and graphs are recorded.
@@ -78,7 +66,7 @@ class Bench:
                 rows.append(measure(policy, self._experiment(policy, device, num_envs), self.updates))
                 if self.out:  # at once: the next number may take too long
                     write_files(self.out.parent, {self.out.name: json_text(result)})
-        results_console().print(_table(rows))
+        results_console().print(terminal_table("costs of a training", [*map(_cells, rows)]))
         if load > 0.5 * len(os.sched_getaffinity(0)):
             say(f"this machine had other work (load average {load:.1f}): without it, it is faster")
         if self.out:
@@ -148,13 +136,14 @@ def measure(policy: "Policy", experiment: "Experiment", updates: int) -> Row:
     }
 
 
-def _table(rows: Sequence[Row]) -> "Table":
-    """Return a table with a column for every device and number of environments."""
-    from rich.table import Table
-
-    table = Table("", *(f"{row['device']}, {row['num_envs']:,}" for row in rows))
-    for title, name, scale, form in LINES:
-        table.add_row(title, *(f"{scale * row[name]:{form}}" for row in rows))
-    for column in table.columns[1:]:
-        column.justify = "right"
-    return table
+def _cells(row: Row) -> Cells:
+    """Return a line of the table."""
+    return {
+        "device": row["device"],
+        "environments": f"{row['num_envs']:,}",
+        "transitions/s": f"{row['training_steps_per_second']:,.0f}",
+        "rollout [µs]": f"{row['rollout_us']:.1f}",
+        "update [µs]": f"{row['update_us']:.1f}",
+        "memory [GB]": f"{1e-9 * row['rss_bytes']:.2f}",
+        "memory of the device [GB]": f"{1e-9 * row['device_bytes']:.2f}",
+    }
