@@ -14,14 +14,13 @@ from matplotlib.patches import Circle, Rectangle
 from numpy import ndarray
 
 from drawn_scene import AIM, ARM, PATH, RELEASE, SIDE, TOP, VIEW, WOOD, arm_points, draw_scene, range_box
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import project
 from pixel2catch.checks import Range
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.figures import PALETTE, STYLE
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.mdp.observations import FIT_FEATURES, fit_boxes
+from pixel2catch.mdp.observations import FIT_FEATURES, PIXEL_FEATURES, fit_boxes, pixel_features
 from pixel2catch.mdp.throws import ThrowCfg, sample_paths
 from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE

@@ -9,7 +9,7 @@ import pytest
 import torch
 from jaxtyping import TypeCheckError
 
-from pixel2catch.camera.boxes import pixel_features
+from pixel2catch.mdp.observations import pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
 ROOT = Path(__file__).parents[1]

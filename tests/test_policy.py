@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
 from pixel2catch.policy import Policy, PolicyContract, contract_of, method_of
 from pixel2catch.workcells import find_workcell

@@ -38,7 +38,10 @@ if TYPE_CHECKING:
         CatchSingleEnv as CatchSingleEnv,
         CatchVectorEnv as CatchVectorEnv,
     )
-    from pixel2catch.camera.boxes import PIXEL_FEATURES as PIXEL_FEATURES, pixel_features as pixel_features
+    from pixel2catch.mdp.observations import (
+        PIXEL_FEATURES as PIXEL_FEATURES,
+        pixel_features as pixel_features,
+    )
     from pixel2catch.camera.pinhole import nominal_projection as nominal_projection
     from pixel2catch.deployment import recorder as recorder
     from pixel2catch.envs import actuators as actuators, world as world
@@ -82,7 +85,6 @@ _NAMES = {
     "agents": "AgentSpec agents_of sharing together",
     "api.calls": "evaluate load_policy make train",
     "api.views": "CatchParallelEnv CatchSingleEnv CatchVectorEnv",
-    "camera.boxes": "PIXEL_FEATURES pixel_features",
     "camera.pinhole": "nominal_projection",
     "deployment.recorder": "recorder",
     "envs.actuators": "actuators",
@@ -95,7 +97,7 @@ _NAMES = {
     "evaluation.protocol": "EvaluationCfg run_round",
     "evaluation.stress": "Axis Level",
     "learning.experiment": "Experiment preset",
-    "mdp.observations": "observations",
+    "mdp.observations": "PIXEL_FEATURES observations pixel_features",
     "mdp.rewards": "RewardTerm",
     "mdp.terminations": "terminations",
     "methods": "Method find_method",

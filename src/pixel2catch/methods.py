@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
-from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
+from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.mdp.rewards import BodyPart
 from pixel2catch.own_files import catalogue
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -21,7 +21,7 @@ class Method:
 
     name: str  #: Name on the command line and in policy files.
     agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
-    pixel_features: tuple[str, ...]  #: Names out of `camera.boxes.PIXEL_FEATURES`.
+    pixel_features: tuple[str, ...]  #: Names out of `mdp.observations.PIXEL_FEATURES`.
     num_boxes: int = 1  #: Number of measured boxes that it keeps.
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from servo_rows import HOME
 from paper_robot import JOINTS
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.tick import ServoInputs
+from pixel2catch.servo.state import ServoInputs
 
 STRANGE = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e3, 0.0])
 WRONG_STAMPS = np.array([np.nan, np.inf, -np.inf, 0.0])

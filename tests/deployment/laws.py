@@ -5,7 +5,8 @@ import numpy as np
 from pixel2catch.servo.laws import entry
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import Fault, Mode
-from pixel2catch.servo.tick import ServoInputs, ServoState
+from pixel2catch.servo.state import ServoInputs
+from pixel2catch.servo.tick import ServoState
 from pixel2catch.servo.workspace import Space, Workspace, is_inside
 
 ROUNDING = 1e-9
@@ -16,6 +17,8 @@ ALLOWED = {
     Mode.RUN: {Mode.RUN, Mode.STOPPED},
     Mode.STOPPED: {Mode.STOPPED, Mode.ARMED, Mode.IDLE},
 }
+OFF = Fault.SAFETY_MODE | Fault.SPEED_SCALING | Fault.STATUS_UNKNOWN | Fault.CONTROLLER
+OFF |= Fault.NO_SUBSCRIBER | Fault.JOINTS_STALE
 ACTIVE = (Mode.ARMED, Mode.RAMP, Mode.RUN)
 DRIVEN = (Mode.RAMP, Mode.RUN)
 
@@ -26,6 +29,7 @@ class Laws:
     def __init__(self, num_rows: int, limits: ServoLimits) -> None:
         self.limits, self.wider = limits, widened(limits.workspace)
         self.mode = np.zeros(num_rows, dtype=np.int64)
+        self.stopped_by = np.zeros(num_rows, dtype=np.int64)
         self.command: np.ndarray | None = None
         self.is_silent = np.ones(num_rows, dtype=np.bool_)
         self.change: np.ndarray | None = None
@@ -64,8 +68,10 @@ class Laws:
         assert is_late[is_left].all(), "idle in the middle of a stop"
         if self.command is not None:
             was_sent = is_left & ~self.is_silent
-            away = np.abs(inputs.joint_pos - self.command)[was_sent] > self.limits.joints.moved_error
-            assert away.any(axis=-1).all(), "idle, but nobody moved the robot"
+            away = (np.abs(inputs.joint_pos - self.command) > self.limits.joints.moved_error).any(axis=-1)
+            is_off = ((output["found"] | self.stopped_by) & OFF) != 0
+            assert (away | is_off)[was_sent].all(), "idle, but nobody moved the robot or switched it off"
+            assert not (is_late & is_off & (output["mode"] == Mode.STOPPED)).any(), "a robot is off, not idle"
         np.testing.assert_array_equal(output["stopped_by"] != 0, output["mode"] == Mode.STOPPED)
 
     def _check_faults(self, inputs: ServoInputs, output: ServoState) -> None:
@@ -145,7 +151,7 @@ class Laws:
             is_real, np.fmax(self.newest_request, inputs.arm_stamp), self.newest_request
         )
         self.ticks_in += np.bincount(output["mode"], minlength=len(Mode))
-        self.mode, self.last_tick = output["mode"], inputs.now
+        self.mode, self.last_tick, self.stopped_by = output["mode"], inputs.now, output["stopped_by"]
 
 
 def widened(workspace: Workspace) -> Workspace:

@@ -7,7 +7,7 @@ import numpy as np
 
 from paper_robot import JOINTS
 from pixel2catch.servo.link import Fault
-from pixel2catch.servo.tick import ServoInputs
+from pixel2catch.servo.state import ServoInputs
 
 ELBOW = np.arange(len(JOINTS)) == 2
 

@@ -8,7 +8,8 @@ import numpy as np
 from paper_robot import JOINTS
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.tick import ServoCore, ServoInputs, ServoState
+from pixel2catch.servo.state import ServoInputs
+from pixel2catch.servo.tick import ServoCore, ServoState
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HOME = np.array([joint.home for joint in JOINTS])

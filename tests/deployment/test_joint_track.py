@@ -9,7 +9,7 @@ from servo_rows import HOME, Lab, noisy
 
 from pixel2catch.servo.laws import FROZEN_ANGLE, FROZEN_TIME
 from pixel2catch.servo.link import Fault, Mode
-from pixel2catch.servo.tick import ServoInputs
+from pixel2catch.servo.state import ServoInputs
 
 ARM, FINGERS, ELBOW = range(6), range(6, len(HOME)), 2
 NUM = len(HOME)

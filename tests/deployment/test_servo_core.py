@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from laws import OFF
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given, noisy
 
@@ -80,17 +81,18 @@ def test_every_fault_stops_and_is_named():
         assert found & fault if field == "now" else found == fault, tuple(flag_names(Fault, found))
         assert str(fault.name).lower().replace("_", " ") in tuple(flag_names(Fault, found))
     commands = np.stack([output["sent"], *(lab.tick()["sent"] for _ in range(2 * STOP_TICKS))])
-    is_silent = np.array([fault == Fault.OTHER_PUBLISHER for fault, _, _ in MISHAPS])
-    np.testing.assert_array_equal(np.isnan(commands), np.broadcast_to(is_silent[:, None], commands.shape))
-    commands[:, is_silent] = lab.state.joints["position"][is_silent]
+    is_silent = np.tile([fault == Fault.OTHER_PUBLISHER for fault, _, _ in MISHAPS], (len(commands), 1))
+    is_silent[STOP_TICKS + 1 :] |= (output["stopped_by"] & OFF) != 0
+    np.testing.assert_array_equal(np.isnan(commands), is_silent[:, :, None].repeat(len(JOINTS), axis=2))
+    commands = np.where(np.isnan(commands), lab.state.joints["command"], commands)
     assert not np.diff(commands[STOP_TICKS:], axis=0).any()
-    assert (np.abs(lab.joint_pos - commands[-1]) < 0.02).all()
+    assert (np.abs(lab.joint_pos - commands[-1])[~is_silent[-1]] < 0.02).all()
 
 
 def test_a_stopped_robot_that_was_moved_by_hand_is_armed_at_its_new_pose():
     lab = Lab().swung()
-    lab.tick(given(is_safe=NO))
-    lab.run(2.0 * STOP_TIME)
+    lab.tick(given(is_stop_requested=YES))
+    assert lab.run(2.0 * STOP_TIME)["mode"] == Mode.STOPPED
     homed = lab.joint_pos.copy()
     homed[0, 2] -= 0.1
     assert lab.tick(given(joint_pos=homed))["found"] == Fault.JOINTS_IMPLAUSIBLE  # so far in a tick

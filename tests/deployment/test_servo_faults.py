@@ -84,7 +84,8 @@ def remove_status_sender(stage: Stage) -> None:
 def switch_controllers(stage: Stage) -> None:
     """Another controller is active."""
     states = {"forward_position_controller": 2, "scaled_joint_trajectory_controller": messages.ACTIVE}
-    (controller,) = [part.controller for part in stage.lab.profile.robots if part.controller]
+    controller = stage.lab.profile.robots[0].controller
+    assert controller is not None
     stage.lab.send(controller.activity, messages.activity(states, 0.0))
 
 
@@ -168,10 +169,28 @@ def test_a_driver_is_read_after_its_clock_was_set(stage: Stage):
     """Set ahead, nothing changes. Set back, its positions count as old for 0.1 s: the servo stops."""
     lab = stage.lab
     stage.arm(60)
-    for seconds, mode in ((1.0, Mode.RUN), (0.0, Mode.STOPPED)):
+    for seconds, mode in ((1.0, Mode.RUN), (0.0, Mode.IDLE)):
         lab.change = lambda reading, ahead=seconds: replace(reading, stamp=reading.stamp + ahead)
         assert stage.wait(2 * STOP_TICKS) == mode
     for lab.is_held in (False, True):
         stage.wait(26)
     stage.arm()
     assert stage.stopped_by == ("joints stale",)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["protective stop", "robot idle", "program stopped", "speed slider", "other controller", "arm gone"],
+)
+def test_a_robot_that_was_off_is_not_moved_when_it_is_on_again(fault: str, stage: Stage):
+    """Nothing is sent to it from the end of the stop until it is armed, from wherever it is then."""
+    lab = stage.lab
+    stage.arm(60)
+    FAULTS[fault][0](stage)
+    assert stage.wait(65 + STOP_TICKS) == Mode.IDLE
+    sent = len(lab.commands["arm"])
+    lab.speed, lab.silent = 100.0, set()
+    lab.send_status()
+    lab.joint_pos[:6] += 0.03  # by hand
+    assert stage.wait(2 * STOP_TICKS) == Mode.IDLE
+    assert len(lab.commands["arm"]) == sent

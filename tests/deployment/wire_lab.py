@@ -57,7 +57,8 @@ class WireLab:
     def request_arm(self) -> None:
         self.send(self.profile.operator.arm, messages.boolean(True))
 
-    def _send_status(self) -> None:
+    def send_status(self) -> None:
+        """Send the status of a robot that runs its program."""
         status = self.profile.status
         self.send(status.safety_mode, messages.safety_mode(1))
         self.send(status.robot_mode, messages.robot_mode(7))
@@ -69,7 +70,7 @@ class WireLab:
         """Move the joints, and send and read messages."""
         self._move()
         if self._tick == 0:
-            self._send_status()
+            self.send_status()
         for part in self.profile.robots:
             if part.name not in self.silent:
                 self._send_joints(part)

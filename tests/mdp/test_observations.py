@@ -10,18 +10,19 @@ import pytest
 import torch
 
 from pixel2catch.agents import AgentSpec, agents_of
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import BoxHistory, History
 from pixel2catch.mdp.observations import (
     NUM_BOXES,
+    PIXEL_FEATURES,
     ObservationInputs,
     box_age,
     box_fit,
     box_track,
     observe,
     pixel_columns,
+    pixel_features,
     privileged_state,
 )
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering

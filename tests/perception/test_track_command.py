@@ -15,10 +15,10 @@ import pytest
 from filmed import CAMERA, HEIGHT, HELD, NUM_EMPTY, PATH, WIDTH, box_at, compressed, jpeg, save_video, throw
 
 from domains import PATIENCE
-from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
+from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.perception.sightings import COLUMNS, HEADER
 from pixel2catch.scene.constants import CONTROL_DT
 from ros_bags import save_bag

@@ -1,36 +1,10 @@
-"""Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment, and their pixel features."""
+"""Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment."""
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.scene.constants import CameraSpec
-
-PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
-"""Centre and size of the box as shares of the image, and their changes since the last control step [px]."""
-
-
-def pixel_features(
-    before: Float[Tensor, "num_envs 4"], now: Float[Tensor, "num_envs 4"], camera: CameraSpec
-) -> Float[Tensor, "num_envs 8"]:
-    """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
-
-    z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method uses all but w and h.
-
-    Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
-    h / height.
-    """
-    (center, size), (old_center, old_size) = _center_and_size(now), _center_and_size(before)
-    width, height = camera.width, camera.height
-    shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
-    return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
-
-
-def _center_and_size(
-    box: Float[Tensor, "num_envs 4"],
-) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
-    lower, upper = box[:, :2], box[:, 2:]
-    return (lower + upper) / 2, upper - lower
 
 
 def box_of_points(

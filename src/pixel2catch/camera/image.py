@@ -37,12 +37,6 @@ class Image:
     joint_pos: np.ndarray | None = None  #: The robot's at that time, in joint order [rad]; None if unknown.
     encoding: str = ""  #: How the camera's message stored it, such as rgb8; empty without a message.
 
-    @property
-    def format(self) -> str:
-        """Return width, height and encoding, such as "640 x 480 rgb8"."""
-        height, width, _ = self.pixels.shape
-        return f"{width} x {height} {self.encoding}"
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:

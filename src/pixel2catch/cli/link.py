@@ -112,7 +112,8 @@ class Link(Network):
         """
         from pixel2catch.deployment.control_loop import Connection
         from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
-        from pixel2catch.servo.process import ServoSetup, start_servo
+        from pixel2catch.servo.process import ServoSetup
+        from pixel2catch.servo.spawn import start_servo
 
         limits = self.limits(profile)
         speeds = (f"{part.name} {limits.joint_speed(part.ids):.3g} rad/s" for part in profile.robots)

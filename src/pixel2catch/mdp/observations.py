@@ -11,11 +11,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
+
+PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
+"""Centre and size of the box as shares of the image, and their changes since the last control step [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +32,29 @@ class ObservationInputs:
 
 
 ObservationTerm = Callable[[ObservationInputs], Float[Tensor, "num_envs k"]]
+
+
+def pixel_features(
+    before: Float[Tensor, "num_envs 4"], now: Float[Tensor, "num_envs 4"], camera: CameraSpec
+) -> Float[Tensor, "num_envs 8"]:
+    """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
+
+    z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method uses all but w and h.
+
+    Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
+    h / height.
+    """
+    (center, size), (old_center, old_size) = _center_and_size(now), _center_and_size(before)
+    width, height = camera.width, camera.height
+    shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
+    return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
+
+
+def _center_and_size(
+    box: Float[Tensor, "num_envs 4"],
+) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
+    lower, upper = box[:, :2], box[:, 2:]
+    return (lower + upper) / 2, upper - lower
 
 
 def pixels(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:

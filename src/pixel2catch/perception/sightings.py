@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.image import Box, Verdict
+from pixel2catch.mdp.observations import PIXEL_FEATURES, pixel_features
 from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.tracker import ObjectTracker
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec

@@ -223,11 +223,11 @@ class CameraProfile:
 
     def wrong_format(self, image: Image) -> str:
         """Return the error of an image of another size or encoding; empty if it has the profile's."""
+        height, width, _ = image.pixels.shape
+        found = f"{width} x {height} {image.encoding}"
         expected = f"{self.width} x {self.height} {self.encoding}"
-        wrong = (
-            f"{self.image.name} sends {image.format}, the profile says {expected}: set the camera's driver"
-        )
-        return "" if image.format == expected else f"{wrong} to that."
+        wrong = f"{self.image.name} sends {found}, the profile says {expected}: set the camera's driver"
+        return "" if found == expected else f"{wrong} to that."
 
     def require(self, image: Image) -> None:
         """Refuse an image of another size or encoding.

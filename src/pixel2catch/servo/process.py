@@ -1,18 +1,13 @@
-"""The servo process: 500 times a second it reads its inputs, ticks, and sends commands.
+"""The loop of the servo: 500 times a second it reads its inputs, ticks, and sends commands.
 
-It ends on SIGTERM, or with the control loop, after it has stopped the robot. Messages that cannot be read are
+It ends on request, or with the control loop, after it has stopped the robot. Messages that cannot be read are
 ignored: their sender counts as silent, which stops the robot.
 """
 
-import gc
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from importlib.util import find_spec
 from math import ceil
 from time import perf_counter
 from typing import Any, Generic, TypeVar
@@ -20,27 +15,19 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.installation import install_command
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Columns, Profile
-from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, RealClock, Topic, Transport
+from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, Topic, Transport
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import (
-    SERVO,
-    SERVO_PRIORITY,
     Command,
     JointTargets,
-    LoopEnd,
     Mode,
     ServoEnd,
-    link,
-    scheduled,
-    set_niceness,
-    set_real_time,
 )
-from pixel2catch.servo.tick import ServoCore, ServoInputs, ServoState
+from pixel2catch.servo.state import ServoInputs
+from pixel2catch.servo.tick import ServoCore, ServoState
 
-PATIENCE = 10.0  #: Real time that a servo process has to end after its link was closed [s]. Source: ours.
 HELD_SPEED = 0.5  #: Speed at which held joints move to their angle [rad/s]. Source: ours.
 DEPTH = 16  #: Messages kept from one tick to the next; several senders may share a topic. Source: ours.
 MOST_BYTES = 2**14  #: Largest message that is read [bytes]. Source: ours; robots' have up to 3,000.
@@ -342,54 +329,3 @@ class Servo:
         except Exception as error:
             self.unforeseen = self.unforeseen or error
             self.end()
-
-
-MakeTransport = Callable[[RealClock], Transport]  #: Joins the network.
-
-
-@contextmanager
-def start_servo(
-    setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0
-) -> Iterator[LoopEnd]:
-    """Start a servo process, and yield the other end of its link.
-
-    At the end of the context, it stops the robot and ends, or is killed.
-
-    Raises:
-        DeploymentError: numba is missing.
-    """
-    if not find_spec("numba"):  # importing it takes long, and only the servo process needs it
-        raise DeploymentError(f"numba is not installed: {install_command('deployment')}.")
-    loop, servo = link()
-    with closing(servo):
-        process = multiprocessing.get_context("spawn").Process(
-            target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
-        )
-        with scheduled(os.SCHED_OTHER, 0):  # starting takes seconds
-            process.start()
-    try:
-        yield loop
-    finally:
-        loop.close()
-        process.join(PATIENCE)
-        if process.is_alive():
-            process.kill()
-            process.join()
-
-
-def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
-    """Run the servo process until its link is closed, or SIGTERM or SIGHUP; Ctrl-C and Ctrl-Z are ignored."""
-    ServoCore(setup.limits)  # compile it before this is a real-time process
-    for number in (signal.SIGINT, signal.SIGTSTP):
-        signal.signal(number, signal.SIG_IGN)
-    set_niceness(SERVO)
-    set_real_time(SERVO_PRIORITY)
-    clock = RealClock(clock_rate)
-    with make_transport(clock) as transport:
-        servo = Servo(end, transport, setup, clock)
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda *_: servo.end())
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        servo.run()

@@ -4,23 +4,24 @@
                   ▲   │                    │             │
                  arm  └──────fault─────────┴────fault────┘
                   │   ▼
-                 stopped ──moved by somebody else──► idle
+                 stopped ──robot off, or moved by somebody else──► idle
 
 Armed, the robot holds its pose. In the ramp, commands go over to the policy's targets; in the run they
 follow them. As in training, a command moves uniformly from its place to the newest target, and reaches it
 after a control step.
 
 A fault stops the robot: within `STOP_TIME`, the commands return to the joints and brake. The robot moves
-again only after a new request to arm. No command passes a limit, whatever the inputs are.
+again only after a new request to arm. No command passes a limit, whatever the inputs are. In idle, nothing is
+sent: what starts the robot's program again, such as play on a pendant, moves nothing.
 
 Rows are independent robots: one in the laboratory, thousands in tests.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
@@ -46,105 +47,21 @@ from pixel2catch.servo.laws import (
 )
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import Clamp, Fault, Mode
+from pixel2catch.servo.state import JOINT_INPUT, JOINT_STATE, ROBOT_INPUT, ROBOT_STATE, ServoInputs
 from pixel2catch.servo.workspace import Space, is_inside, limit_to_workspace
-
-Rows = Float64[np.ndarray, "rows joints"]
-Times = Float64[np.ndarray, " rows"]
-Flags = Bool[np.ndarray, " rows"]
 
 ROUNDING = 1e-6  #: Excess of a limit that is rounding: policies have single precision [rad, rad/s].
 _BAD_TARGET = (Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR).value
 _NOT_MEASURED = (Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE).value
 
-ROBOT_STATE = np.dtype(
-    [
-        ("mode", np.int64),  # a `Mode`
-        ("ticks", np.int64),  # ticks since the mode began
-        ("stopped_by", np.int64),  # `Fault` bits that caused the stop; 0 in other modes
-        ("faults", np.int64),  # `Fault` bits of robot, operator and clock in the last tick
-        ("policy_faults", np.int64),  # `Fault` bits of perception and policy in the last tick
-        ("found", np.int64),  # both
-        ("refused", np.int64),  # `Fault` bits that made the servo refuse to arm in the last tick
-        ("clamped", np.int64),  # `Clamp` bits: limits that changed the command in the last tick
-        ("now", np.float64),  # time of the last tick [s]
-        ("arm_stamp", np.float64),  # stamp of the last request to arm, granted or not [s]
-        ("used_press", np.float64),  # time of the switch's last press before the last stop [s]
-        ("target_begun", np.float64),  # time at which the motion to the newest target began [s]
-        ("target_stamp", np.float64),  # stamp of that target [s]
-        ("is_returning", np.bool_),  # whether the joints have been measured since the last stop
-    ],
-    align=True,
-)
-"""State of a robot."""
-
-JOINT_STATE = np.dtype(
-    [
-        ("position", np.float64),  # position before averaging [rad]
-        ("velocity", np.float64),  # speed of the tick that led there [rad/s]
-        ("command", np.float64),  # mean of the newest positions [rad]
-        ("sent", np.float64),  # command that is sent to the driver [rad]; NaN if none is
-        ("hold", np.float64),  # command when the mode last changed to armed or stopped [rad]
-        ("lead", np.float64),  # distance of the command ahead of the joint at the last stop [rad]
-        ("start", np.float64),  # start of the motion to the newest target [rad]
-        ("end", np.float64),  # that target [rad]
-        ("expected", np.float64),  # position predicted from the commands by the lag [rad]
-        ("joint_pos", np.float64),  # measured position; the command if that is not finite [rad]
-        ("measured", np.float64),  # newest finite measured position [rad]
-        ("stamp", np.float64),  # its stamp [s]
-        ("speed", np.float64),  # estimated speed [rad/s]
-        ("explained", np.float64),  # `explained_position` [rad]
-        ("slack", np.float64),  # distance behind the command that recent motion allows [rad]
-        ("anchor", np.float64),  # command when the measurement last changed [rad]
-        ("still_time", np.float64),  # time without a change while the command moved [s]
-        ("ahead", np.float64),  # mean distance of the command ahead of the joint [rad]
-        ("estimated_lag", np.float64),  # that distance per speed [s]
-        ("evidence", np.float64),  # motion from which it is estimated [rad²/s]
-        ("lag", np.float64),  # lag that is used: specified, or estimated once there is evidence [s]
-        ("is_lag_estimated", np.bool_),  # whether there is enough evidence; arms only
-    ],
-    align=True,
-)
-"""State of a joint."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ServoInputs:
-    """Inputs of a tick, one row for each robot, joints in joint order."""
-
-    now: Times  #: Time of the tick [s].
-    joint_pos: Rows  #: Newest measured joint positions [rad].
-    joint_stamp: Rows  #: Their arrival times [s].
-    joint_pos_target: Rows  #: Newest targets of the policy [rad].
-    target_stamp: Times  #: Time of their decision [s].
-    image_stamp: Times  #: Exposure time of the newest image [s].
-    box_stamp: Times  #: Exposure time of the newest image in which the object was found [s].
-    is_perception_sound: Flags  #: Whether images and boxes are plausible.
-    dead_man_stamp: Times  #: Last time at which the dead-man's switch was held [s].
-    pressed_stamp: Times  #: Last time at which it was pressed after a release or a silence [s].
-    arm_stamp: Times  #: Time of the last request to arm [s].
-    is_stop_requested: Flags  #: Whether operator or control loop request a stop.
-    is_safe: Flags  #: Whether the robot's program runs in the normal safety mode.
-    speed_scaling: Times  #: Share of the full speed at which the robot runs its program.
-    is_status_known: Flags  #: Whether each driver's status is known from one sender.
-    has_controller: Flags  #: Whether the controllers that take the commands are active.
-    has_other_publisher: Flags  #: Whether another program sends commands to the robot.
-    has_other_operator: Flags  #: Whether several programs hold the switch or request to arm.
-    has_subscriber: Flags  #: Whether each driver receives its commands.
-    has_other_subscriber: Flags  #: Whether several programs receive the commands of one driver.
-
-
-ROBOT_INPUT, JOINT_INPUT = (
-    np.dtype(
-        [
-            (field.name, np.bool_ if field.type is Flags else np.float64)
-            for field in fields(ServoInputs)
-            if (field.type is Rows) == is_of_joints
-        ],
-        align=True,
-    )
-    for is_of_joints in (False, True)
-)
-"""Inputs of a robot, and of a joint."""
+_OFF = (
+    Fault.SAFETY_MODE
+    | Fault.SPEED_SCALING
+    | Fault.STATUS_UNKNOWN
+    | Fault.CONTROLLER
+    | Fault.NO_SUBSCRIBER
+    | Fault.JOINTS_STALE
+).value  #: Faults of a robot that may not follow commands at present, and may follow them at any time again.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -302,8 +219,9 @@ def next_mode(robot: Record, joints: Records, stop: int, limits: Limits) -> None
         mode = Mode.RAMP.value
     elif mode == Mode.RAMP and time >= limits.robot.ramp_time:
         mode = Mode.RUN.value
-    elif mode == Mode.STOPPED and time >= STOP_TIME and was_moved(robot, joints, limits):
-        mode = Mode.IDLE.value
+    elif mode == Mode.STOPPED and time >= STOP_TIME:
+        is_off = (robot.faults | robot.stopped_by) & _OFF != 0
+        mode = Mode.IDLE.value if is_off or was_moved(robot, joints, limits) else mode
     robot.ticks = robot.ticks + 1 if mode == robot.mode else 0
     robot.mode = mode
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from random import Random
 from typing import Any, final
@@ -157,13 +157,13 @@ def in_step(
         controller = PolicyController(policy, workcell, scene.camera)
         pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
-        least, jitter, random = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, Random(cfg.seed)
+        least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
         loop = ControlLoop(
             pipeline,
             scene.camera,
             twin.servo.connection,
             twin.profile,
-            perception_time=lambda: least + jitter * random.random(),
+            perception_time=partial(Random(cfg.seed).uniform, least, least + jitter),
         )
         twin.followers = (twin.servo.tick, loop.poll)
         yield twin, loop.statistics
