@@ -184,20 +184,6 @@ def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.Mon
         torch.testing.assert_close(tensor, outcomes[1][1][name])
 
 
-def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
-    roll_out(mappo, ReachingEnv(SMALL))
-    mappo.update(0.0)
-    policy = mappo.export()
-    generator = torch.Generator().manual_seed(1)
-    for agent, num_inputs in ReachingEnv.observation_sizes.items():
-        observations = 300 * torch.randn(100, num_inputs, generator=generator)
-        scaled = mappo.networks[agent].observation_scale(observations)
-        assert torch.equal(
-            policy.network(agent)(observations, torch.zeros(100, 0))[0], mappo.networks[agent].policy(scaled)
-        )
-        assert scaled.abs().max() == 5.0
-
-
 @pytest.mark.parametrize(("target", "changes"), [(10.0, 1.5**4), (1e-9, 1 / 1.5**4)])
 def test_adaptive_learning_rate(target: float, changes: float) -> None:
     """Four epochs, each of which multiplies or divides the rate by 1.5; never below the lower bound."""
@@ -292,25 +278,31 @@ def test_learning_sees_what_acting_saw() -> None:
         mappo.update(0.0)
 
 
-def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
-    mappo = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
-    roll_out(mappo, ReachingEnv(RECURRENT))
+@pytest.mark.parametrize("recurrent", [0, 16])
+def test_the_exported_policy_acts_like_the_learner_and_is_adopted(recurrent: int) -> None:
+    """By the mean of its actions, and where inputs are clipped, too."""
+    cfg = dataclasses.replace(SMALL, recurrent=recurrent)
+    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
+    roll_out(mappo, ReachingEnv(cfg))
     mappo.update(0.0)
-    roll_out(mappo, ReachingEnv(RECURRENT))
-    policy, networks, rollout = mappo.export(), mappo.networks["arm"], mappo.rollout["arm"]
-    inputs = networks.observation_scale(rollout.observations)
+    roll_out(mappo, ReachingEnv(cfg))
+    policy, networks = mappo.export(), mappo.networks["arm"]
+    observations = {agent: 300.0 * batch.observations for agent, batch in mappo.rollout.items()}
+    inputs = networks.observation_scale(observations["arm"])
+    assert inputs.abs().max() == 5.0
     is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
-    features = gru_rollout(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
+    features = gru_rollout(networks.policy_gru, inputs, torch.zeros(1, cfg.num_envs, recurrent), is_first)
     for t, expected in enumerate(networks.policy(features)):
         policy.reset(is_first[t])
-        observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}
-        torch.testing.assert_close(policy.act(observations)["arm"], expected.clamp(-1.0, 1.0))
-    other = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
+        actions = policy.act({agent: values[t] for agent, values in observations.items()})
+        torch.testing.assert_close(actions["arm"], expected.clamp(-1.0, 1.0))
+    other = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     other.adopt(policy)
     for name, tensor in other.export().state_dict().items():
         torch.testing.assert_close(tensor, policy.state_dict()[name])
-    with pytest.raises(InvalidValueError, match="--recurrent 16"):
-        Mappo(SMALL, ReachingEnv(SMALL), CONTRACT).adopt(policy)
+    unlike = dataclasses.replace(SMALL, recurrent=8)
+    with pytest.raises(InvalidValueError, match=f"--recurrent {recurrent}"):
+        Mappo(unlike, ReachingEnv(unlike), CONTRACT).adopt(policy)
 
 
 def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:

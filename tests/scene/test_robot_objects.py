@@ -1,11 +1,16 @@
-"""Thrown objects: sizes, inertia, surface points, selection, and the table of what differs between models."""
+"""Thrown objects, of shapes and of mesh files: sizes, inertia, surface points, selection, and their table."""
+
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robots.poses import sphere_points
 from pixel2catch.scene import shapes
-from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN, select_objects, surface_points
+from pixel2catch.scene.meshes import OUTLINE_POINTS, mesh_object
+from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN, make_object, select_objects, surface_points
 from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 from pixel2catch.scene.shapes import moments
 
@@ -140,3 +145,80 @@ def test_drag_area_of_a_cube_and_of_a_ball():
     assert OBJECTS["cube_s"].drag_area == pytest.approx(0.75 * 0.05**2)
     assert OBJECTS["sphere_s"].drag_area == pytest.approx(0.75 * 2.4 * 0.035**2, rel=0.03)
     assert OBJECTS["cube_s"].scaled(1.2).drag_area == pytest.approx(1.44 * 0.75 * 0.05**2)
+
+
+L_OUTLINE = ((0, 0), (70, 0), (70, 30), (30, 30), (30, 70), (0, 70))
+TOP = ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
+
+
+def l_mesh(path: Path, depth: float = 50.0) -> Path:
+    """The package's `l_block` as a mesh [mm]: an outline of six corners, extruded."""
+    vertices = [(x, y, z) for z in (0.0, depth) for x, y in L_OUTLINE]
+    faces = [tuple(6 + i for i in face) for face in TOP] + [tuple(reversed(face)) for face in TOP]
+    for i in range(6):
+        j = (i + 1) % 6
+        faces += [(i, j, 6 + j), (i, 6 + j, 6 + i)]
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_mesh_has_the_mass_properties_of_the_same_solid(tmp_path: Path):
+    """Of 70 mm legs, 30 mm wide and 50 mm deep, as the catalogue's, and cut into two bars or a few more."""
+    block = mesh_object("mesh", l_mesh(tmp_path / "l.obj"), scale=1e-3)
+    expected = OBJECTS["l_block"]
+    np.testing.assert_allclose(sorted(block.inertia), sorted(expected.inertia), rtol=1e-6)
+    assert block.mass == expected.mass
+    assert 2 <= len(block.parts) <= 4
+    volume = sum(shapes.moments(part)[0, 0] for part in block.parts)
+    assert volume == pytest.approx((70 + 40) * 30 * 50 * 1e-9, rel=0.05)
+
+
+def test_a_fine_mesh_keeps_its_outline_within_a_millimetre(tmp_path: Path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.icosphere(subdivisions=4, radius=0.04).export(tmp_path / "ball.stl")
+    (part,) = mesh_object("ball", tmp_path / "ball.stl").parts
+    assert len(part.vertices) <= OUTLINE_POINTS
+    directions = sphere_points(500)
+    reach = (part.vertices @ directions.T).max(axis=0)
+    assert np.abs(reach - 0.04).mean() < 2e-3
+    ball = mesh_object("ball", tmp_path / "ball.stl")
+    assert surface_points(ball, 64).shape == (64, 3)
+
+
+def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(InvalidValueError, match=r"'.*absent\.stl' cannot be read as a mesh"):
+        mesh_object("mesh", tmp_path / "absent.stl")
+    (tmp_path / "text.obj").write_text("nothing\n")
+    with pytest.raises(InvalidValueError, match="cannot be read as a mesh"):
+        mesh_object("mesh", tmp_path / "text.obj")
+    with pytest.raises(InvalidValueError, match="has no volume"):
+        mesh_object("mesh", l_mesh(tmp_path / "flat.obj", depth=0.0))
+    with pytest.raises(InvalidValueError, match="both must be greater than 0"):
+        mesh_object("mesh", l_mesh(tmp_path / "l.obj"), scale=0.0)
+    with pytest.raises(InvalidValueError, match=r"mass of -0\.1 kg"):
+        make_object("cube", shapes.box(0.05, 0.05, 0.05), mass=-0.1)
+    with pytest.raises(InvalidValueError, match="has no parts"):
+        make_object("nothing")
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(InvalidValueError, match=r"needs trimesh and CoACD.*\[meshes\]"):
+        mesh_object("mesh", l_mesh(tmp_path / "l.obj"))
+
+
+def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch):
+    """All models get as many geoms; those that an object does not need hide inside it."""
+    bars = [shapes.box(0.02, 0.02, 0.1).moved((0.03 * i, 0.0, 0.0)) for i in range(3)]
+    monkeypatch.setitem(OBJECTS, "rake", make_object("rake", *bars, mass=0.06))
+    model = build_model(SceneCfg(), "rake")
+    assert model.body("object").mass == pytest.approx(0.06)
+    assert [model.geom(f"object_part_{i}").pos[0] for i in range(3)] == pytest.approx(
+        [-0.03, 0, 0.03], abs=1e-9
+    )
+    table = object_table(SceneCfg())
+    assert table.names[-1] == "rake"
+    assert table.fields["geom_dataid"].shape == (len(OBJECTS), 3)
+    monkeypatch.setitem(OBJECTS, "world", make_object("world", shapes.box(0.05, 0.05, 0.05)))
+    assert object_table(SceneCfg()).names[-1] == "world"  # as MuJoCo calls a body of its own
+    monkeypatch.setitem(OBJECTS, "rake", make_object("rake", shapes.box(0.7, 0.05, 0.05)))
+    with pytest.raises(InvalidValueError, match=r"'rake' extends 35 cm"):
+        build_model(SceneCfg())

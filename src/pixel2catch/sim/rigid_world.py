@@ -187,19 +187,15 @@ def _geoms(model: mujoco.MjModel, data: mujoco.MjData, bodies: ndarray, origin: 
     """Return the collision shapes of bodies, in a frame."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     return tuple(
-        _geom(model, geom, np.linalg.inv(origin) @ pose_of(data.geom_xpos[geom], data.geom_xmat[geom]))
+        Geom(
+            type=mujoco.mjtGeom(model.geom_type[geom]),
+            size=np.array(model.geom_size[geom]),
+            vertices=vertices_of(model, geom),
+            pose=np.linalg.inv(origin) @ pose_of(data.geom_xpos[geom], data.geom_xmat[geom]),
+            contype=int(model.geom_contype[geom]),
+            conaffinity=int(model.geom_conaffinity[geom]),
+        )
         for geom in np.flatnonzero(collides & np.isin(model.geom_bodyid, bodies)).tolist()
-    )
-
-
-def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
-    return Geom(
-        type=mujoco.mjtGeom(model.geom_type[geom]),
-        size=np.array(model.geom_size[geom]),
-        vertices=vertices_of(model, geom),
-        pose=pose,
-        contype=int(model.geom_contype[geom]),
-        conaffinity=int(model.geom_conaffinity[geom]),
     )
 
 

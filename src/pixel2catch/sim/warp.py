@@ -58,8 +58,10 @@ class WarpSimulation(Simulation):
         self._device = wp.device_from_torch(self.device)
         if self._device.is_cuda:
             wp.set_stream(wp.stream_from_torch(torch.cuda.current_stream(self.device)), self._device)
+        accepted = copy.copy(model)
+        accepted.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)  # affects the CPU only
         with wp.ScopedDevice(self._device):
-            self._model = mjw.put_model(_without_cpu_flags(model))
+            self._model = mjw.put_model(accepted)
             self._model.block_dim.contact_sort = SORT_BLOCK
             self._model.opt.contact_sensor_maxmatch = CONTACTS_PER_SENSOR
             self._model.opt.warn_overflow &= ~_HARMLESS
@@ -161,13 +163,6 @@ class WarpSimulation(Simulation):
         with wp.ScopedDevice(self._device):
             mjw.step2(self._model, self._data)
             mjw.step1(self._model, self._data)
-
-
-def _without_cpu_flags(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return the model without options that affect collision detection on the CPU only."""
-    model = copy.copy(model)
-    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-    return model
 
 
 _Vec3: Any = wp.vec3
