@@ -89,6 +89,11 @@ def test_metrics_by_hand():
     assert result["mean_penetration"] == pytest.approx(0.10 / 100)
     assert result["max_penetration"] == pytest.approx(0.006)
     assert result["success_rate_interval"] == list(wilson_interval(2, 5))
+    failures = {"never_reached": 1 / 5, "bounced_off": 1 / 5, "dropped": 0.0, "not_held": 1 / 5}
+    assert result["failures"] == {name: failures[name] for name in FAILURES}
+    objects = result["objects"]
+    assert {name: rates["trials"] for name, rates in objects.items()} == {"ball": 3, "box": 2}
+    assert (objects["box"]["success_rate"], objects["ball"]["tracking_rate"]) == (1 / 2, 1.0)
 
 
 def test_rest_is_that_of_successes():
@@ -100,20 +105,6 @@ def test_rest_is_that_of_successes():
     assert result["peak_deceleration"] == pytest.approx(130.0)
     third = replace(trials, record=replace(trials.record, is_success=flags(1, 1, 0, 1, 0)))
     assert metrics(third, NAMES)["peak_deceleration"] == pytest.approx(160.0)
-
-
-def test_failures_are_shares_of_all_trials():
-    result = metrics(five_trials(), NAMES)
-    expected = {"never_reached": 1 / 5, "bounced_off": 1 / 5, "dropped": 0.0, "not_held": 1 / 5}
-    assert result["failures"] == {name: expected[name] for name in FAILURES}
-    assert result["success_rate"] + sum(result["failures"].values()) == pytest.approx(1.0)
-
-
-def test_metrics_by_object():
-    objects = metrics(five_trials(), NAMES)["objects"]
-    assert {name: rates["trials"] for name, rates in objects.items()} == {"ball": 3, "box": 2}
-    assert objects["box"]["success_rate"] == 1 / 2
-    assert objects["ball"]["tracking_rate"] == 1.0
 
 
 def test_metrics_without_contact_are_valid_json():

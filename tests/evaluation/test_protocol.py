@@ -1,11 +1,10 @@
 """The protocol with throws and policies whose outcome is known."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 import torch
-from torch import Tensor
+from actors import Scripted, grasp
 
 from pixel2catch.agents import commands_of
 from pixel2catch.envs.catch_env import CatchEnvCfg, Step
@@ -36,46 +35,12 @@ NUM_ENVS = 8
 ARM_COMMANDS = commands_of(UR5E_ALLEGRO)[:6]
 
 
-class Grasp:
-    """Keeps the arm where it is, opens the hand, and closes it at a given control step."""
-
-    def __init__(self, closes_at: int) -> None:
-        self._closes_at, self.steps = closes_at, 0
-
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        pass
-
-    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
-        self.steps += 1
-        num_envs = len(observations["arm"])
-        closed = 1.0 if self.steps >= self._closes_at else -1.0
-        return {"arm": torch.zeros(num_envs, 6), "hand": torch.full((num_envs, 13), closed)}
-
-
-class Flicker:
-    """Moves the arm a little back and forth, and opens and closes the hand at every step."""
-
-    def __init__(self) -> None:
-        self._sign = 1.0
-
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        pass
-
-    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
-        self._sign = -self._sign
-        num_envs = len(observations["arm"])
-        return {
-            "arm": torch.full((num_envs, 6), 0.1 * self._sign),
-            "hand": torch.full((num_envs, 13), self._sign),
-        }
-
-
 NEVER = 6 * ROUND_STEPS
 
 
-def over_the_palm(hover_steps: int) -> EvaluationCfg:
-    """A ball that hovers 5 cm over the palm of a robot in its start pose, and then drops."""
-    x, y, z = PALM[0] + 0.02, PALM[1], PALM[2] + 0.05
+def over_the_palm(hover_steps: int, height: float = 0.05) -> EvaluationCfg:
+    """A ball that hovers over the palm of a robot in its start pose [m], and then drops."""
+    x, y, z = PALM[0] + 0.02, PALM[1], PALM[2] + height
     throws = ThrowCfg(
         release_x=(x, x),
         release_y=(y, y),
@@ -91,17 +56,8 @@ def over_the_palm(hover_steps: int) -> EvaluationCfg:
     return EvaluationCfg(objects=("sphere_s",), num_envs=NUM_ENVS, trials=1, task=task)
 
 
-def out_of_reach_until(steps: int) -> EvaluationCfg:
-    """A ball that hovers 0.15 m over the palm, and drops onto it within a few steps."""
-    cfg = over_the_palm(steps)
-    throws = cfg.task.throws
-    z = throws.release_z[0] + 0.10
-    higher = {"release_z": (z, z), "peak_z": (z, z), "aim_z": (z - 0.01, z - 0.01)}
-    return replace(cfg, task=replace(cfg.task, throws=replace(throws, **higher)))
-
-
 def test_a_closed_hand_holds_what_fell_into_it():
-    trials = evaluate(Grasp(closes_at=9), PROPOSED, over_the_palm(hover_steps=5))
+    trials = evaluate(grasp(closes_at=9), PROPOSED, over_the_palm(hover_steps=5))
     assert trials.record.is_tracked.all()
     assert trials.record.is_success.all()
     assert trials.is_verified.float().mean() >= 0.75
@@ -109,14 +65,14 @@ def test_a_closed_hand_holds_what_fell_into_it():
 
 
 def test_an_object_that_hovers_at_the_palm_is_no_verified_hold():
-    trials = evaluate(Grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=NEVER))
+    trials = evaluate(grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=NEVER))
     assert trials.record.is_success.float().mean() >= 0.5
     assert not trials.is_verified.any()
 
 
 def test_success_after_the_end_of_the_trial_does_not_count():
-    """A ball that arrives at the palm within the last 20 steps is tracked, but held too late."""
-    trials = evaluate(Grasp(closes_at=NEVER), PROPOSED, out_of_reach_until(TRIAL_STEPS - 10))
+    """A ball out of reach that arrives at the palm within the last 20 steps is tracked, but held too late."""
+    trials = evaluate(grasp(closes_at=NEVER), PROPOSED, over_the_palm(TRIAL_STEPS - 10, height=0.15))
     assert trials.record.is_tracked.float().mean() >= 0.5
     assert not trials.record.is_success.any()
     assert (trials.record.steps <= TRIAL_STEPS).all()
@@ -124,7 +80,7 @@ def test_success_after_the_end_of_the_trial_does_not_count():
 
 def test_the_same_seed_gives_the_same_result():
     cfg = EvaluationCfg(objects=("cube_s", "sphere_l"), num_envs=2, trials=1, seed=7)
-    first, second = (assess(Grasp(closes_at=30), PROPOSED, cfg) for _ in range(2))
+    first, second = (assess(grasp(closes_at=30), PROPOSED, cfg) for _ in range(2))
     assert first | {"seconds": 0} == second | {"seconds": 0}
 
 
@@ -137,17 +93,18 @@ def test_an_action_that_is_nan_is_reported_at_the_end_of_a_round():
         env._is_nan[0] = not state.is_running.any()
 
     with pytest.raises(InvalidValueError, match="an action of agent 'arm' is NaN"):
-        run_round(env, Grasp(0), spoil)
+        run_round(env, grasp(0), spoil)
     env.close()
 
 
 def test_actions_are_latched_after_a_success():
-    """The arm is told to stay and the hand repeats what it did last, whatever the policy says."""
+    """The arm is told to stay and the hand repeats what it did last; the policy moves both back and forth."""
     states: list[RoundState] = []
 
     cfg = over_the_palm(hover_steps=NEVER)
     env = cfg.make_env(PROPOSED)
-    run_round(env, Flicker(), lambda step, state: states.append(state))
+    flicker = Scripted(lambda step: (0.1 * (-1.0) ** step, (-1.0) ** step))
+    run_round(env, flicker, lambda step, state: states.append(state))
     env.close()
     assert (states[-1].test_steps == TEST_STEPS).any()
     for before, after in pairwise(states):

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from actors import Scripted, still
 
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -43,24 +43,6 @@ SIZE = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--o
 
 ENGINES = ("mujoco", "physx")
 NEEDS_PHYSX = pytest.mark.skipif(importlib.util.find_spec("sapien") is None, reason="SAPIEN is not installed")
-
-
-class Still:
-    """Does nothing at all."""
-
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        pass
-
-    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
-        num_envs = len(observations["arm"])
-        return {"arm": torch.zeros(num_envs, 6), "hand": torch.zeros(num_envs, 13)}
-
-
-class Wild(Still):
-    """Swings the arm."""
-
-    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
-        return {name: value + 1.0 for name, value in super().act(observations).items()}
 
 
 def changed(name: str) -> CatchEnvCfg:
@@ -115,10 +97,11 @@ def test_every_round_has_the_throws_of_its_seed_whatever_the_policy_and_the_sett
     disturbed = SETTINGS["together-camera_mount"].level.change(task)
     cfg = EvaluationCfg(objects=("cube_s", "sphere_l"), num_envs=3, trials=2, task=task)
     processors = os.sched_getaffinity(0)
-    both = throw_rounds(Still(), PROPOSED, cfg).record
+    both = throw_rounds(still(), PROPOSED, cfg).record
     other = replace(cfg, trials=1, seed=1)
-    second = throw_rounds(Wild(), PROPOSED, replace(other, task=disturbed), is_alone=False).record
-    same = throw_rounds(Still(), PROPOSED, other, is_alone=False).record
+    wild, disturbed = Scripted(lambda _: (1.0, 1.0)), replace(other, task=disturbed)
+    second = throw_rounds(wild, PROPOSED, disturbed, is_alone=False).record
+    same = throw_rounds(still(), PROPOSED, other, is_alone=False).record
     assert os.sched_getaffinity(0) == processors
     for record in (second, same):
         assert torch.equal(both.object_id[3:], record.object_id)

@@ -32,30 +32,27 @@ def with_variants(*changes: Change) -> CatchEnvCfg:
 
 
 @pytest.mark.parametrize(
-    ("trained", "met", "expected"),
+    ("name", "trained", "met", "expected"),
     [
-        ((0.0, 0.6), (0.5, 0.5), True),
-        ((0.0, 0.6), (0.0, 0.7), False),
-        ((0.3, 0.6), (0.25, 0.25), False),
+        ("restitution", (0.0, 0.6), (0.5, 0.5), True),
+        ("restitution", (0.0, 0.6), (0.0, 0.7), False),
+        ("restitution", (0.3, 0.6), (0.25, 0.25), False),
+        ("camera_offset", (0.0, 0.02), (0.01, 0.02), True),
+        ("camera_offset", 0.02, 0.01, False),  # never drawn
+        ("camera_offset", 0.02, (0.01, 0.02), False),
+        ("camera_offset", 0.0, 0.01, False),
+        ("spin", 14.0, 10.0, True),  # less than the largest is nothing new
+        ("spin", 14.0, 25.0, False),
+        ("unstamped", 0.05, 1.0, True),  # what happens in some episodes may happen in all
+        ("unstamped", 0.0, 1.0, False),
+        ("unstamped", 1.0, 0.5, False),
+        ("object_scale", 1.0, 0.8, False),  # what no range describes must be the same
+        ("object_scale", 0.8, 0.8, True),
     ],
 )
-def test_a_range_lies_within_a_range(trained, met, expected):
-    change = part("randomization", restitution=met)
-    assert is_trained_on(task("randomization", restitution=trained), change) == expected
-
-
-@pytest.mark.parametrize(
-    ("trained", "met", "expected"),
-    [
-        ((0.0, 0.02), (0.01, 0.02), True),
-        (0.02, 0.01, False),  # never drawn
-        (0.02, (0.01, 0.02), False),
-        (0.0, 0.01, False),
-    ],
-)
-def test_a_number_counts_as_itself_and_a_range_as_all_of_it(trained, met, expected):
-    change = part("sensing", camera_offset=met)
-    assert is_trained_on(task("sensing", camera_offset=trained), change) == expected
+def test_a_range_lies_within_a_range_and_a_number_is_itself(name, trained, met, expected):
+    place = {"restitution": "randomization", "spin": "throws", "object_scale": "scene"}.get(name, "sensing")
+    assert is_trained_on(task(place, **{name: trained}), part(place, **{name: met})) == expected
 
 
 @pytest.mark.parametrize(
@@ -85,18 +82,6 @@ def test_any_delay_between_is_more_than_its_grid():
     assert is_trained_on(task("sensing", latency_steps=(1, 4), latency_grid=0.0), between)
 
 
-def test_less_spin_than_the_largest_is_nothing_new():
-    assert is_trained_on(task("throws", spin=14.0), part("throws", spin=10.0))
-    assert not is_trained_on(task("throws", spin=14.0), part("throws", spin=25.0))
-
-
-def test_what_happens_in_some_episodes_may_happen_in_all():
-    never_stamped = part("sensing", unstamped=1.0)
-    assert is_trained_on(task("sensing", unstamped=0.05), never_stamped)
-    assert not is_trained_on(NOMINAL, never_stamped)
-    assert not is_trained_on(task("sensing", unstamped=1.0), part("sensing", unstamped=0.5))
-
-
 def test_gains_lie_within_joint_by_joint():
     def gains(low: float, high: float) -> Change:
         scale = ((low, high),) * len(JOINTS)
@@ -114,11 +99,6 @@ def test_everything_must_be_in_one_variant():
     assert is_trained_on(with_variants(late, together(late, heavy)), both)
     assert is_trained_on(with_variants(late, heavy), part("randomization", mass_scale=(2.0, 2.0)))
     assert is_trained_on(with_variants(late), together())
-
-
-def test_what_no_range_describes_must_be_the_same():
-    assert not is_trained_on(NOMINAL, part("scene", object_scale=0.8))
-    assert is_trained_on(task("scene", object_scale=0.8), part("scene", object_scale=0.8))
     assert not is_trained_on(NOMINAL, lambda cfg: replace(cfg, dynamics=JointDynamics.nominal()))
 
 

@@ -141,15 +141,6 @@ def test_dry_friction_holds_up_to_its_bound():
     np.testing.assert_allclose(torques, (-2e-5 * grip, -4e-5 * grip, -0.4, -0.4 + 1e-5 * grip, 0.4))
 
 
-def test_a_joint_stops_within_its_friction_of_its_command():
-    """A finger of 3 N·m/rad and 0.03 N·m of friction, slowly led to 0.3 rad, stays 10 mrad short of it."""
-    nominal = JointDynamics.nominal(["index_joint_2"]).with_values(frictionloss=0.03)
-    time = np.arange(0.0, 3.0, DT)
-    command = np.clip(0.2 * time, 0.0, 0.3)[:, None]
-    recording = Recording(joints=nominal.joints, t_cmd=time, q_cmd=command, t_meas=time, q=0.0 * command)
-    np.testing.assert_allclose(simulated(recording, nominal)[-1], 0.29, atol=2e-4)
-
-
 def test_encoders_behind_play_stay_behind():
     """Half a play of 2 mrad behind the joint, whichever way it moves, and still while it crosses the play."""
     positions = np.array((0.0, 0.5, 3.0, 2.0, 1.0, 0.0))[:, None] * 1e-3

@@ -186,10 +186,12 @@ def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataChe
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:
     """Check that speed, acceleration and reversals of a joint show damping, armature and friction.
 
-    At the least acceleration the armature's torque is the simulated joint's dry friction (ours).
+    At the least acceleration the armature's torque is the simulated joint's dry friction (ours). Reversals
+    are between speeds of at least `MOVING_SPEED`.
     """
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
-    reversals = num_reversals(speed)
+    signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
+    reversals = int((np.diff(signs) != 0).sum())
     top_speed, top = (np.quantile(np.abs(values), PEAK_QUANTILE) for values in (speed, acceleration))
     needs = {
         f"{least_speed:.2f} rad/s": top_speed < least_speed,
@@ -218,12 +220,6 @@ def position_noise(positions: np.ndarray) -> np.ndarray:
     """
     third = np.abs(np.diff(positions, 3, axis=0))
     return 1.4826 * np.median(third, axis=0) / np.sqrt(20.0)
-
-
-def num_reversals(speed: np.ndarray) -> int:
-    """Return the number of changes of direction, between speeds of at least `MOVING_SPEED`."""
-    signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
-    return int((np.diff(signs) != 0).sum())
 
 
 def time_step(time: np.ndarray) -> float:

@@ -126,11 +126,6 @@ class Envelope:
             step=pace * np.array([largest_step(spec) for spec in specs]),
         )
 
-    def only(self, is_moved: np.ndarray) -> "Envelope":
-        """Return the envelope with the other joints at rest."""
-        rows = {name: np.where(is_moved, getattr(self, name), 0.0) for name in ("swing", "step")}
-        return dataclasses.replace(self, **rows)
-
 
 Signal = Callable[[Generator, Envelope, int], Offsets]
 
@@ -194,8 +189,10 @@ def policy_targets(rng: Generator, envelope: Envelope, num_times: int) -> Offset
 def turns(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
     """Return steps of one group of joints after the other, so that joints hardly move each other."""
     turn = np.arange(len(envelope.joints)) % NUM_TURNS
-    edges = np.linspace(0, num_times, NUM_TURNS + 1).astype(int)
-    parts = [steps(rng, envelope.only(turn == k), int(num)) for k, num in enumerate(np.diff(edges))]
+    lengths, parts = np.diff(np.linspace(0, num_times, NUM_TURNS + 1).astype(int)), []
+    for k, length in enumerate(lengths):
+        swing, step = np.where(turn == k, (envelope.swing, envelope.step), 0.0)
+        parts.append(steps(rng, dataclasses.replace(envelope, swing=swing, step=step), int(length)))
     return np.concatenate(parts)
 
 

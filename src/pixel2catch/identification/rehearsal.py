@@ -51,7 +51,21 @@ def simulated_recordings(
     Two independent loops send commands and record positions with noise; both stall. Perfect recordings have
     every physics step, without stalls and noise.
     """
-    blanks = [_blank(trajectory, rng, is_perfect) for trajectory in trajectories]
+    stall, period = (0.0, FIT_DT) if is_perfect else (STALL, PERIOD)
+    blanks = []
+    for trajectory in trajectories:
+        t_cmd = np.append(turns_of_a_loop(rng, trajectory.duration, PERIOD, stall), trajectory.duration)
+        start = rng.uniform(0.0, period)
+        t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
+        blank = Recording(
+            workcell=trajectory.workcell,
+            joints=trajectory.joints,
+            t_cmd=t_cmd,
+            q_cmd=trajectory.at(t_cmd),
+            t_meas=t_meas,
+            q=np.repeat(trajectory.positions[:1], len(t_meas), axis=0),
+        )
+        blanks.append(blank)
     motion = RecordedMotion(blanks)
     (simulated,) = motion.simulate([truth])
     recordings = []
@@ -60,23 +74,6 @@ def simulated_recordings(
         noise = 0.0 if is_perfect else NOISE * rng.standard_normal(q.shape)
         recordings.append(dataclasses.replace(blank, q=q + noise))
     return recordings
-
-
-def _blank(trajectory: Trajectory, rng: Generator, is_perfect: bool) -> Recording:
-    """Return commands and times of a recording, with the positions of the start pose."""
-    stall, period = (0.0, FIT_DT) if is_perfect else (STALL, PERIOD)
-    t_cmd = turns_of_a_loop(rng, trajectory.duration, PERIOD, stall)
-    t_cmd = np.append(t_cmd, trajectory.duration)
-    start = rng.uniform(0.0, period)
-    t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
-    return Recording(
-        workcell=trajectory.workcell,
-        joints=trajectory.joints,
-        t_cmd=t_cmd,
-        q_cmd=trajectory.at(t_cmd),
-        t_meas=t_meas,
-        q=np.repeat(trajectory.positions[:1], len(t_meas), axis=0),
-    )
 
 
 def rehearse(folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, seed: int) -> None:
