@@ -6,6 +6,9 @@ TORCH ?= $(if $(wildcard /proc/driver/nvidia/version),default,cpu)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+# Its build, and so its hash, depends on TORCH: installed first, without a hash, with the CUDA libraries that it needs.
+PYTORCH := $(firstword $(shell grep '^torch==' requirements.txt))
 PINS := requirements.txt requirements-dev.txt pyproject.toml
 
 MAKEFLAGS += --no-print-directory
@@ -22,12 +25,14 @@ $(READY): $(PINS)
 	@echo "Setting up $(VENV) from the pinned versions, PyTorch: $(TORCH) (one to three minutes) ..."
 	@$(PYTHON) -m venv --clear $(VENV)
 ifneq ($(TORCH),default)
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(shell grep '^uv==' requirements-dev.txt)
+	@sed -n '/^uv==/,/[^\\]$$/p' requirements-dev.txt >$(VENV)/uv.txt
+	@$(PIP) --require-hashes --no-deps -r $(VENV)/uv.txt
 	@UV_HTTP_RETRIES=0 $(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend=$(TORCH) \
-		--constraint requirements.txt torch 2>$(VENV)/torch.log \
+		$(PYTORCH) 2>$(VENV)/torch.log \
 		|| echo "No such build of PyTorch can be reached (see $(VENV)/torch.log): pip takes the one that it finds."
 endif
-	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.txt -r requirements-dev.txt
+	@$(PIP) $(PYTORCH)
+	@$(PIP) --require-hashes --no-deps -r requirements.txt -r requirements-dev.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@
 

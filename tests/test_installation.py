@@ -1,8 +1,14 @@
 """The command that installs what is missing is right before and after publication."""
 
-import pytest
+import re
+from pathlib import Path
 
-from pixel2catch.installation import install_command, requirement
+import pytest
+from packaging.utils import canonicalize_name
+
+from pixel2catch.installation import install_command, requirement, requirements
+
+ROOT = Path(__file__).parents[1]
 
 INDEX: dict = {}
 CHECKOUT = {"url": "file:///home/me/pixel%20catch", "dir_info": {"editable": True}}
@@ -29,3 +35,18 @@ def test_what_to_install(origin: dict, extra: str, expected: str):
 def test_this_installation_knows_where_it_came_from():
     assert install_command("twin").startswith("pip install -e ")
     assert install_command("twin").removesuffix("'").endswith("[twin]")
+
+
+def test_everything_that_make_setup_installs_has_its_hash():
+    """Each pin has hashes, and each package of the extras is pinned."""
+    pins = set[str]()
+    for name in ("requirements.txt", "requirements-dev.txt"):
+        text = (ROOT / name).read_text("utf-8").replace("\\\n", "")
+        for line in text.splitlines():
+            if not line.startswith("#"):
+                pin, *hashes = line.split()
+                assert hashes, pin
+                assert all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", each) for each in hashes), pin
+                pins.add(canonicalize_name(pin.partition("==")[0]))
+    for extra in ("", "deployment", "perception", "sam2", "docs"):
+        assert {canonicalize_name(name) for name in requirements(extra)} <= pins

@@ -4,11 +4,13 @@ This file stands for each module of rclpy.
 """
 
 import inspect
+import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -26,7 +28,9 @@ SignalHandlerOptions = Enum("SignalHandlerOptions", ["NO"])
 
 
 class Network:
-    """The nodes of one test, and the delay of their messages [ns]."""
+    """The nodes of one test, the delay of their messages [ns], and the newest security enclave."""
+
+    enclave: Path | None = None
 
     def __init__(self) -> None:
         self.broker, self.delay = Broker(), 0
@@ -146,6 +150,23 @@ class SingleThreadedExecutor:
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
     assert args == [], "else rclpy reads the command line"
     assert signal_handler_options is SignalHandlerOptions["NO"], "commands have their own handlers"
+    context.network.enclave = _enclave()
+
+
+def _enclave() -> Path | None:
+    """The folder of keys that security takes from the environment; None without security.
+
+    Source: ros2/rcl at 4396ba31, rcl/src/rcl/security.c, rcl_get_security_options_from_environment.
+    """
+    if os.environ.get("ROS_SECURITY_ENABLE") != "true":
+        return None
+    name = os.environ.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or "/"
+    folder = Path(os.environ.get("ROS_SECURITY_KEYSTORE") or "/none", "enclaves", name[1:])
+    if folder.is_dir():
+        return folder
+    if os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
+        raise RuntimeError(f"SECURITY ERROR: directory '{folder}' does not exist.")
+    return None
 
 
 def try_shutdown(*, context: Context) -> None:

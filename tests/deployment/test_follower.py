@@ -1,6 +1,7 @@
 """A trajectory on its way to the servo: from arming on, once, and not after a stop."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,16 @@ def ramp(time: float) -> np.ndarray:
 
 
 def test_targets_are_those_of_the_time_since_the_ramp(around: Surroundings):
-    received, armed_at = list[JointTargets](), around.clock.now()
+    received, armed_at, shares = list[JointTargets](), around.clock.now(), list[float]()
     around.tick(Mode.ARMED, time=armed_at)
-    assert follow(
-        ramp, 0.15, around.connection, lambda: False, lambda _: received.extend(around.servo.receive())
-    )
+
+    def report(status: dict[str, Any]) -> None:
+        received.extend(around.servo.receive())
+        shares.append(status["done"])
+
+    assert follow(ramp, 0.15, around.connection, lambda: False, report)
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert len(received) > 10
     for targets in received:
         expected = ramp(targets.target_stamp - armed_at - ServoLimits.ramp_time)

@@ -16,6 +16,7 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.transport import (
+    ANY,
     LOOPBACK,
     ROS,
     RealClock,
@@ -240,3 +241,17 @@ def test_an_error_of_rclpy_is_reported(network: Network, monkeypatch):
         monkeypatch.setattr(rclpy_stand_in, name, refuse)
         with pytest.raises(DeploymentError, match=r"cannot join .*not an integral number"):
             make_transport("node", ROS, RealClock())
+
+
+def test_a_node_starts_in_the_security_enclave_of_the_environment(network: Network, monkeypatch, tmp_path):
+    for name, value in (("ENABLE", "true"), ("STRATEGY", "Enforce"), ("KEYSTORE", str(tmp_path))):
+        monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/pixel2catch")
+    with pytest.raises(DeploymentError, match=r"enclaves/pixel2catch.*ROS_SECURITY_ENCLAVE_OVERRIDE"):
+        make_transport("node", ROS, RealClock())
+    enclave = tmp_path / "enclaves" / "pixel2catch"
+    enclave.mkdir(parents=True)
+    with make_transport("node", ROS, RealClock()):
+        assert network.enclave == enclave
+    with pytest.raises(DeploymentError, match="neither signed nor encrypted: give --network ros"):
+        make_transport("node", ANY, RealClock())

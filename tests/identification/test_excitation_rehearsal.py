@@ -80,6 +80,17 @@ def test_a_joint_that_is_too_fast_is_told_by_how_much():
     assert violation.remedy == pytest.approx(0.95 * 2.79253 / top)
 
 
+def test_the_time_at_the_torque_limit_is_that_of_jumps():
+    """After a jump of 0.3 rad the elbow's servo requests 5 times its torque; a slow motion needs less."""
+    spec = JOINT_SPECS["elbow_joint"]
+    nominal = JointDynamics.nominal(("elbow_joint",))
+    assert 0.3 * spec.stiffness > 5.0 * spec.effort_limit
+    slow = assess(moved("elbow_joint", there_and_back(0.3, 4.0)), nominal)
+    jump = assess(moved("elbow_joint", np.full(125, 0.3)), nominal)
+    assert slow.at_torque_limit == {}
+    assert 0.0 < jump.at_torque_limit["elbow_joint"] < 0.2
+
+
 def test_both_loops_stall_each_in_its_own_time():
     bump = moved("elbow_joint", there_and_back(0.2, 1.0))
     nominal = JointDynamics.nominal(bump.joints)

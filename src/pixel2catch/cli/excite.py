@@ -85,6 +85,11 @@ def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     print_checks(f"seed {trajectory.header['seed']}, simulated", assessment.checks)
     for clearance in assessment.clearances:
         console.print(clearance.sentence())
+    if limited := [f"{name} {100 * share:.1f} %" for name, share in assessment.at_torque_limit.items()]:
+        console.print(
+            f"Time at the torque limit of the drives: {', '.join(limited)}. A policy does so, too, and the "
+            "inertia shows then; if your robot stops by itself, lower --speed."
+        )
     if weak := sum(not check.is_good for check in assessment.checks):
         advice = "raise --speed or --seconds"
         console.print(f"{weak} joints are excited too weakly to show their dynamics: {advice}.")

@@ -2,13 +2,14 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
-from pixel2catch.cli.console import prepare, say, saying_changes
+from pixel2catch.cli.console import prepare, progress_bar, say, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pixel2catch.identification.recording import Trajectory
+    from pixel2catch.progress import ProgressBar
     from pixel2catch.ros2.profile import Profile, RobotPart
 
 PATIENCE = 10.0  #: Time for arming a twin in this process, on top of the trajectory [s]. Source: ours.
@@ -49,7 +51,6 @@ class Record:
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import follow
-            from pixel2catch.servo.status_words import sentence
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
         profile = self.link.robot.load()
@@ -70,14 +71,13 @@ class Record:
             targets, duration = whole_robot(trajectory), trajectory.duration
             say(f"{duration:.0f} s of motion; waiting to be armed")
             limit = connection.clock.now() + duration + PATIENCE
-            hear = saying_changes()
-            with StopRequest() as stop:
+            with StopRequest() as stop, progress_bar("trajectory") as bar:
                 is_done = follow(
                     targets,
                     duration,
                     connection,
                     lambda: stop.is_set or (self.lockstep is not None and connection.clock.now() > limit),
-                    lambda status: hear(sentence(status)),
+                    partial(_report, saying_changes(), bar),
                 )
         if connection.recording:
             connection.recording.require_whole()
@@ -96,6 +96,15 @@ class Record:
         return (
             f"pixel2catch identify {self.out} ... --robot {part.name} {source} --out identified-{part.name}"
         )
+
+
+def _report(say_change: "Callable[[str], None]", bar: "ProgressBar", status: dict[str, Any]) -> None:
+    """Print a status where it changes, and the share of the trajectory from its beginning on."""
+    from pixel2catch.servo.status_words import sentence
+
+    say_change(sentence(status))
+    if status["done"]:
+        bar.show(status["done"])
 
 
 def whole_robot(trajectory: "Trajectory") -> "Callable[[float], np.ndarray]":

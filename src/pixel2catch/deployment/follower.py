@@ -30,7 +30,7 @@ def follow(
         duration: Duration of the trajectory [s].
         connection: Network, servo, clock and recording.
         is_over: Ends it early.
-        on_status: Gets a status with every target.
+        on_status: Gets a status with every target; "done" is the share of the trajectory that was sent.
 
     Returns:
         Whether it was followed to its end.
@@ -51,7 +51,8 @@ def follow(
                 recording.record_row(TARGETS, targets.row, now)
         if recording:
             recording.record_messages()
-        on_status(statistics.status(None, recording.trouble if recording else ""))
+        status = statistics.status(None, recording.trouble if recording else "")
+        on_status(status | {"done": min(max(elapsed / duration, 0.0), 1.0)})
         due = max(due + PERIOD, clock.now())
         clock.sleep_until(due)
     if armed_at < inf:

@@ -5,7 +5,7 @@ For rehearsals with known dynamics, and before a real robot follows a trajectory
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -15,7 +15,13 @@ from numpy.random import Generator
 
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
-from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, hanging_on, is_settled
+from pixel2catch.identification.simulation import (
+    FIT_DT,
+    RecordedMotion,
+    hanging_on,
+    is_settled,
+    step_commands,
+)
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -208,6 +214,8 @@ class Assessment:
     clearances: tuple[Clearance, ...]  #: distances to the table and of the robot's parts
     checks: tuple[DataCheck, ...]  #: whether each joint is excited enough to show its dynamics
     violations: tuple[Violation, ...]
+    #: Share of the time in which a servo requests more torque than its drive has, by joint; without zeros.
+    at_torque_limit: dict[str, float] = field(default_factory=dict)
 
 
 def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
@@ -223,7 +231,19 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
         clearances=near,
         checks=tuple(check for check in check_recording(recording) if check.name == "excitation"),
         violations=tuple(_violations(recording, near)),
+        at_torque_limit=_at_torque_limit(recording, dynamics),
     )
+
+
+def _at_torque_limit(recording: Recording, dynamics: JointDynamics) -> dict[str, float]:
+    """Return `Assessment.at_torque_limit` of a perfect recording; filters of commands are left out."""
+    times, specs = recording.t_meas, specs_of(recording.workcell)
+    targets = step_commands(recording.t_cmd, recording.q_cmd, times, dynamics.latency)[:, 0]
+    speed = np.diff(recording.q, axis=0) / np.diff(times)[:, None]
+    torque = dynamics.stiffness * (targets - recording.q[1:]) - dynamics.damping * speed
+    limits = np.array([specs[name].effort_limit for name in recording.joints])
+    shares = dict(zip(recording.joints, (np.abs(torque) > limits).mean(axis=0).tolist(), strict=True))
+    return {name: share for name, share in shares.items() if share > 0.0}
 
 
 def _violations(recording: Recording, near: Sequence[Clearance]) -> Iterator[Violation]:

@@ -48,8 +48,8 @@ class RosTransport(Transport):
         except RuntimeError as error:
             rclpy.try_shutdown(context=self._context)
             raise DeploymentError(
-                f"rclpy cannot join ({error}); check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the settings of "
-                "that middleware."
+                f"rclpy cannot join ({error}); check ROS_DOMAIN_ID, RMW_IMPLEMENTATION, "
+                "ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENCLAVE_OVERRIDE, and the settings of the middleware."
             ) from error
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)

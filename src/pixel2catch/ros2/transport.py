@@ -3,6 +3,7 @@
 Only `Transport.wait` blocks. Messages that arrive are kept until they are taken, up to a depth.
 """
 
+import os
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -195,8 +196,13 @@ def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
 
     Raises:
         UnknownNameError: There is no such network.
-        DeploymentError: The library is missing, or it cannot be started.
+        DeploymentError: The library is missing, or it cannot be started; or SROS 2 is not on this network.
     """
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true" and network not in (ROS, LOOPBACK):
+        raise DeploymentError(
+            f"ROS_SECURITY_ENABLE is true, but on '{network}' messages are neither signed nor encrypted: "
+            "give --network ros, or unset it."
+        )
     Reachable().require("network", network)
     try:  # imported here, as the libraries may be missing
         if network == ROS:
