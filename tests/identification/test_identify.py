@@ -105,7 +105,7 @@ def test_a_filter_is_in_front_of_a_stiff_servo_or_of_that_of_the_file(arm_file: 
     for start in (new, known):
         np.testing.assert_array_equal(start.first.filter_gain, 300.0)
         np.testing.assert_array_equal(start.first.filter_lookahead, 0.1)
-    with pytest.raises(InvalidValueError, match="--filter fits an arm's command filter"):
+    with pytest.raises(InvalidValueError, match="filter_gain is of an arm's command filter"):
         start_of_fit("ur5e_allegro", None, fits_filter=True)
 
 

@@ -9,9 +9,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from rich.table import Table
-from rich.text import Text
-
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
 from pixel2catch.files import json_text, printable
@@ -25,10 +22,8 @@ from pixel2catch.installation import (
     needs_extra,
     requirements,
 )
+from pixel2catch.reports import terminal_table
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
-
-STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
-"""Colour of each state."""
 
 EXIT_BAD = 1  #: Exit status if something that is needed does not work.
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Version of the loaded driver, on Linux.
@@ -148,16 +143,13 @@ class Doctor:
         if self.json:
             print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
-            table = Table("check", "", "found")
-            for each in checks:
-                style = STYLES[each.state]
-                table.add_row(
-                    each.name, Text(each.state, style=style), Text(printable(each.found), style=style)
-                )
+            rows = [
+                {"check": each.name, "state": each.state, "found": printable(each.found)} for each in checks
+            ]
             bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
             fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
             console = results_console()
-            console.print(table)
+            console.print(terminal_table("checks", rows))
             console.print(f"To correct: {', '.join(bad)}." if bad else fine)
         if any(check.is_needed and check.state == "BAD" for check in checks):
             sys.exit(EXIT_BAD)

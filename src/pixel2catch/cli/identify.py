@@ -47,17 +47,16 @@ class Identify:
     profile: str | None = None
     #: Topic of the commands in a bag, without --profile. Default: the only one that can have commands.
     command_topic: str | None = None
-    #: Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter: filter_gain
-    #: filter_lookahead latency.
-    free: tuple[str, ...] = ()
-    filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of the servo of --start.
+    #: Parameters to fit; filter_gain filter_lookahead latency are those of the UR's servoJ filter, in front
+    #: of a stiff servo, or of the servo of --start.
+    free: tuple[str, ...] = ("stiffness", "damping", "frictionloss", "armature", "latency")
     #: Dynamics file to start from; parameters that are not fitted keep its values.
     start: DynamicsPath | None = None
 
     def run(self) -> None:
         """Check, fit, and write the report."""
         from pixel2catch.identification.checks import check_recording
-        from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
+        from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
         from pixel2catch.workcells import find_workcell
@@ -73,9 +72,9 @@ class Identify:
             return
         if self.robot is None or self.out is None:
             raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
-        start = start_of_fit(self.robot, self.start, self.filter, workcell)
-        default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
-        cfg = FitCfg(free=self.free or default)
+        cfg = FitCfg(free=self.free)
+        fits_filter = not {*FILTER_PARAMETERS[:2]}.isdisjoint(cfg.free)
+        start = start_of_fit(self.robot, self.start, fits_filter, workcell)
         with working() as report:
             recordings = self._read(workcell, report)
             report("checking the data")

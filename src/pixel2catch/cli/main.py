@@ -55,6 +55,7 @@ REMOVED_OPTIONS = (
         "run 'python companions/datasets/to_lerobot.py'; ONNX needs no --format",
     ),
     ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
+    ("identify", "--filter", "give --free filter_gain filter_lookahead latency"),
     ("identify", "--hold-out", "leave it out; the last recording judges the fit"),
     ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),
     ("operate", "--hold --arm --stop", "give --keys HOLD ARM STOP"),

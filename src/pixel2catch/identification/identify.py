@@ -113,8 +113,8 @@ def start_of_fit(
     joints, groups = joints_of(workcell, part), groups_of(workcell)
     if fits_filter and any(groups[joint].role != "arm" for joint in joints):
         raise InvalidValueError(
-            f"--filter fits an arm's command filter, but --robot {part} has a hand; identify the arm with "
-            "--filter, then the hand with --start and the dynamics file of the arm."
+            f"filter_gain is of an arm's command filter, but --robot {part} has a hand; identify the arm "
+            "with it, then the hand with --start and the dynamics file of the arm."
         )
     file = DynamicsFile.load(path, workcell) if path else None
     nominal = JointDynamics.nominal(specs=workcell.joints)
