@@ -132,23 +132,16 @@ def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_ro
     assert (truth.latency == 0.012).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--seconds", 5), "seconds is 5; at this speed it must be at least"),
-        (("--recordings", 2, "--out", "motion.npz"), "motion-2.npz exists"),
-        (("--rehearse", "."), "is not an empty folder"),
-    ],
-)
 def test_wrong_options_are_named_and_nothing_is_overwritten(
-    options: tuple[object, ...],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.chdir(tmp_path)
     Path("motion-2.npz").write_text("old")
-    assert run("--robot", "ur5e", *options) == 2
-    assert words in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["motion-2.npz"]
+    for options, words in (
+        (("--seconds", 5), "seconds is 5; at this speed it must be at least"),
+        (("--recordings", 2, "--out", "motion.npz"), "motion-2.npz exists"),
+        (("--rehearse", "."), "is not an empty folder"),
+    ):
+        assert run("--robot", "ur5e", *options) == 2
+        assert words in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == ["motion-2.npz"]

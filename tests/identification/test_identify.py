@@ -57,9 +57,8 @@ def test_errors_are_those_of_all_motions_together():
 
 def test_a_recording_that_fails_its_checks_is_not_fitted():
     recording = clean()
-    late = replace(
-        recording, name="late", t_cmd=recording.t_cmd - 3.0, q=recording.q[:, [0, 1, 2, 4, 3, 5]] * 1.0
-    )
+    swapped = recording.q[:, [0, 1, 2, 4, 3, 5]]
+    late = replace(recording, name="late", t_cmd=recording.t_cmd - 3.0, q=swapped)
     with pytest.raises(RecordingError, match=r"late cannot be used:\n- clock offset: .*add 3.055 s") as error:
         identify(checked([recording, late]), start_of_fit("ur5e", None, False), FitCfg(), print)
     assert "- follows its command of wrist_1_joint: correlation" in str(error.value)
@@ -120,11 +119,8 @@ def fit_of(
     joints: tuple[str, ...] = JOINTS,
 ) -> Fit:
     """A fit of these covariances, one of each joint."""
-    dynamics, known = (
-        JointDynamics.nominal(joints[: len(covariance)]),
-        {"free": free, "covariance": covariance},
-    )
-    return Fit(dynamics=dynamics, encoders=PERFECT, encoder_deviations=PERFECT, **known)
+    dynamics, known = JointDynamics.nominal(joints[: len(covariance)]), {"encoders": PERFECT}
+    return Fit(dynamics=dynamics, free=free, covariance=covariance, encoder_deviations=PERFECT, **known)
 
 
 def fit_with(*directions: np.ndarray) -> Fit:
@@ -140,13 +136,9 @@ def test_what_is_not_known_is_named_with_its_remedy():
     assert lag.value[1] == pytest.approx(202.0 / 2066.0)
     np.testing.assert_allclose(lag.half_width, 1.96 * 0.01 * np.sqrt(2))
     questions = open_questions(fit)
-    assert [text.split(":")[0] for text in questions[:-1]] == [
-        *(
-            f"{name} of wrist 3 is known only to a factor of 2.19"
-            for name in ("stiffness", "damping", "frictionloss", "armature")
-        ),
-        "latency of index 1 is known only to 2.0 ms",
-    ]
+    torques = [f"{name} of wrist 3 is known only to a factor of 2.19" for name in SERVO_PARAMETERS[:4]]
+    latency = "latency of index 1 is known only to 2.0 ms"
+    assert [text.split(":")[0] for text in questions[:-1]] == [*torques, latency]
     assert "or add slow reversals" in questions[2]
     assert "one scale" in questions[-1]
     assert open_questions(fit_with(0.0 * SCALE)) == []

@@ -92,38 +92,29 @@ def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.Capt
     assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")  # nothing to do
 
 
-def test_a_table_that_cannot_be_is_refused(
+def test_tables_and_images_that_cannot_be_are_refused(
     laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     rows = read_rows(laboratory)
     lens = ("--intrinsics", laboratory / "lens.json", "--out", tmp_path / "camera.json")
     degrees = [[name, *np.degrees(positions)] for name, *positions in rows]
+    small, wide = tmp_path / "small.png", tmp_path / "wide.json"
+    cv2.imwrite(str(small), np.zeros((240, 320, 3), dtype=np.uint8))
+    wide.write_text((laboratory / "lens.json").read_text().replace('"width": 640', '"width": 1280'))
     cases = {
         "no column image": (rows, ["picture", *JOINTS]),
         "no column wrist_3_joint": (rows, ["image", *JOINTS[:5], "wrist_4_joint"]),
         "line 3: 6 columns instead of 7": ([rows[0], rows[1][:-1]],),
+        "(240, 320, 3)": ([[small, *rows[0][1:]]] * 6,),
         "if the file is in degrees, convert it": (degrees,),
         "5 images show the board in the hand, 6 are needed": (rows[:5],),
         "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows],),
     }
     for words, table in cases.items():
         assert words in error_of(capsys, write_table(tmp_path / "views.csv", *table), *lens)
+    lens = ("--intrinsics", wide, "--out", tmp_path / "camera.json")
+    assert "set the camera to that resolution" in error_of(capsys, laboratory / "views.csv", *lens)
     assert not (tmp_path / "camera.json").exists()
-
-
-def test_images_of_another_size_are_refused(
-    laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    small = tmp_path / "small.png"
-    cv2.imwrite(str(small), np.zeros((240, 320, 3), dtype=np.uint8))
-    row = [small, *read_rows(laboratory)[0][1:]]
-    table = write_table(tmp_path / "views.csv", [row] * 6)
-    out = ("--out", tmp_path / "camera.json")
-    assert "(240, 320, 3)" in error_of(capsys, table, "--intrinsics", laboratory / "lens.json", *out)
-    lens = tmp_path / "wide.json"
-    text = (laboratory / "lens.json").read_text()
-    lens.write_text(text.replace('"width": 640', '"width": 1280'))
-    assert "set the camera to that resolution" in error_of(capsys, table, "--intrinsics", lens, *out)
 
 
 PROFILE = Profile.load("ur5e_allegro_v4")

@@ -168,10 +168,6 @@ def leave_a_part_of_a_download(folder: Path) -> None:
     (folder / "model.safetensors.index.json").write_text(json.dumps({"metadata": {}, "weight_map": files}))
 
 
-def replace_by_the_makers_file(folder: Path) -> None:
-    (folder / "model.safetensors").rename(folder / "sam2.1_hiera_tiny.pt")
-
-
 def change_type(folder: Path) -> None:
     config = folder / "config.json"
     config.write_text(config.read_text().replace('"model_type": "sam2_video"', '"model_type": "sam3_video"'))
@@ -182,7 +178,10 @@ def change_type(folder: Path) -> None:
     [
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
         (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
-        (replace_by_the_makers_file, "cannot be read as SAM 2: .*model.safetensors"),
+        (
+            lambda folder: (folder / "model.safetensors").unlink(),
+            "cannot be read as SAM 2: .*model.safetensors",
+        ),
         (drop_weights, "lacks [0-9]+ weights of SAM 2, such as memory_encoder"),
     ],
 )
