@@ -1,4 +1,4 @@
-"""A laboratory with a camera and an operator, and a deployment; what goes wrong is chosen by a word."""
+"""A laboratory with a camera and an operator, and a deployment, in stepped time."""
 
 import json
 from collections.abc import Callable
@@ -19,7 +19,6 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import Command, JointTargets
 from pixel2catch.servo.process import ARM_PAUSE, ServoSetup
 
 DT = 0.002
@@ -28,52 +27,35 @@ AGE = 0.02
 """Age of an image when it is sent [s]."""
 
 
-class NoControlLoop:
-    """The control loop is another process, or in stepped time another object."""
-
-    def send(self, targets: JointTargets) -> None:
-        pass
-
-    def receive(self) -> list[Command]:
-        return []
-
-
 class CameraLab(WireLab):
-    """Sends images as well; `faults` by word."""
+    """Sends images as well, except with "camera" in `silent`; the control loop is another object."""
 
     def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
-        super().__init__(transport, NoControlLoop(), profile, clock)  # type: ignore[arg-type]
+        super().__init__(transport, None, profile, clock)
         self._images = transport.publisher(profile.camera.image)
         self._prompts = transport.publisher(profile.operator.prompt)
-        self._num_steps, self._stamp, self.jump, self.drift = 0, 0.0, 0.0, 0.0
-        self.is_object_there = True
-        self.pixels: np.ndarray | None = None
-        self.faults: dict[str, Callable[[], Any]] = {
-            "none": self.mend,
-            "arm": self.request_arm,
-            "point": lambda: self._prompts.publish(messages.text(json.dumps({"box": BOX}))),
-            "camera killed": lambda: self.silent.add("camera"),
-            "image frozen": lambda: setattr(self, "pixels", self._picture()),
-            "object gone": lambda: setattr(self, "is_object_there", False),
-            "box jumps": lambda: setattr(self, "jump", 180.0),
-            "switch let go": lambda: setattr(self, "is_held", False),
-        }
+        self._num_steps, self._stamp, self.drift = 0, 0.0, 0.0
+        self.mend()
 
     def mend(self) -> None:
         """End all faults."""
-        self.silent, self.is_object_there, self.pixels, self.jump, self.is_held = set(), True, None, 0.0, True
+        self.silent, self.is_held, self.is_object_there, self.jump = set(), True, True, 0.0
+        self.frozen: np.ndarray | None = None
         self._send_status()
+
+    def point(self) -> None:
+        self._prompts.publish(messages.text(json.dumps({"box": BOX})))
 
     def step(self) -> None:
         """See `WireLab.step`."""
         super().step()
         if self._num_steps % IMAGE_TICKS == 0 and "camera" not in self.silent:
             self._stamp = max(self._stamp + 1e-3, self.clock.stamp() - AGE)
-            pixels = self._picture() if self.pixels is None else self.pixels
+            pixels = self.picture() if self.frozen is None else self.frozen
             self._images.publish(messages.image(pixels, self._stamp))
         self._num_steps += 1
 
-    def _picture(self) -> np.ndarray:
+    def picture(self) -> np.ndarray:
         """Return the scene; a box that jumps is elsewhere in every second picture, one that drifts in all."""
         is_away = self._num_steps // IMAGE_TICKS % 2
         by = self.jump * is_away + self.drift * self._num_steps
@@ -87,7 +69,7 @@ class SteppedBench(AbstractContextManager["SteppedBench"]):
         self.clock, self.broker = StepClock(self.wait_until), Broker()
         self.clock.time = 1000.0
         self.lab_node = self.broker.node(self.clock)
-        self.laboratory = CameraLab(self.lab_node, PROFILE, self.clock)
+        self.lab = CameraLab(self.lab_node, PROFILE, self.clock)
         node = self.broker.node(self.clock)
         self._statuses = node.subscription(PROFILE.operator.status, 50)
         self._commands = node.subscription(PROFILE.robots[0].command_topic, 50, only_watches=True)
@@ -101,13 +83,10 @@ class SteppedBench(AbstractContextManager["SteppedBench"]):
         self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=lambda: 0.01)
         self.does_policy_hang = False
 
-    def say(self, word: str) -> None:
-        self.laboratory.faults[word]()
-
     def wait_until(self, moment: float) -> None:
         while self.clock.time < moment - 1e-9:
             self.clock.time += LIMITS.dt
-            self.laboratory.step()
+            self.lab.step()
             self.servo.tick()
             if not self.does_policy_hang:
                 self.loop.poll()
@@ -128,18 +107,18 @@ class SteppedBench(AbstractContextManager["SteppedBench"]):
 
     def arm(self) -> None:
         """End all faults, press the switch and arm."""
-        self.say("switch let go")
+        self.lab.is_held = False
         self.until(lambda: "dead man" in self.status["found"])
-        self.say("none")
+        self.lab.mend()
         self.until(lambda: "dead man" not in self.status["found"])
         self.wait(STOP_TIME + ARM_PAUSE)
-        self.say("arm")
+        self.lab.request_arm()
         self.until(lambda: self.status["mode"] in ("armed", "ramp", "run"))
 
     def run(self) -> None:
         """The operator arms and points, and the policy moves the arm."""
         self.arm()
-        self.say("point")
+        self.lab.point()
         self.until(lambda: self.status["mode"] == "run")
 
     def __exit__(self, *exception: object) -> None:

@@ -68,13 +68,16 @@ def remembering(method: str = "shared_reward+boxes") -> PolicyController:
     )
 
 
+def forgetting() -> PolicyController:
+    """Return the paper's policy, which gets no ages."""
+    return PolicyController(load_policy(Path("proposed"))[0], find_workcell(PROFILE.workcell))
+
+
 def new_pipeline(
     segmenter: Segmenter | None = None, controller: PolicyController | None = None
 ) -> PolicyPipeline:
-    """Return a pipeline: by default the paper's policy, which gets no ages, and a segmenter for red."""
-    policy, _ = load_policy(Path("proposed"))
-    controller = controller or PolicyController(policy, find_workcell(PROFILE.workcell))
-    return PolicyPipeline(controller, segmenter or ColorThreshold(RED), Prompter())
+    """Return a pipeline: by default the paper's policy, and a segmenter for red."""
+    return PolicyPipeline(controller or forgetting(), segmenter or ColorThreshold(RED), Prompter())
 
 
 def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Command:

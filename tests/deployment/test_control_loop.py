@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator
 from itertools import chain, repeat
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from loop_lab import (
     HOME,
     PROFILE,
     Surroundings,
+    forgetting,
     new_pipeline,
     picture,
     remembering,
@@ -22,12 +22,10 @@ from loop_lab import (
 from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLoop, DecisionTimer
 from pixel2catch.deployment.policy_pipeline import PolicyController
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.link import Fault, Mode
-from pixel2catch.workcells import find_workcell
 
 
 class LoopBench:
@@ -108,9 +106,8 @@ def test_arming_begins_a_new_throw(bench: LoopBench, around: Surroundings):
 
 def test_the_policy_gets_the_joints_as_they_are_after_the_perception(around: Surroundings):
     """A tick of the servo during the perception counts."""
-    policy, _ = load_policy(Path("proposed"))
     moved = HOME + 0.02
-    expected = PolicyController(policy, find_workcell(PROFILE.workcell)).step(
+    expected = forgetting().step(
         torch.tensor(moved[None], dtype=torch.float32),
         BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )

@@ -48,13 +48,17 @@ def bench() -> Iterator[SteppedBench]:
 def test_a_fault_of_the_images_stops_the_robot_until_it_is_armed_again(bench: SteppedBench):
     """`test_servo_faults` has the faults that the servo finds in its own inputs."""
     bench.run()
-    for fault, reason in (("camera killed", "image stale"), ("box jumps", "perception unsound")):
-        bench.say(fault)
+    lab = bench.lab
+    for break_it, reason in (
+        (lambda: lab.silent.add("camera"), "image stale"),
+        (lambda: setattr(lab, "jump", 180.0), "perception unsound"),
+    ):
+        break_it()
         bench.until(lambda: bench.status["mode"] == "stopped")
         assert bench.status["stopped_by"] == [reason]
         require_standstill(bench, bench.clock.time + STOP_TIME)
         bench.run()
-    bench.say("image frozen")
+    bench.lab.frozen = bench.lab.picture()
     begin = bench.clock.time
     bench.until(lambda: bench.status["mode"] == "stopped")
     assert bench.status["stopped_by"] == ["perception unsound"]
@@ -93,20 +97,20 @@ def test_a_hidden_object_is_waited_for_at_rest_and_lost_after_a_while(bench: Ste
     """Seen again in time, the policy goes on; later, the robot has to be armed again."""
     bench.run()
     assert bench.status["object"] == "seen"
-    bench.say("object gone")
+    bench.lab.is_object_there = False
     bench.until(lambda: bench.status["object"] == "searching")
     bench.wait((FADE_STEPS + 3) * CONTROL_DT)
     assert speed(bench, 0.3) < 1e-6
-    bench.say("none")
+    bench.lab.mend()
     bench.until(lambda: bench.status["object"] == "seen")
     assert speed(bench, 0.3) > 1e-3
     assert bench.status["mode"] == "run"
-    bench.say("object gone")
+    bench.lab.is_object_there = False
     begin = bench.clock.time
     bench.until(lambda: bench.status["mode"] == "stopped", 2.0 * LOSS_TIME)
     assert bench.clock.time - begin == pytest.approx(LOSS_TIME, abs=0.2)
     assert (bench.status["stopped_by"], bench.status["object"]) == (["object lost"], "lost")
-    bench.say("none")
+    bench.lab.mend()
     bench.until(lambda: bench.status["object"] == "seen")
     bench.wait(0.2)
     assert bench.status["mode"] == "stopped"
@@ -114,6 +118,6 @@ def test_a_hidden_object_is_waited_for_at_rest_and_lost_after_a_while(bench: Ste
 
 def test_an_armed_robot_waits_for_its_first_object_as_long_as_the_switch_is_held(bench: SteppedBench):
     bench.arm()
-    bench.say("object gone")
+    bench.lab.is_object_there = False
     bench.wait(LOSS_TIME + 0.2)
     assert (bench.status["mode"], bench.status["object"]) == ("armed", "never seen")

@@ -33,52 +33,71 @@ from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
-def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscriber:
-    return ImageSubscriber(
-        around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock, assumes_age=assumes_age
-    )
+class Camera(ImageSubscriber):
+    """What a control loop receives of a camera, and the camera."""
+
+    def __init__(self, around: Surroundings, *, assumes_age: bool = False) -> None:
+        self.around, self.clock = around, around.clock
+        transport = around.connection.transport
+        super().__init__(transport, PROFILE.camera, RGB_CAMERA, around.clock, assumes_age=assumes_age)
+
+    def accepts(self, pixels: np.ndarray | None = None, age: float = 0.0) -> bool:
+        """Send an image; return whether it is used. If not, a problem is reported."""
+        self.around.show(picture() if pixels is None else pixels, age)
+        is_used = self.newest() is not None
+        assert bool(self.problem) is not is_used
+        return is_used
+
+    def skips(self, pixels: np.ndarray) -> bool:
+        """Send an image; return whether it is left out without a problem."""
+        self.around.show(pixels)
+        return self.newest() is None and not self.problem
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+
+    def age_of(self, stamp: float) -> float:
+        """Age of an image with this stamp in its header, in control steps."""
+        self.around.camera.publish(messages.image(picture(), stamp))
+        image = self.newest()
+        assert image is not None
+        assert self.stamp == image.stamp
+        return (self.clock.now() - image.stamp) / CONTROL_DT
 
 
 @pytest.fixture
-def images(around: Surroundings) -> ImageSubscriber:
-    return images_in(around)
+def camera(around: Surroundings) -> Camera:
+    return Camera(around)
 
 
-def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time(
-    around: Surroundings, images: ImageSubscriber
-):
-    assert images.newest() is None
+@pytest.fixture
+def assuming(around: Surroundings) -> Camera:
+    """Images of a policy that gets the ages of boxes."""
+    return Camera(around, assumes_age=True)
+
+
+def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time(camera: Camera):
+    assert camera.newest() is None
     for edge in (100, 200, 300):
-        around.show(picture((edge, 100, edge + 20, 130)), age=0.1)
-    now = around.clock.now()
+        camera.around.show(picture((edge, 100, edge + 20, 130)), age=0.1)
+    now = camera.clock.now()
     for age in (0.15, 0.1, 0.05, 0.0):
-        images.add_joints(now - age, HOME + age)
-    image = images.newest()
+        camera.add_joints(now - age, HOME + age)
+    image = camera.newest()
     assert image is not None
     assert image.pixels[110, 310].tolist() == [200, 30, 20]
-    assert around.clock.now() - image.stamp == pytest.approx(0.1, abs=0.01)
+    assert camera.clock.now() - image.stamp == pytest.approx(0.1, abs=0.01)
     assert image.joint_pos == pytest.approx(HOME + 0.1)
-    assert images.newest() is None
+    assert camera.newest() is None
 
 
-@pytest.mark.parametrize("assumes_age", [True, False])
-def test_images_from_the_future_are_refused(assumes_age: bool, around: Surroundings):
+@pytest.mark.parametrize("name", ["camera", "assuming"])
+def test_images_from_the_future_are_refused(name: str, request: pytest.FixtureRequest):
     """Up to 50 ms ahead is the error of a clock; more, after usable stamps, is a clock that was set."""
-    images = images_in(around, assumes_age=assumes_age)
-    for age, is_good in ((0.02, True), (-0.03, True), (-1.0, False)):
-        around.show(picture(), age=age)
-        assert (images.newest() is not None) == is_good
-        assert ("synchronise the clocks" in images.problem) == (not is_good)
-    assert images.stamp < around.clock.now() + 0.03
-
-
-def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
-    """Age of an image with this stamp in its header, in control steps."""
-    around.camera.publish(messages.image(picture(), stamp))
-    image = images.newest()
-    assert image is not None
-    assert images.stamp == image.stamp
-    return (around.clock.now() - image.stamp) / CONTROL_DT
+    camera: Camera = request.getfixturevalue(name)
+    assert [camera.accepts(age=age) for age in (0.02, -0.03, -1.0)] == [True, True, False]
+    assert "synchronise the clocks" in camera.problem
+    assert camera.stamp < camera.clock.now() + 0.03
 
 
 @pytest.mark.parametrize(
@@ -86,128 +105,102 @@ def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> 
     [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")],
 )
 def test_images_without_a_usable_stamp_are_as_old_as_training_assumes(
-    age: float | None, words: str, around: Surroundings
+    age: float | None, words: str, assuming: Camera
 ):
     """This is reported once."""
-    images = images_in(around, assumes_age=True)
     for notice in (words, ""):
-        stamp = 0.0 if age is None else around.clock.stamp() - age
-        assert age_of_next(images, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
-        found = images.take_notice()
+        stamp = 0.0 if age is None else assuming.clock.stamp() - age
+        assert assuming.age_of(stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
+        found = assuming.take_notice()
         assert notice in found
         assert bool(found) == bool(notice)
 
 
 @pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
-def test_usable_stamps_are_used(age: float, around: Surroundings):
-    images = images_in(around, assumes_age=True)
-    found = age_of_next(images, around, around.clock.stamp() - age)
+def test_usable_stamps_are_used(age: float, assuming: Camera):
+    found = assuming.age_of(assuming.clock.stamp() - age)
     assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
-    assert images.take_notice() == ""
+    assert assuming.take_notice() == ""
 
 
-def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp(around: Surroundings):
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp(camera: Camera, assuming: Camera):
     """Not after usable stamps, and not for a policy without ages: it is as old as its stamp."""
-    images = images_in(around, assumes_age=True)
-    age_of_next(images, around, around.clock.stamp() - 0.02)
-    around.clock.sleep_until(around.clock.now() + 3.0)
-    for late in (images, images_in(around)):
-        assert age_of_next(late, around, around.clock.stamp() - 2.0) > 59.0
+    assuming.age_of(assuming.clock.stamp() - 0.02)
+    assuming.wait(3.0)
+    for late in (assuming, camera):
+        assert late.age_of(late.clock.stamp() - 2.0) > 59.0
         assert late.take_notice() == ""
 
 
-def test_an_image_that_cannot_be_read_is_skipped_and_reported(around: Surroundings, images: ImageSubscriber):
-    around.camera.publish(messages.image(picture(), 1.0)[:1000])
-    assert images.newest() is None
-    assert images.message
-    around.show(picture())
-    assert images.newest() is not None
-    assert images.message == ""
+def test_an_image_that_cannot_be_read_is_skipped_and_reported(camera: Camera):
+    camera.around.camera.publish(messages.image(picture(), 1.0)[:1000])
+    assert camera.newest() is None
+    assert camera.message
+    assert camera.accepts()
+    assert camera.message == ""
 
 
-def test_another_lens_than_the_calibrated_one_is_refused(around: Surroundings, images: ImageSubscriber):
+def test_another_lens_than_the_calibrated_one_is_refused(camera: Camera):
     info = PROFILE.camera.info
     assert info is not None
-    lens = around.lab.publisher(info)
-    right = messages.camera_info(RGB_CAMERA, 0.0)
-    longer, unknown = (
-        messages.camera_info(replace(RGB_CAMERA, fx=fx), 0.0) for fx in (1.05 * RGB_CAMERA.fx, np.nan)
+    lens = camera.around.lab.publisher(info)
+    right, longer, unknown = (
+        messages.camera_info(replace(RGB_CAMERA, fx=share * RGB_CAMERA.fx), 0.0)
+        for share in (1.0, 1.05, np.nan)
     )
     for sent in (right, longer, unknown, b"garbage", right):
-        is_good = sent == right
         lens.publish(sent)
-        around.show(picture())
-        assert (images.newest() is not None) is is_good
-        assert (images.problem == "") is is_good
+        assert camera.accepts() is (sent == right)
 
 
-def test_a_frozen_image_is_found_though_its_stamps_are_fresh(around: Surroundings, images: ImageSubscriber):
-    frozen, found = picture(), list[tuple[bool, bool]]()
-    for _ in range(NUM_EQUAL + 2):
-        around.show(frozen)
-        found.append((images.newest() is not None, bool(images.problem)))
-    assert found == [(True, False)] + [(False, False)] * (NUM_EQUAL - 2) + [(False, True)] * 3
-    around.show(picture())
-    assert images.newest() is not None
-    assert images.problem == ""
+def test_a_frozen_image_is_found_though_its_stamps_are_fresh(camera: Camera):
+    frozen = picture()
+    assert camera.accepts(frozen)
+    assert all(camera.skips(frozen) for _ in range(NUM_EQUAL - 2))
+    assert not any(camera.accepts(frozen) for _ in range(3))
+    assert camera.accepts()
 
 
-def test_images_that_repeat_once_or_with_their_stamp_are_no_fault(
-    around: Surroundings, images: ImageSubscriber
-):
+def test_images_that_repeat_once_or_with_their_stamp_are_no_fault(camera: Camera):
     for _ in range(NUM_EQUAL):
         twice = picture()
-        for is_new in (True, False):
-            around.show(twice)
-            assert (images.newest() is not None) is is_new
-            assert images.problem == ""
-    same = messages.image(picture(), around.clock.stamp())
+        assert camera.accepts(twice)
+        assert camera.skips(twice)
+    same = messages.image(picture(), camera.clock.stamp())
     for _ in range(2 * NUM_EQUAL):
-        around.camera.publish(same)
-        images.newest()
-    assert images.problem == ""
+        camera.around.camera.publish(same)
+        camera.newest()
+    assert camera.problem == ""
 
 
 @pytest.mark.parametrize("topic", [PROFILE.camera.image, PROFILE.camera.info])
-def test_a_second_camera_is_refused_while_it_is_there(
-    topic: Topic, around: Surroundings, images: ImageSubscriber
-):
-    own = around.camera if topic == PROFILE.camera.image else around.lab.publisher(topic)
-    around.show(picture())
-    assert images.newest() is not None
-    other = around.broker.node(around.clock)
-    with other:
+def test_a_second_camera_is_refused_while_it_is_there(topic: Topic, camera: Camera):
+    own = camera.around.camera if topic == PROFILE.camera.image else camera.around.lab.publisher(topic)
+    assert camera.accepts()
+    with camera.around.broker.node(camera.clock) as other:
         other.publisher(topic)
-        around.clock.sleep_until(around.clock.now() + 0.21)
-        around.show(picture())
-        assert images.newest() is None
-        assert topic.name in images.problem
-    around.clock.sleep_until(around.clock.now() + 0.21)
-    around.show(picture())
-    assert images.newest() is not None
+        camera.wait(0.21)
+        assert not camera.accepts()
+        assert topic.name in camera.problem
+    camera.wait(0.21)
+    assert camera.accepts()
     assert own
 
 
-def test_images_that_are_older_than_the_one_before_are_refused_for_a_while(
-    around: Surroundings, images: ImageSubscriber
-):
+def test_images_that_are_older_than_the_one_before_are_refused_for_a_while(camera: Camera):
     """Two cameras by turns, or a recording that starts again."""
-    for age in (0.02, 0.06, 0.02):
-        around.show(picture(), age=age)
-    assert images.newest() is None
-    assert "older than the one before" in images.problem
-    around.clock.sleep_until(around.clock.now() + DISTRUST_TIME)
-    around.show(picture())
-    assert images.newest() is not None
+    for age in (0.02, 0.06):
+        camera.around.show(picture(), age=age)
+    assert not camera.accepts(age=0.02)
+    assert "older than the one before" in camera.problem
+    camera.wait(DISTRUST_TIME)
+    assert camera.accepts()
 
 
-def test_images_of_another_size_are_refused(around: Surroundings, images: ImageSubscriber):
-    around.show(np.zeros((240, 320, 3), dtype=np.uint8))
-    assert images.newest() is None
-    assert "320 x 240" in images.problem
-    around.show(picture())
-    assert images.newest() is not None
-    assert images.problem == ""
+def test_images_of_another_size_are_refused(camera: Camera):
+    assert not camera.accepts(np.zeros((240, 320, 3), dtype=np.uint8))
+    assert "320 x 240" in camera.problem
+    assert camera.accepts()
 
 
 PROMPT = BoxPrompt(box=BOX)

@@ -9,9 +9,9 @@ import torch
 from loop_lab import (
     BOX,
     HOME,
-    PROFILE,
     RED,
     EverythingRed,
+    forgetting,
     moved,
     new_pipeline,
     picture,
@@ -39,7 +39,6 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.workcells import find_workcell
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROMPT = BoxPrompt(box=BOX)
 ARM = slice(0, 6)
@@ -96,8 +95,7 @@ def test_an_object_of_the_training_is_never_too_large(name: str, expected: Verdi
 def test_a_policy_without_ages_gets_boxes_as_old_as_in_training(age: float, num_late: float):
     """Between two younger images; of the newest image if it is older."""
     pipeline = pointed(new_pipeline())
-    policy, _ = load_policy(Path("proposed"))
-    controller = PolicyController(policy, find_workcell(PROFILE.workcell))
+    controller = forgetting()
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
         now = 1.0 + step * CONTROL_DT
@@ -248,8 +246,7 @@ def test_visibility_by_the_age_of_the_newest_box():
 @pytest.mark.parametrize("has_ages", [False, True])
 def test_a_box_that_jumps_never_reaches_the_policy_as_motion(has_ages: bool):
     """Another thing, 250 px off, is refused until it can be the same; then it is one that stands still."""
-    policy, _ = load_policy(Path("proposed"))
-    controller = remembering() if has_ages else PolicyController(policy, UR5E_ALLEGRO)
+    controller = remembering() if has_ages else forgetting()
     pipeline = pointed(new_pipeline(EverythingRed(RED), controller))
     verdicts, boxes = list[str](), list[torch.Tensor]()
     for step in range(8):

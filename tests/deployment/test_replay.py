@@ -25,7 +25,7 @@ EPOCH = 1_790_000_000.0
 def record(folder: Path, pipeline: PolicyPipeline) -> None:
     """A second of a robot that stands still, and an object that moves through the image."""
     with BagRecorder(folder) as tape, SteppedBench(pipeline, tape) as bench:
-        bench.laboratory.drift = 0.1
+        bench.lab.drift = 0.1
         bench.run()
         bench.wait(0.8)
 

@@ -105,7 +105,7 @@ def test_the_end_of_the_control_loop_stops_the_robot_and_ends_the_servo(stage: S
     lab.target = HOME + 0.1
     stage.wait(30)
     lab.silent.add("control loop")
-    lab.loop.close()
+    stage.loop.close()
     stage.servo.run()
     changes = np.abs(np.diff(lab.commands["arm"], axis=0)).max(axis=-1)
     assert len(changes) >= STOP_TICKS

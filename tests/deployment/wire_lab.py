@@ -25,7 +25,7 @@ class WireLab:
     The joints follow the commands with the lag of their servos. `change` distorts an outgoing joint state.
     """
 
-    def __init__(self, transport: Transport, loop: LoopEnd, profile: Profile, clock: Clock) -> None:
+    def __init__(self, transport: Transport, loop: LoopEnd | None, profile: Profile, clock: Clock) -> None:
         self.transport, self.loop, self.profile, self.clock = transport, loop, profile, clock
         self.joint_pos, self.target = HOME.copy(), HOME.copy()
         self.silent: set[str] = set()
@@ -77,19 +77,18 @@ class WireLab:
         self.send(self.profile.status.speed_scaling, messages.number(self.speed))
         if self._tick % 25 == 0:
             self.send(self.profile.operator.dead_man, messages.boolean(self.is_held))
+        if self.loop:
+            self._decide(self.loop)
+        self._tick += 1
+
+    def _decide(self, loop: LoopEnd) -> None:
         if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "control loop" not in self.silent:
             now = self.clock.now()
-            image_stamp = now - self.image_age
-            self.loop.send(
-                JointTargets(
-                    joint_pos_target=self.target,
-                    target_stamp=now,
-                    image_stamp=image_stamp,
-                    box_stamp=image_stamp,
-                )
+            seen = now - self.image_age
+            loop.send(
+                JointTargets(joint_pos_target=self.target, target_stamp=now, image_stamp=seen, box_stamp=seen)
             )
-        self.ticks += self.loop.receive()
-        self._tick += 1
+        self.ticks += loop.receive()
 
     def _send_joints(self, part: RobotPart) -> None:
         names = [theirs.name_in_state for theirs in part.joints.values()]
@@ -125,12 +124,12 @@ class Stage:
     def __init__(self, profile: Profile, ends: tuple[LoopEnd, ServoEnd], is_dry_run: bool = False) -> None:
         self.clock, self.broker = StepClock(self._sleep), Broker()
         self.clock.time = 1000.0
-        loop, end = ends
+        self.loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.node = self.broker.node(self.clock)
         self.servo = Servo(end, self.node, setup, self.clock)
         self.laboratory = self.broker.node(self.clock)
-        self.lab = WireLab(self.laboratory, loop, profile, self.clock)
+        self.lab = WireLab(self.laboratory, self.loop, profile, self.clock)
         self.each_tick: Callable[[], object] = lambda: None
 
     def _sleep(self, moment: float) -> None:

@@ -1,4 +1,4 @@
-"""The twin with its topics in memory, cycle by cycle, with the same image each time."""
+"""The twin with its topics in memory, cycle by cycle, with black images."""
 
 import json
 from concurrent.futures import Future
@@ -24,13 +24,19 @@ BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
 START = 1000.0
 
 
+def draw_black(_: Exposure) -> "Future[Pixels]":
+    future: Future[Pixels] = Future()
+    future.set_result(BLACK)
+    return future
+
+
 class Bench:
     """The twin and a node that listens to all of it, in memory and without real time."""
 
     def __init__(self, task: CatchEnvCfg) -> None:
-        self.broker, clock, self.pixels = Broker(), RealClock(), BLACK
+        self.broker, clock = Broker(), RealClock()
         self.lab, self.node = SimulatedLab(task, seed=0), self.broker.node(clock)
-        self.camera = CameraDriver(self._draw)
+        self.camera = CameraDriver(draw_black)
         topics = {
             "joints": PROFILE.robots[0].state_topic,
             "image": PROFILE.camera.image,
@@ -41,11 +47,6 @@ class Bench:
         self.lab_node = LabNode(self.lab, PROFILE, self.broker.node(clock), self.camera)
         self._requests = self.node.publisher(COMMAND)
         self.joint_pos = np.zeros(len(JOINTS))
-
-    def _draw(self, _: Exposure) -> "Future[Pixels]":
-        future: Future[Pixels] = Future()
-        future.set_result(self.pixels)
-        return future
 
     def ask(self, **request: Any) -> None:
         self._requests.publish(messages.text(json.dumps(request)))
