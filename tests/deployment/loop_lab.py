@@ -1,6 +1,6 @@
 """A control loop's surroundings in memory: network, camera, and the servo's end of the link."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
@@ -80,21 +80,20 @@ def new_pipeline(
     return PolicyPipeline(controller or forgetting(), segmenter or ColorThreshold(RED), Prompter())
 
 
-def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Command:
-    """Return the command of a tick at the start pose."""
-    return Command(
-        time=time,
-        mode=int(mode),
-        stopped_by=int(others.get("stopped_by", 0)),
-        found=0,
-        refused=int(others.get("refused", 0)),
-        clamped=0,
-        joint_pos_command=HOME,
-        joint_pos=joint_pos,
-        duration=4e-4,
-        target_stamp=others.get("target_stamp", -np.inf),
-        image_stamp=others.get("image_stamp", -np.inf),
-    )
+IDLE = Command(
+    time=0.0,
+    mode=int(Mode.IDLE),
+    stopped_by=0,
+    found=0,
+    refused=0,
+    clamped=0,
+    joint_pos_command=HOME,
+    joint_pos=HOME,
+    duration=4e-4,
+    target_stamp=-np.inf,
+    image_stamp=-np.inf,
+)
+"""The command of a tick at the start pose."""
 
 
 class PassingClock(Clock):
@@ -126,7 +125,7 @@ class Surroundings:
 
     def tick(self, mode: Mode, **others: Any) -> None:
         """The servo sends the command of a tick."""
-        self.servo.send(command(mode, **{"time": self.clock.now(), **others}))
+        self.servo.send(replace(IDLE, **{"time": self.clock.now(), "mode": mode, **others}))
 
     def show(self, image: np.ndarray, age: float = 0.0) -> float:
         """Send an image of this age; return its exposure time, `Clock.now` [s]."""

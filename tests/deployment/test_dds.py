@@ -1,4 +1,4 @@
-"""DDS: names, types and domains as ROS 2 expects them; `test_transports` has the rest."""
+"""DDS: names, types and domains as ROS 2 expects them, and who joins; `test_transports` has the rest."""
 
 import multiprocessing
 import os
@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -17,9 +18,14 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic as DdsTopic
 
 from domains import PATIENCE, own_domain
+from pixel2catch.cli.deploy import Deploy
+from pixel2catch.cli.link import Link
+from pixel2catch.cli.operate import Operate
+from pixel2catch.cli.record import Record
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.dds import THIS_MACHINE, dds_type
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
@@ -131,3 +137,32 @@ def test_a_node_and_a_profile_need_no_simulator():
     script = "import sys, pixel2catch.ros2.dds, pixel2catch.ros2.profile; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert not {"torch", "mujoco", "cv2"} & set(loaded.split())
+
+
+def test_commands_join_this_machine_only_by_default():
+    links = (
+        Deploy().link,
+        Record(trajectory=Path("a"), out=Path("b")).link,
+        Operate(device=Path("a")).network,
+    )
+    assert {link.network for link in links} == {LOOPBACK}
+
+
+def test_only_the_twin_needs_no_identified_dynamics():
+    """If a robot may be connected, commands are no faster than its joints."""
+    profile = Profile.load("ur5e_allegro_v4")
+    twin = Link().limits(profile).joints
+    for link in (Link(network=ANY), Link(network=ROS)):
+        assert not link.is_twin
+        assert (link.limits(profile).joints.speed < twin.speed).all()
+
+
+def test_time_passes_while_the_machine_is_suspended():
+    """In a namespace of Linux whose clock is 1,000 s ahead."""
+    script = "from pixel2catch.ros2.transport import RealClock; print(RealClock(0.5).now())"
+    ahead = ["unshare", "--time", "--boottime", "1000", sys.executable, "-c", script]
+    before = RealClock(0.5).now()
+    found = subprocess.run(ahead, capture_output=True, text=True)
+    if found.returncode:
+        pytest.skip(f"no namespaces of time here: {found.stderr}")
+    assert 500.0 <= float(found.stdout) - before < 500.0 + PATIENCE

@@ -1,4 +1,4 @@
-"""The servo against a laboratory on the wire: every layout, requests of the operator, every end."""
+"""The servo against a laboratory on the wire, and its link: every layout, requests, every end."""
 
 from dataclasses import replace
 
@@ -7,11 +7,12 @@ import pytest
 from servo_rows import HOME, LIMITS
 from wire_lab import Stage, taken
 
+from paper_robot import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import Fault, LoopEnd, Mode, ServoEnd, flag_names
+from pixel2catch.servo.link import Command, Fault, JointTargets, LoopEnd, Mode, ServoEnd, flag_names
 from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
@@ -174,3 +175,62 @@ def test_an_old_request_to_arm_does_not_count(stage: Stage):
     assert stage.wait(20) == Mode.IDLE
     requests.put(messages.boolean(True))
     assert stage.wait(5) != Mode.IDLE
+
+
+NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
+TARGETS = JointTargets(
+    joint_pos_target=NUMBERS,
+    target_stamp=1.0,
+    image_stamp=0.5,
+    box_stamp=0.4,
+    is_perception_sound=False,
+    is_stop_requested=True,
+)
+COMMAND = Command(
+    time=1.0,
+    mode=3,
+    stopped_by=4,
+    found=1 << 15,
+    refused=6,
+    clamped=7,
+    joint_pos_command=np.full(len(JOINTS), np.nan),
+    joint_pos=NUMBERS,
+    duration=4e-4,
+    target_stamp=0.99,
+    image_stamp=0.98,
+)
+
+
+def test_targets_and_commands_arrive_unchanged(ends: tuple[LoopEnd, ServoEnd]):
+    loop, servo = ends
+    loop.send(TARGETS)
+    servo.send(COMMAND)
+    (ordered,), (decided,) = servo.receive(), loop.receive()
+    for sent, received in ((TARGETS, ordered), (COMMAND, decided)):
+        for name, value in vars(sent).items():
+            np.testing.assert_array_equal(getattr(received, name), value)
+    assert not servo.receive()
+    assert not servo.is_closed
+
+
+def test_packets_that_do_not_fit_are_dropped_and_counted(ends: tuple[LoopEnd, ServoEnd]):
+    """At least 0.3 s of ticks fit; newer packets are lost."""
+    loop, servo = ends
+    for tick in range(5000):
+        servo.send(replace(COMMAND, time=float(tick)))
+    received = loop.receive()
+    assert [each.time for each in received] == [float(tick) for tick in range(len(received))]
+    assert len(received) > 150
+    assert servo.num_dropped == 5000 - len(received)
+    servo.send(replace(COMMAND, time=9.0))
+    assert loop.receive()[0].time == 9.0
+
+
+def test_packets_from_before_the_end_are_received(ends: tuple[LoopEnd, ServoEnd]):
+    loop, servo = ends
+    loop.send(TARGETS)
+    loop.close()
+    assert len(servo.receive()) == 1
+    assert servo.is_closed
+    servo.send(COMMAND)
+    assert servo.num_dropped == 1
