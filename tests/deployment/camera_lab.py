@@ -41,7 +41,7 @@ class CameraLab(WireLab):
         """End all faults."""
         self.silent, self.is_held, self.is_object_there, self.jump = set(), True, True, 0.0
         self.frozen: np.ndarray | None = None
-        self._send_status()
+        self.send_status()
 
     def point(self) -> None:
         self._prompts.publish(messages.text(json.dumps({"box": BOX})))
