@@ -61,8 +61,9 @@ class Stress:
         slots = cpu_slots(self.jobs, device, self.slurm, self.out)
         for engine in self.engines:
             require_engine(engine)
-        engines, restitutions = (tuple(dict.fromkeys(each)) for each in (self.engines, self.restitution))
-        settings = transfer_settings(engines, restitutions) if engines else select_settings(self.axes)
+        engines, settings = tuple(dict.fromkeys(self.engines)), select_settings(self.axes)
+        if engines:
+            settings = transfer_settings(engines, tuple(dict.fromkeys(self.restitution)))
         settings = tuple(self.task.beneath(each, "stress") for each in settings)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
