@@ -49,11 +49,6 @@ def arm(tmp_path: Path) -> Path:
     return in_other_words(UR5E.mjcf, tmp_path / "arm.xml")
 
 
-@pytest.fixture
-def hand(tmp_path: Path) -> Path:
-    return in_other_words(allegro("left").mjcf, tmp_path / "hand.xml")
-
-
 def placed(cfg: SceneCfg, joint_pos: np.ndarray) -> tuple[mujoco.MjModel, mujoco.MjData]:
     model = build_model(cfg)
     data = mujoco.MjData(model)
@@ -70,10 +65,10 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData, body: str) -> np.ndarray:
 
 
 def test_the_same_robot_in_other_words_is_the_same_robot(
-    arm: Path, hand: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     """Fingers are told apart by where they are; whichever way an axis points, our joints turn as ours do."""
-    out = tmp_path / "makers"
+    out, hand = tmp_path / "makers", in_other_words(allegro("left").mjcf, tmp_path / "hand.xml")
     monkeypatch.setattr(sys, "argv", ["makers_bodies.py", str(hand), str(arm), "--out", str(out)])
     main()
     lines = capsys.readouterr().out

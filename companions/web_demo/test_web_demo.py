@@ -60,13 +60,6 @@ def exported(folder: Path, policy: str | None) -> Path:
     return folder
 
 
-def node(script: str, *args: str | Path) -> Any:
-    command = ["node", str(Path(__file__).with_name(script)), *map(str, args)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert result.returncode == 0, result.stderr
-    return json.loads(result.stdout)
-
-
 def test_the_command_names_what_is_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
@@ -175,7 +168,10 @@ def test_javascript_and_python_agree(demo: Path, tmp_path: Path, policy: str | N
     """On the states of the Python code to float32, and freely until the hand touches the object."""
     folder = exported(tmp_path, policy) if policy else demo
     (tmp_path / "throws.json").write_text(json.dumps(quiet_throws(policy)))
-    result = node("agreement.mjs", folder, tmp_path / "throws.json")
+    command = ["node", Path(__file__).with_name("agreement.mjs"), folder, tmp_path / "throws.json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
     assert max(result["forced"].values()) < 1e-4
     assert max(result["free"].values()) < 1e-4
     assert result["num_steps_free"] > 20 * NUM_THROWS

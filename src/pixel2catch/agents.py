@@ -17,7 +17,6 @@ from pixel2catch.mdp.control_step import (
     JointCommand,
     Transition,
     absolute_command,
-    count,
     merged,
     relative_command,
 )
@@ -93,7 +92,7 @@ class AgentSpec:
     @property
     def num_joints(self) -> int:
         """Return the number of actions."""
-        return count(self.joints)
+        return sum(each.stop - each.start for each in self.joints)
 
     @property
     def reward_names(self) -> tuple[str, ...]:

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.checks import Range
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
@@ -47,14 +45,6 @@ def draw(cfg: CatchEnvCfg, num_envs: int = MANY) -> Episode:
     )
 
 
-def is_within(values: Tensor, limits: Range) -> bool:
-    """Whether values fill a range."""
-    low, high = limits
-    slack = 1e-5 + 0.02 * (high - low)
-    inside = low - 1e-5 <= values.min() and values.max() <= high + 1e-5
-    return bool(inside and values.min() <= low + slack and values.max() >= high - slack)
-
-
 @pytest.mark.parametrize("shares", [(0.3, 0.2), (0.7, 0.3)])
 def test_shares_are_met(shares: tuple[float, float]):
     """Within four standard errors; they may be everything."""
@@ -82,7 +72,9 @@ def test_every_variant_keeps_its_own_ranges(number: int):
         "spin": (episode.throw.ang_vel.norm(dim=-1), (0.0, cfg.throws.spin)),
     }
     for name, (values, limits) in expected.items():
-        assert is_within(values[is_own], limits), name
+        found, slack = values[is_own], 1e-5 + 0.02 * (limits[1] - limits[0])
+        assert limits[0] - 1e-5 <= found.min() <= limits[0] + slack, name
+        assert limits[1] - slack <= found.max() <= limits[1] + 1e-5, name
     clock_error = (0.02 if number == 1 else 0.0) / CONTROL_DT
     own_error = sight.clock_error[is_own].abs()
     torch.testing.assert_close(own_error, torch.full_like(own_error, clock_error))

@@ -106,10 +106,6 @@ def test_every_object_is_thrown_as_often():
     assert counts[OBJECT_IDS].min() > 4000 / 3 * 0.9
 
 
-def delays(limits: tuple[float, float], grid: float, num_envs: int = 3000) -> torch.Tensor:
-    return sample_delay(limits, grid, num_envs, torch.Generator().manual_seed(0))
-
-
 @pytest.mark.parametrize(
     ("limits", "grid", "expected"),
     [
@@ -123,7 +119,8 @@ def delays(limits: tuple[float, float], grid: float, num_envs: int = 3000) -> to
     ],
 )
 def test_delays_take_every_value_of_their_grid_as_often(limits, grid, expected):
-    values, counts = delays(limits, grid).unique(return_counts=True)
+    generator = torch.Generator().manual_seed(0)
+    values, counts = sample_delay(limits, grid, 3000, generator).unique(return_counts=True)
     torch.testing.assert_close(values, torch.tensor(expected))
     share = 1.0 / len(expected)
     error = (3000 * share * (1.0 - share)) ** 0.5  # of a count

@@ -48,7 +48,7 @@ def normalised(num: int, seeds: range, **errors: Any) -> np.ndarray:
     for seed in seeds:
         result = calibrate(hand_views(num, seed=seed, noise=0.15, **errors), lens())
         way, turn = offset(result)
-        rows.append(np.concatenate((way / result.file.pos_std, turn / result.file.turn_std)))
+        rows.append(np.concatenate((way / result.file.pose_std[:3], turn / result.file.pose_std[3:])))
     return np.array(rows)
 
 
@@ -112,7 +112,7 @@ def test_exact_corners_give_the_exact_camera():
     assert result.rms < 1e-6
     assert result.square_ratio == pytest.approx((1.0, 0.0), abs=1e-6)
     # What remains is not in the images: 0.2 % of focal length, and what a ruler may be off.
-    assert max(result.file.pos_std) < 3e-3
+    assert max(result.file.pose_std[:3]) < 3e-3
 
 
 def test_a_lens_is_straightened():

@@ -32,8 +32,7 @@ def test_what_is_saved_comes_back(tmp_path: Path):
 
 
 def test_the_standard_deviations_are_those_of_the_covariance():
-    assert FILE.pos_std == pytest.approx(STDS[:3])
-    assert FILE.turn_std == pytest.approx(STDS[3:])
+    assert FILE.pose_std == pytest.approx(STDS)
 
 
 def test_drawn_cameras_have_the_covariance():

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from paper_robot import JOINTS
 from pixel2catch.envs.world import MASS_POWER
-from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
 from pixel2catch.sim.factory import make_simulation
 from pixel2catch.sim.simulation import Simulation
@@ -111,8 +110,3 @@ def object_pos(simulation: Simulation) -> Tensor:
 def object_vel(simulation: Simulation) -> Tensor:
     """Linear and angular velocities of the objects (num_envs, 6), float64."""
     return simulation.bind("qvel")[:, TABLE.indices.dofs].double()
-
-
-def half_height(name: str) -> float:
-    """How high an upright object's centre is over what it lies on [m]."""
-    return -min(float(part.vertices[:, 2].min()) for part in OBJECTS[name].parts)

@@ -11,6 +11,7 @@ from copies import BODY, HOME, NUM_ENVS, ON_FLOOR, ON_TABLE, TABLE
 
 from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import PHYSICS_DT
+from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.sim.engine import EngineSimulation
 from pixel2catch.sim.simulation import Simulation
 
@@ -149,7 +150,8 @@ def test_what_touches_goes_on_touching_where_others_are_masked(simulation):
 def test_different_meshes_rest_at_different_heights(simulation):
     names = ("cube_s", "cylinder_l", "l_block", "cone_l")
     copies.give(simulation, names)
-    expected = torch.tensor([copies.half_height(name) for name in names], dtype=torch.float64)
+    parts = [OBJECTS[name].parts for name in names]
+    expected = -torch.tensor([min(part.vertices[:, 2].min() for part in each) for each in parts]).double()
     spots = torch.tensor(ON_TABLE, dtype=torch.float64).repeat(NUM_ENVS, 1)
     spots[:, 2] += expected + 1e-3
     copies.place(simulation, spots)
@@ -172,11 +174,6 @@ def test_force_over_mass_and_torque_over_inertia_are_accelerations(simulation):
     torch.testing.assert_close(velocity[:, 5], 1e-5 / inertia * 6 * PHYSICS_DT, rtol=1e-3, atol=0)
 
 
-def softness(simulation: Simulation) -> float:
-    """How deep a cube lies in a floor of MuJoCo [m]; rigid contacts have no depth."""
-    return 0.0 if isinstance(simulation, EngineSimulation) else 4.6e-5
-
-
 def resting_depth(simulation: Simulation, spot: tuple[float, float, float]) -> torch.Tensor:
     """How deep cubes of half to one and a half times their mass lie in what they rest on [m]."""
     copies.give(simulation, ("cube_s",) * NUM_ENVS, (0.5, 1.0, 1.25, 1.5))
@@ -189,7 +186,8 @@ def resting_depth(simulation: Simulation, spot: tuple[float, float, float]) -> t
 def test_a_heavier_object_rests_as_deep(simulation, spot):
     """Depth does not depend on the mass if what follows the mass was scaled with it, nor on the support."""
     depth = resting_depth(simulation, spot)
-    torch.testing.assert_close(depth, torch.full_like(depth, softness(simulation)), atol=5e-6, rtol=0)
+    softness = 0.0 if isinstance(simulation, EngineSimulation) else 4.6e-5  # rigid contacts have no depth
+    torch.testing.assert_close(depth, torch.full_like(depth, softness), atol=5e-6, rtol=0)
 
 
 def test_friction_sets_the_way_of_a_sliding_object(simulation):
@@ -253,7 +251,7 @@ def test_rays_hit_the_groups_that_were_named(simulation):
     names = ("cube_s", "cube_l", "hexagonal_prism", "cross")
     copies.give(simulation, names)
     copies.place(simulation, (*ON_TABLE[:2], 1.5))
-    tops = [max(float(p.vertices[:, 2].max()) for p in copies.OBJECTS[name].parts) for name in names]
+    tops = [max(float(p.vertices[:, 2].max()) for p in OBJECTS[name].parts) for name in names]
     expected = [ON_TABLE[2] + 2.0 - 1.5 - top for top in tops]
     assert cast(simulation, (0.0, 0.0, -1.0), (0, 1, 3)) == pytest.approx(expected, rel=1e-5)
     assert cast(simulation, (0.0, 0.0, -1.0), (0, 3)) == pytest.approx([2.0] * NUM_ENVS, rel=1e-6)

@@ -16,7 +16,7 @@ from pixel2catch.checks import Share, Within, require_valid
 from pixel2catch.devices import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
-from pixel2catch.scene.constants import CameraSpec, Vec3
+from pixel2catch.scene.constants import CameraSpec
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
@@ -53,14 +53,14 @@ class CameraFile:
         _require_covariance(self.pose_covariance)
 
     @property
-    def pos_std(self) -> Vec3:
-        """Standard deviations of the position along the axes of the world [m]."""
-        return self._stds(0)
+    def pose_std(self) -> tuple[float, ...]:
+        """Standard deviations of position [m] and orientation [rad], along the axes of the world."""
+        return tuple(sqrt(row[i]) for i, row in enumerate(self.pose_covariance))
 
     @property
-    def turn_std(self) -> Vec3:
-        """Standard deviations of the orientation about the axes of the world [rad]."""
-        return self._stds(3)
+    def is_exact(self) -> bool:
+        """Whether neither the pose nor the focal length has an uncertainty."""
+        return not any((*self.pose_std, self.focal_std))
 
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
         """Draw cameras within the uncertainty of this one, on the generator's device, as pinholes."""
@@ -91,10 +91,6 @@ class CameraFile:
             camera = decoded(cls, content)
             require_valid(camera)
             return camera
-
-    def _stds(self, first: int) -> Vec3:
-        x, y, z = (sqrt(self.pose_covariance[i][i]) for i in range(first, first + 3))
-        return x, y, z
 
 
 @lru_cache(maxsize=16)

@@ -290,7 +290,7 @@ class CatchEnv:
         image = self._detector.look(truth, self.episode)
         exposed = image.exposed_before(select(begun, image, sensors.image), latency - latency.floor())
         detected = self._detector.disturbed(exposed, self.episode)
-        detection = detected.held(begun | detected.is_seen, sensors.detections.newest)
+        detection = detected.held(begun | detected.is_seen, sensors.detections.ages[0])
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, sensors.detections.pushed(detection))
         joint_pos = self.world.joint_pos

@@ -59,19 +59,20 @@ def is_camera_exact(cfg: SensingCfg) -> bool:
     )
     if (cfg.image_period, cfg.noise_scale) != (1.0, 1.0):
         return False
-    return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
+    return cfg.camera.is_exact and not any(errors)
 
 
 def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
     """Draw the errors of an episode for each environment, on the generator's device."""
-    is_uncertain = any((*cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
     num_envs = len(throw.pos)
     offset, turn = (random_directions(num_envs, generator) for _ in range(2))
     chance = torch.rand(num_envs, 5, generator=generator, device=generator.device)
     amount = partial(drawn, num_envs=num_envs, generator=generator)
     zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
     spec = cfg.camera.camera
-    camera = cfg.camera.sample(num_envs, generator) if is_uncertain else nominal_projection(spec, offset)
+    camera = (
+        nominal_projection(spec, offset) if cfg.camera.is_exact else cfg.camera.sample(num_envs, generator)
+    )
     bias_angle = 2.0 * torch.pi * chance[:, 1]
     flight_steps = throw.flight_time() / CONTROL_DT
     blackout_steps = amount(cfg.blackout_steps).round()

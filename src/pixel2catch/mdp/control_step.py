@@ -200,11 +200,6 @@ def merged(columns: Sequence[slice]) -> Columns:
     return tuple(whole)
 
 
-def count(columns: Columns) -> int:
-    """Return the number of columns."""
-    return sum(each.stop - each.start for each in columns)
-
-
 def take(
     values: Shaped[Tensor, "num_envs k *rest"], columns: Columns
 ) -> Shaped[Tensor, "num_envs num_columns *rest"]:

@@ -87,8 +87,3 @@ class DelayLine(Generic[T]):
     def filled(cls, value: T, longest: int) -> "DelayLine[T]":
         """Return a line for delays up to `longest` in which all values are equal: the start of an episode."""
         return cls((value,) * (longest + 1))
-
-    @property
-    def newest(self) -> T:
-        """Return the newest value."""
-        return self.ages[0]

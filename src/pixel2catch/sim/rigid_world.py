@@ -12,14 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.poses import (
-    Pose,
-    combined,
-    inertial_of,
-    pose_of,
-    principal_axes,
-    vertices_of,
-)
+from pixel2catch.robots.poses import Pose, combined, inertial_of, pose_of, principal_axes, vertices_of
 from pixel2catch.scene.cfg import restitution_of
 
 REFUSED = (
