@@ -200,8 +200,8 @@ def test_columns_that_do_not_follow_each_other():
     """Two arms of one agent, with the hands of another between and after them."""
     arms, hands = (slice(0, 6), slice(19, 25)), (slice(6, 19), slice(25, 38))
     whole = torch.arange(76.0).view(2, 38)
-    two = find_method("proposed", find_workcell("two_ur5e_allegro"))
-    assert [(agent.joints, agent.num_joints) for agent in two.agents] == [(arms, 12), (hands, 26)]
+    left, _, right, _ = find_method("proposed", find_workcell("two_ur5e_allegro")).agents
+    assert ((left + right).joints, (left + right).num_joints) == (arms, 12)
     assert take(whole, arms)[0].tolist() == [*range(6), *range(19, 25)]
     assert torch.equal(put([(hands, take(whole, hands)), (arms, take(whole, arms))]), whole)
 
