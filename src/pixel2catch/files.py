@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
-from unicodedata import category
 
 import msgspec
 import numpy as np
@@ -183,15 +182,9 @@ def _bounded(content: Any, name: str = "it") -> Any:
     return content
 
 
-UNPRINTABLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Categories of characters that control a terminal, the direction of the text, or lines. Source: Unicode."""
-
-
 def printable(text: str, kept: str = "\n\t") -> str:
     """Return a text with `\ufffd` in place of control characters, which a terminal would obey."""
-    if text.isprintable():
-        return text
-    return "".join("\ufffd" if category(each) in UNPRINTABLE and each not in kept else each for each in text)
+    return "".join(each if each.isprintable() or each in kept else "\ufffd" for each in text)
 
 
 def shown(value: Any) -> str:

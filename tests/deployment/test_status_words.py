@@ -5,9 +5,8 @@ from typing import Any
 import pytest
 
 from pixel2catch.camera.image import Verdict
-from pixel2catch.servo.link import Clamp, Fault, Mode, flag_names
+from pixel2catch.servo.link import Fault, Mode, flag_names
 from pixel2catch.servo.status_words import (
-    CLAMP_WORDS,
     FAULT_WORDS,
     VERDICTS,
     latencies,
@@ -26,7 +25,6 @@ def status(mode: str, **others: Any) -> dict[str, Any]:
 def test_every_fault_mode_and_verdict_has_words():
     assert FAULT_WORDS.keys() == {*flag_names(Fault, ~0)}
     assert VERDICTS.keys() == {*Verdict}
-    assert CLAMP_WORDS.keys() == {*flag_names(Clamp, ~0)}
     modes = ["", "starting", *(mode.name.lower() for mode in Mode)]
     headlines = {status_words(status(mode)).headline for mode in modes}
     assert len(headlines) == len(modes)

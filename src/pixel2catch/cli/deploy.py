@@ -130,14 +130,12 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
 
 
 def _counted(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield what stopped or limited the robot, and who requested it."""
-    from pixel2catch.servo.status_words import CLAMP_WORDS, fault_words
+    """Yield what stopped the robot, or refused a request."""
+    from pixel2catch.servo.status_words import fault_words
 
     for name, words in (("stops", "stopped"), ("refusals", "arming refused")):
         for reasons, count in summary[name].items():
             yield f"{words} {count} x: {'; '.join(fault_words(each)[0] for each in reasons.split(', '))}"
-    if clamps := [f"{CLAMP_WORDS[name]} in {count}" for name, count in summary["clamps"].items()]:
-        yield f"targets beyond a limit, which the servo kept (no fault): {', '.join(clamps)} ticks"
     for name, words in (("stop_requests", "stop requested by"), ("refused_prompts", "prompts refused of")):
         for sender, count in summary[name].items():
             yield f"{words} {printable(sender)}: {count} x"

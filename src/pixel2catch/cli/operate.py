@@ -52,10 +52,6 @@ class Operate:
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, Switches, operate_by_keys
             from pixel2catch.servo.status_words import sentence
-        if self.device is None and not self.web:
-            raise InvalidValueError(
-                "there is no switch: name an input device, such as /dev/input/event3, or add --web."
-            )
         keys, profile = self._keys(), self.network.robot.load()
         with ExitStack() as stack:
             switches = stack.enter_context(Switches(self.device)) if self.device else None
@@ -69,7 +65,8 @@ class Operate:
             say_change = saying_changes()
 
             def report(presses: "list[Press]", status: dict[str, Any]) -> None:
-                _say_presses(presses)
+                for press in presses:
+                    say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
                 if status:
                     say_change(sentence(status))
                 if page and switches:
@@ -83,7 +80,11 @@ class Operate:
                 page.operate(lambda: stop.is_set, lambda status: report([], status))
 
     def _keys(self) -> tuple[tuple[int, ...], ...]:
-        """Return the codes that hold, arm and stop; refuse a key that would have two meanings."""
+        """Return the codes that hold, arm and stop; refuse a key with two meanings, and to have no switch."""
+        if self.device is None and not self.web:
+            raise InvalidValueError(
+                "there is no switch: name an input device, such as /dev/input/event3, or add --web."
+            )
         if self.keys is None:
             return KEYS
         hold, arm, stop = self.keys
@@ -104,8 +105,3 @@ class Operate:
             from pixel2catch.viewer.visitors import HeldButton
         button = None if self.device else HeldButton()
         return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button, words=words)
-
-
-def _say_presses(presses: "list[Press]") -> None:
-    for press in presses:
-        say(f"key {press.code} {'pressed' if press.is_down else 'released'}")

@@ -88,15 +88,6 @@ FAULT_WORDS = {
 }
 """What is wrong, which ends a sentence "stopped: ...", and what to do, in sentences; by names of `Fault`."""
 
-CLAMP_WORDS = {
-    "position": "the range of a joint",
-    "lead": "the distance ahead of a joint",
-    "speed": "the speed of a joint",
-    "acceleration": "acceleration and jerk",
-    "workspace": "the workspace",
-}
-"""What limits a command, by names of `Clamp`."""
-
 EXPECTED_WHEN_IDLE = {
     *("dead man", "image stale", "policy late", "target not finite", "target far"),
     *("object lost", "perception unsound"),

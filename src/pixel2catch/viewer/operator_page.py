@@ -16,7 +16,7 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport
-from pixel2catch.servo.status_words import fault_words, latencies, refusal_words, status_words, verdict_words
+from pixel2catch.servo.status_words import latencies, refusal_words, status_words, verdict_words
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.images import jpeg
 from pixel2catch.viewer.server import open_server
@@ -158,7 +158,6 @@ class OperatorPage:
             "sight": verdict_words(status),
             "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
             "latency_ms": latencies(status),
-            "details": status_rows(status) if is_heard else [],
         }
 
     def _robot(self, theirs: str) -> str:
@@ -226,25 +225,3 @@ def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
             f"the box is {xmax - xmin:.0f} x {ymax - ymin:.0f} px: drag one round the object"
         )
     return [xmin, ymin, xmax, ymax]
-
-
-def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the entries of a status as rows of a name and a text."""
-    return [
-        ("servo", status.get("mode", "not heard of")),
-        ("stopped by", _what(status.get("stopped_by"))),
-        ("finds now", _what(status.get("found"))),
-        ("commands held back by", listed(status.get("clamped"))),
-        ("camera", verdict_words(status) or "no image yet"),
-        ("box of the object [px]", listed([f"{edge:.0f}" for edge in status.get("box") or ()])),
-        ("steps without a new image", str(status.get("num_missed", 0))),
-    ]
-
-
-def listed(values: Any) -> str:
-    """Return the entries of a list in words; `nothing` if it is empty."""
-    return ", ".join(map(str, values)) if isinstance(values, list) and values else "nothing"
-
-
-def _what(names: Any) -> str:
-    return listed([fault_words(str(name))[0] for name in names or ()])

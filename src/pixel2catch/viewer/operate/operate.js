@@ -52,7 +52,6 @@ function receive(message) {
   setText("switch-state", state.is_held ? "held" : "let go");
   showTwin(state.twin);
   showLatency(state.latency_ms);
-  showDetails(state.details);
   hearStop();
   draw();
 }
@@ -212,7 +211,7 @@ part("stop").addEventListener("pointerdown", stop);
 part("stop").addEventListener("click", (event) => event.detail === 0 && stop()); // by a screen reader
 part("arm").addEventListener("click", () => request({ do: "arm" }));
 
-// the twin, what is folded away
+// the twin, latencies
 
 function showTwin(twin) {
   part("twin").hidden = !twin;
@@ -242,17 +241,6 @@ function showLatency(latency) {
       text.textContent = `${value.toFixed(1)} ms`;
       row.append(label, length, text);
       return row;
-    }),
-  );
-}
-
-function showDetails(rows) {
-  if (!part("details").parentElement.open) return;
-  part("details").replaceChildren(
-    ...rows.map((row) => {
-      const line = document.createElement("tr");
-      for (const text of row) line.append(Object.assign(document.createElement("td"), { textContent: text }));
-      return line;
     }),
   );
 }
