@@ -15,7 +15,6 @@ from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Command, Fault, JointTargets, LoopEnd, Mode, ServoEnd, flag_names
 from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates
 
-PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
 ARM_TICKS = round(ARM_PAUSE / LIMITS.dt)
 
@@ -27,10 +26,8 @@ def shuffled(reading: messages.JointReading) -> messages.JointReading:
     return replace(other, names=("gripper", *other.names), position=np.append(9.0, other.position))
 
 
-@pytest.mark.parametrize("name", PROFILES)
-def test_arm_and_hand_reach_the_target(name: str, ends: tuple[LoopEnd, ServoEnd]):
-    """With the layouts of all drivers, and joint states in any order. Nothing is sent while idle."""
-    stage = Stage(Profile.load(name), ends)
+def test_arm_and_hand_reach_the_target(stage: Stage):
+    """With joint states in any order. Idle, nothing is sent. `twin/test_driver_doubles.py` has drivers."""
     lab = stage.lab
     lab.change = shuffled
     stage.wait(5)
