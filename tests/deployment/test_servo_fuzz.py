@@ -11,8 +11,7 @@ from hypothesis import given as examples
 from hypothesis import settings
 from hypothesis import strategies as st
 from laws import Laws
-from mishaps import MISHAPS, one
-from servo_rows import LIMITS, Lab, given
+from servo_rows import LIMITS, MISHAPS, Lab, given, one
 
 from paper_robot import JOINTS
 from pixel2catch.ros2.profile import MotionBudget, Profile
