@@ -114,6 +114,8 @@ class Deploy:
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     """Yield the summary of a deployment in words."""
+    from pixel2catch.servo.status_words import fault_words
+
     yield (
         f"{summary['num_steps']} control steps, {summary['num_missed']} without a new image, "
         f"{summary['num_overruns']} too long; {summary['num_ticks']} servo ticks, "
@@ -126,13 +128,6 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
     if ages:
         yield f"median age of an image [ms]: {', '.join(ages)}"
-    yield from _counted(summary)
-
-
-def _counted(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield what stopped the robot, or refused a request."""
-    from pixel2catch.servo.status_words import fault_words
-
     for name, words in (("stops", "stopped"), ("refusals", "arming refused")):
         for reasons, count in summary[name].items():
             yield f"{words} {count} x: {'; '.join(fault_words(each)[0] for each in reasons.split(', '))}"

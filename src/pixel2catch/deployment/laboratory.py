@@ -29,10 +29,7 @@ GUIDE = "docs/laboratory.md"  #: Page with the steps.
 LEAST_BUFFER = 4_000_000  #: Least receive buffer of a socket [bytes]: four images. Source: ours.
 DISCOVERY = 5.0  #: Real time within which all programs of the profile are found [s]. Source: ours.
 SECONDS = 2.0  #: Duration of listening then [s]. Source: ours.
-IMAGE_DEPTH, DEPTH = (
-    16,
-    2048,
-)  #: Messages kept between two polls: half a second of images, or of joint states.
+IMAGE_DEPTH, DEPTH = 16, 2048  #: Messages kept between polls: half a second of images, or of joint states.
 
 RATE_SHARE, MOST_RATE_SHARE = 0.95, 1.5  #: Range of a driver's rate, in the profile's. Source: ours.
 CLOCK_ERROR = 0.02  #: Largest difference of two clocks [s]. Source: training, docs/deployment.md.
@@ -97,7 +94,8 @@ class Survey:
 
     def _stamp_of_image(self, data: bytes) -> float:
         image = messages.read_image(data)
-        self._profile.camera.require(image)
+        if wrong := self._profile.camera.wrong_format(image):
+            raise DeploymentError(wrong)
         return image.stamp
 
     @property
@@ -268,11 +266,8 @@ def checks_of_laboratory(
 
     Beside a twin on this machine (loopback) the settings of the machine need not be good.
     """
-    limits, status, pendant = (
-        ServoLimits.of(find_workcell(profile.workcell)),
-        profile.status,
-        "at the pendant",
-    )
+    limits = ServoLimits.of(find_workcell(profile.workcell))
+    status, pendant = profile.status, "at the pendant"
     states = (
         ("robot mode", status.robot_mode, messages.RUNNING_ROBOT_MODE, f"switch the robot on {pendant}"),
         ("safety mode", status.safety_mode, messages.NORMAL_SAFETY_MODE, f"end the safety stop {pendant}"),

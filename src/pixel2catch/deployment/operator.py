@@ -191,9 +191,7 @@ class Switches(AbstractContextManager["Switches"]):
         try:
             self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
-            found = ", ".join(sorted(map(str, DEVICES.glob("*-event-*")))) or "there is none in " + str(
-                DEVICES
-            )
+            found = ", ".join(sorted(map(str, DEVICES.glob("*-event-*")))) or f"there is none in {DEVICES}"
             fix = f"name an input device: {found}"
             if error.errno == errno.EACCES:
                 fix = "add yourself to the group 'input', and log in again"

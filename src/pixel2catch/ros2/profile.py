@@ -229,15 +229,6 @@ class CameraProfile:
         wrong = f"{self.image.name} sends {found}, the profile says {expected}: set the camera's driver"
         return "" if found == expected else f"{wrong} to that."
 
-    def require(self, image: Image) -> None:
-        """Refuse an image of another size or encoding.
-
-        Raises:
-            DeploymentError: The driver must be set differently.
-        """
-        if wrong := self.wrong_format(image):
-            raise DeploymentError(wrong)
-
 
 @dataclass(frozen=True, kw_only=True)
 class StatusTopics:

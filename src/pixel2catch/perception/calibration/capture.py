@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.camera.image import Image, Pixels
+from pixel2catch.errors import DeploymentError
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.calibration.lens import BoardView, CharucoBoard
 from pixel2catch.ros2 import messages
@@ -145,7 +146,8 @@ def topic_images(transport: Transport, profile: Profile, joints: Sequence[str]) 
         known = joint_pos[columns].copy() if np.isfinite(joint_pos[columns]).all() else None
         for message in newest:
             image = messages.read_image(message.data)
-            profile.camera.require(image)
+            if wrong := profile.camera.wrong_format(image):
+                raise DeploymentError(wrong)
             yield Image(pixels=image.pixels, stamp=image.stamp, joint_pos=known)
         if not newest:
             yield None
