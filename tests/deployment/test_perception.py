@@ -91,6 +91,24 @@ def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_t
     assert camera.newest() is None
 
 
+def test_a_box_has_the_time_of_its_row_by_the_stated_times_of_the_camera(around: Surroundings):
+    """Stamps 10 ms late; 16 ms from the first row to the last: rows 100 to 130 of 480 are 4.2 ms early."""
+    camera = replace(PROFILE.camera, stamp_offset=0.01, readout_time=0.016)
+    images = ImageSubscriber(around.connection.transport, camera, RGB_CAMERA, around.clock)
+    runner = PerceptionRunner(new_pipeline(controller=remembering()), around.clock)
+    runner.begin_throw(BoxPrompt(box=(100.0, 100.0, 120.0, 130.0)))
+    taken = around.show(picture((100, 100, 120, 130)), age=0.06)
+    image = images.newest()
+    assert image is not None
+    assert image.stamp == pytest.approx(taken - 0.01, abs=2e-3)
+    runner.offer(image)
+    runner.poll()
+    box = runner.poll()
+    assert box is not None
+    assert box.verdict is Verdict.SEEN
+    assert box.stamp == pytest.approx(image.stamp + 0.016 * (115 / 480 - 0.5), abs=2e-4)
+
+
 @pytest.mark.parametrize("name", ["camera", "assuming"])
 def test_images_from_the_future_are_refused(name: str, request: pytest.FixtureRequest):
     """Up to 50 ms ahead is the error of a clock; more, after usable stamps, is a clock that was set."""

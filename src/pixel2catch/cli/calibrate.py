@@ -57,7 +57,10 @@ class Calibrate:
     out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
     live: bool = False  #: Take the images first, from the camera of --profile; Ctrl-C ends this part.
     capture: NewFolder = Path("views")  #: With --live: new folder for images and views.csv.
-    link: Network = field(default_factory=Network)  #: With --live: the network of the robot.
+    #: Only measure the camera's stamps: offset, and readout time of a rolling shutter. For 20 s, lead the arm
+    #: by hand so that the board moves fast up and down in the image.
+    timing: bool = False
+    link: Network = field(default_factory=Network)  #: With --live or --timing: the network of the robot.
     #: Only write the board to print, a .png or .pdf of A4.
     print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = None
     square: Positive = 0.06  #: Edge of a square of the board, measured on paper [m].
@@ -73,6 +76,9 @@ class Calibrate:
             sheet().savefig(page, format=self.print_marker.suffix.lower().lstrip("."))
             write_atomically({self.print_marker: page.getvalue()})
             say(f"wrote {self.print_marker}: print it at 100 %, then measure a square for --square")
+            return
+        if self.timing:
+            self._measure_timing()
             return
         table = self.capture / "views.csv" if self.live else self.views
         if table is None or not (self.live or self.intrinsics):
@@ -105,6 +111,25 @@ class Calibrate:
                 if capture.is_done or stop.is_set:
                     break
         say(f"wrote {self.capture}: {len(capture.taken)} images and views.csv")
+
+    def _measure_timing(self) -> None:
+        """Print the camera's times as they are written in a profile."""
+        from pixel2catch.perception.calibration.lens import CharucoBoard
+        from pixel2catch.perception.calibration.timing import SECONDS, watch
+        from pixel2catch.workcells import find_workcell
+
+        workcell, profile = find_workcell(self.workcell), self.link.robot.load()
+        joints = workcell.joint_names[workcell.palms[0].carriers]
+        with (
+            needs_extra("deployment"),
+            self.link.join("pixel2catch_calibrate", self.link.in_words(profile)) as (transport, clock),
+        ):
+            say(f"move the board fast, up and down in the image, for {SECONDS:.0f} s")
+            motion = watch(transport, clock, profile, joints, CharucoBoard(self.square))
+        timing = motion.timing(profile.camera.height)
+        say(f"from {len(motion.views)} images; write these lines into the camera of your profile:")
+        print(f"  stamp_offset: {timing.stamp_offset:.4f} # +- {timing.offset_std:.4f} s")
+        print(f"  readout_time: {timing.readout_time:.4f} # +- {timing.readout_std:.4f} s")
 
     def _calibrate(self, table: Path, lens: "CameraFile") -> None:
         from pixel2catch.mdp.throws import ThrowCfg, sample_paths

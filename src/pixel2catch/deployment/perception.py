@@ -9,7 +9,7 @@ from math import inf
 
 import numpy as np
 
-from pixel2catch.camera.image import Box, Image
+from pixel2catch.camera.image import Box, Image, Verdict
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
@@ -144,7 +144,8 @@ class ImageSubscriber:
                 continue
             self.stamp = stamp
             if is_new:
-                newest = replace(image, stamp=stamp, joint_pos=self._joints_at(stamp))
+                readout_time, joint_pos = self._profile.readout_time, self._joints_at(stamp)
+                newest = replace(image, stamp=stamp, readout_time=readout_time, joint_pos=joint_pos)
         return None if self.problem else newest
 
     def take_notice(self) -> str:
@@ -154,7 +155,7 @@ class ImageSubscriber:
 
     def _exposure_time(self, image: Image, arrival: float) -> float:
         """Exposure time by the stamp; after the first usable stamp, an old one is a late image."""
-        stamp = self._clock.now() - (self._clock.stamp() - image.stamp)
+        stamp = self._clock.now() - (self._clock.stamp() - image.stamp) - self._profile.stamp_offset
         has_stamp, was_stamped = image.stamp != 0.0, self._is_stamped
         is_usable = has_stamp and EARLIEST <= arrival - stamp <= LATEST
         self._is_stamped = is_usable or (was_stamped and has_stamp)
@@ -222,6 +223,7 @@ class PerceptionRunner:
         self._pipeline, self._clock, self._executor, self._duration = pipeline, clock, executor, duration
         self._waiting: tuple[Image, float] | None = None
         self._running: Future[Box] | None = None
+        self._image: Image | None = None
         self._due = -inf
         self._started: dict[str, float] = {}
         self._on_end: Callable[[], None] | None = None
@@ -268,7 +270,8 @@ class PerceptionRunner:
         return box
 
     def _start(self, image: Image, received: float, now: float) -> None:
-        self._waiting, self._started = None, {"exposed": image.stamp, "received": received, "begun": now}
+        self._waiting, self._image = None, image
+        self._started = {"exposed": image.stamp, "received": received, "begun": now}
         if self._executor:
             self._running = self._executor.submit(self._pipeline.tracker.step, image, now)
         else:
@@ -280,6 +283,8 @@ class PerceptionRunner:
         if not (self._running and self._running.done() and self._clock.now() >= self._due - ROUNDING):
             return None
         box, self._running = self._running.result(), None
+        if box.verdict is Verdict.SEEN and self._image:
+            box = replace(box, stamp=self._image.time_of(0.5 * (box.edges[1] + box.edges[3])))
         if self._on_end:
             self._on_end()
             self._on_end = None

@@ -220,6 +220,10 @@ class CameraProfile:
     width: int  #: Image width [px].
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
+    #: Time from the middle of the exposure of the middle row to the stamp [s]; `calibrate --timing`.
+    stamp_offset: Annotated[float, Meta(ge=-0.1, le=0.1)] = 0.0
+    #: Time from the first row to the last of a rolling shutter [s]; `calibrate --timing`.
+    readout_time: Annotated[float, Meta(ge=-0.05, le=0.05)] = 0.0
 
     def wrong_format(self, image: Image) -> str:
         """Return the error of an image of another size or encoding; empty if it has the profile's."""
