@@ -18,7 +18,7 @@ UPPER = torch.tensor([joint.upper for joint in JOINTS])
 
 
 def test_affine_map_by_hand():
-    """1 * 2 + 0.5 * 0.5, then 0.1 + 0.4 * 0.5; the limit 2.4 cuts the first at action 1, and 7 counts as 1."""
+    """1 * 2 + 0.5 * 0.5, then 0.1 + 0.4 * 0.5; 2.4 limits the first at action 1, and 7 counts as 1."""
     commands = (
         JointCommand(anchor=1.0, offset=0.0, scale=0.5, lower=0.0, upper=2.4),
         JointCommand(anchor=0.0, offset=0.1, scale=0.4, lower=-0.3, upper=0.5),
