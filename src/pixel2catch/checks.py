@@ -85,7 +85,7 @@ class InputFile(Requirement):
 class OutputFile(Requirement):
     """A file that can be written; its folder is made later."""
 
-    endings: tuple[str, ...] = ()  #: How its name may end; any if empty.
+    endings: tuple[str, ...] = ()  #: Valid endings of its name, such as .mp4; all if empty.
     is_new: bool = False  #: Whether it must not be there yet.
 
     def require(self, name: str, value: Path) -> None:  # noqa: D102

@@ -37,7 +37,7 @@ def _terminations() -> list[signal.Signals]:
 
 @contextmanager
 def _handling(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[None]:
-    """Handle signals in this context, in the main thread, the only one that receives them."""
+    """Handle signals in this context; do nothing outside the main thread, which alone receives signals."""
     is_main = threading.current_thread() is threading.main_thread()
     previous = {number: signal.signal(number, handler) for number in numbers if is_main}
     try:

@@ -68,7 +68,7 @@ class Calibrate:
     topic: str | None = None  #: Topic of the CameraInfo in a rosbag. Default: the only one.
 
     def run(self) -> None:
-        """Print the board, or find the camera and write it."""
+        """Write the page with the board, or calibrate the camera and write its file."""
         with needs_extra("perception"):
             from pixel2catch.perception.calibration.lens import sheet
         if self.print_marker is not None:
@@ -92,7 +92,7 @@ class Calibrate:
         self._calibrate(table, lens or self._lens(self.capture))
 
     def _take(self) -> None:
-        """Take images and write their table until there are enough, or Ctrl-C."""
+        """Take images of the board and write views.csv until there are enough images, or until Ctrl-C."""
         from pixel2catch.perception.calibration.capture import Capture, topic_images
         from pixel2catch.perception.calibration.lens import CharucoBoard
         from pixel2catch.workcells import find_workcell

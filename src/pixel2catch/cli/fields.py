@@ -126,7 +126,7 @@ def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskOptions:
-    """Changes of the task of an evaluation."""
+    """Options that change the task of an evaluation."""
 
     #: Any field of the task, such as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
     env: TaskFields = None

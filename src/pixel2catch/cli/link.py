@@ -45,7 +45,7 @@ class Robot:
         return Profile.load(self.profile)
 
     def write_copy(self, path: Path) -> None:
-        """Write a copy of the profile, with comments, under the name of the new file."""
+        """Write a copy of the profile; keep its comments, and set its name to that of the new file."""
         from pixel2catch.ros2.profile import profile_file
 
         self.load()  # refuses a file that is no profile

@@ -111,7 +111,7 @@ class Track:
             sightings = scored(sightings, labels, fit, self.at, scores)
         first = next(sightings, None)
         if first is None:
-            raise PerceptionError(f"{self.source} has no images.")
+            raise PerceptionError(f"{self.source} has no images; name another video, rosbag2 or camera.")
         with StopRequest() as stop:
             rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
             end = inf if self.seconds is None else self.seconds

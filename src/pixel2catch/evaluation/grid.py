@@ -60,7 +60,7 @@ class Slot(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Wait for the end of a stopped cell, and free what the slot holds."""
+        """Wait until a stopped cell ends, and free the resources of the slot."""
 
 
 @final
@@ -298,7 +298,7 @@ def compute(work: Work, device: str, log: Path | None) -> str | None:
 
 @contextlib.contextmanager
 def _printing_to(log: Path | None) -> Iterator[None]:
-    """Append what this process prints to a log, which only one process at a time may write."""
+    """Append the output of this process to a log; raise StudyError if another process writes to it."""
     if log is None:
         yield
         return

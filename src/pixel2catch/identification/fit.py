@@ -184,7 +184,7 @@ class NormalEquations:
 
     @property
     def decrease(self) -> float:
-        """Return the decrease of the squares without damping, if they were quadratic."""
+        """Return the predicted decrease of the sum of squares by a step without damping and clipping."""
         return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
 
 

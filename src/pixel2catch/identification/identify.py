@@ -1,4 +1,4 @@
-"""From recordings to a dynamics file: the start of the fit, what is held out, intervals, ranges of gains."""
+"""From recordings to a dynamics file: start of the fit, held-out data, confidence intervals, gain ranges."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -67,24 +67,24 @@ class CheckedRecording:
     recording: Recording
     checks: tuple[DataCheck, ...]
     is_held_out: bool  #: whether it judges the fit instead of being fitted
-    #: simulated before the fit, at the settled measurements [rad]
+    #: simulated before the fit, at the times of the compared measurements [rad]
     before: Positions = field(default_factory=lambda: np.zeros((0, 0)))
     #: simulated with the fitted dynamics [rad]
     after: Positions = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def time(self) -> Float[np.ndarray, " num_settled"]:
-        """Return the times of the settled measurements [s]."""
+        """Return the times of the compared measurements, those after `SETTLING` [s]."""
         return self.recording.t_meas[-len(self.after) :]
 
     @property
     def measured(self) -> Positions:
-        """Return the settled measurements [rad]."""
+        """Return the compared measurements [rad]."""
         return self.recording.q[-len(self.after) :]
 
     @property
     def command(self) -> Positions:
-        """Return the commands at the times of the settled measurements [rad]."""
+        """Return the commands at the times of the compared measurements [rad]."""
         return self.recording.held(self.time)
 
 

@@ -32,7 +32,7 @@ TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 class MotionRange:
     """Range of the joints of a role, and of the motion that excites them."""
 
-    reach: float  #: largest distance of a joint from 0 [rad]
+    reach: float  #: largest valid position of a joint in either direction; beyond it data are refused [rad]
     margin: float  #: distance of an excitation's commands from a joint's limits [rad]
     swing: float  #: largest distance from the middle of the excitation [rad]
     acceleration: float  #: largest acceleration of smooth commands [rad/s²]

@@ -108,9 +108,10 @@ def recorded_model(workcell: WorkcellSpec, joints: Sequence[str], physics_dt: fl
 
 
 def hanging_on(parents: Int[np.ndarray, " num"]) -> Bool[np.ndarray, "num num"]:
-    """Return which elements (columns) of a tree hang on each element (rows), itself included.
+    """Return which elements (columns) of a tree descend from each element (rows), itself included.
 
-    Each has the number of its parent, which comes before it, as in MuJoCo's bodies and degrees of freedom.
+    `parents` has the index of each element's parent, which precedes it, as in MuJoCo's bodies and degrees of
+    freedom.
     """
     hangs = np.eye(len(parents), dtype=bool)
     for child, parent in enumerate(parents):
@@ -326,7 +327,7 @@ class RecordedMotion:
     def _roll_out(
         self, copies: Sequence[tuple[JointDynamics, _Grid]]
     ) -> Float[np.ndarray, "num_edges num_copies num_joints"]:
-        """Return positions at every edge [rad]."""
+        """Simulate all copies; return joint positions at the edges of the physics steps [rad]."""
         num_threads = min(len(os.sched_getaffinity(0)), len(copies)) if len(copies) >= THREADED_COPIES else 1
         batch = Batch(self._model, len(copies), num_threads, persistent=True)
         candidates = [dynamics for dynamics, _ in copies]

@@ -126,7 +126,7 @@ class RunFolder:
 
     @property
     def checkpoint(self) -> Path:
-        """State of learning, for --resume."""
+        """File with the state of the learner, which --resume reads."""
         return self.path / "checkpoint.pt"
 
     @property

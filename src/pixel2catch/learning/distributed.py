@@ -111,7 +111,7 @@ class Workers:
         raise SystemExit(0)
 
     def share(self, cfg: TrainCfg) -> TrainCfg:
-        """Return the configuration of this process: its environments, its device and their seed.
+        """Return the configuration of this process: its share of environments, its device and its own seed.
 
         Raises:
             InvalidValueError: The environments or their transitions cannot be split equally.

@@ -22,12 +22,12 @@ PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationInputs:
-    """What observation terms read of one control step, for one agent."""
+    """Inputs of the observation terms of one agent: the measurements of two consecutive control steps."""
 
     before: Measurement  #: The measurement one control step earlier.
     now: Measurement  #: The measurement.
     joints: Columns  #: The agent's columns in joint order.
-    palms: Columns  #: The palms that it serves.
+    palms: Columns  #: Columns of the palms on the agent's robots.
     pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
 
@@ -77,7 +77,7 @@ def object_extent(frame: ObservationInputs) -> Float[Tensor, "num_envs 2"]:
 
 
 def initial_object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
-    """Return the object's first position of the episode [m]. Source: paper, Sec. V-A (w/o-PF)."""
+    """Return the first object position of the episode, by a tracker [m]. Source: paper, Sec. V-A (w/o-PF)."""
     return frame.now.initial_object_pos
 
 
@@ -167,7 +167,7 @@ class ObservationLayout:
     terms: tuple[ObservationTerm, ...]  #: Terms of each of two consecutive frames.
     memory: tuple[ObservationTerm, ...]  #: Terms of the newest frame that summarise earlier boxes.
     joints: Columns  #: The agent's columns in joint order.
-    palms: Columns  #: The palms that it serves.
+    palms: Columns  #: Columns of the palms on the agent's robots.
     pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
     def inputs(self, before: Measurement, now: Measurement) -> ObservationInputs:

@@ -57,7 +57,7 @@ class SensingCfg:
     edge_noise: Pixels = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
     #: Share of the images in which the object is not found.
     drop_rate: Annotated[Amount, Within(0.0, 1.0)] = 0.0
-    #: Control steps of each flight, at a random time, without any image.
+    #: Consecutive control steps of each flight without images, from a random time on.
     blackout_steps: Annotated[Amount, Within(0.0, 300.0)] = 0
     #: Control steps between images that are processed: 2 if perception takes 60 ms.
     image_period: Annotated[Amount, Within(1.0, 100.0)] = 1.0
@@ -118,13 +118,13 @@ def detect(
     least_visible: float,
     camera: Projection | None = None,
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Return the box of the visible surface points [px], and whether enough of them are visible.
+    """Return the box of the visible surface points, clipped to the image [px], and whether enough are seen.
 
     Args:
         points: Surface points, world frame [m].
         is_visible: Which of them nothing hides.
         least_visible: Share that must be visible and in the image.
-        camera: The camera. Default: the release's.
+        camera: The camera. Default: `RGB_CAMERA`, without errors.
     """
     camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)

@@ -239,7 +239,7 @@ class BackgroundSubtraction(Segmenter):
 
 
 class Appearance:
-    """Two colour histograms: of the object, and of everything that it could be confused with.
+    """Two colour histograms: of the object, and of everything with which it could be confused.
 
     They count pixels. A colour belongs to the object only if the object has more of it than everything else:
     a black ball over a black hand has no colour of its own.

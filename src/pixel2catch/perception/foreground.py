@@ -191,7 +191,7 @@ class Foreground:
         self._light.clear()
 
     def _with_background_light(self, image: Pixels, counted: np.ndarray) -> Pixels:
-        """The image, scaled to the brightness of the background."""
+        """Return the image, scaled to the brightness of the background; record its relative brightness."""
         every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
         now, before = image[every].astype(np.float32), self._mean[every]
         usable = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)

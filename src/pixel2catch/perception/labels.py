@@ -153,7 +153,7 @@ def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Lab
         raise InvalidValueError("it has no boxes")
     for image, mark in sorted(by_image.items()):
         if not 0 <= image < len(stamps):
-            raise InvalidValueError(f"it has a box in image {image}, the video has {len(stamps)} images")
+            raise InvalidValueError(f"it labels image {image}, the video has {len(stamps)} images, from 0")
         named: list[Phase] = [each for each in PHASES if each in (mark.phase, mark.name)]
         box = mark.box and (
             max(mark.box[0], 0.0),

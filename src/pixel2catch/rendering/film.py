@@ -73,7 +73,7 @@ class Storyboard:
     is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is in slow motion.
     closeness: Float[ndarray, " num_pictures"]  #: 0 shows the whole room, 1 the hand.
     decision: int  #: Control step in which the outcome is known.
-    catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
+    catch: int  #: First control step with the object within `REACH` of a palm, else that nearest to one.
     focus: Float[ndarray, "num_pictures 3"]  #: Position of the hand; before the catch, that at the catch [m].
 
 
@@ -139,7 +139,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     """Draws throws in one room; close it, or use it as a context manager."""
 
     def __init__(self, scene: SceneCfg, width: int) -> None:
-        """Furnish the room of a scene, for pictures of a width [px].
+        """Build the plain film room of a scene and its renderers, for pictures of this width [px].
 
         Raises:
             DeviceUnavailableError: No OpenGL back end works.

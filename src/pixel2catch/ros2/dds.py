@@ -300,7 +300,7 @@ class _DdsSubscription(Subscription):
 
 
 def _qos(topic: Topic, depth: int, *policies: object, note: str = "") -> Qos:
-    """Return the qualities of an endpoint, with the hash of its message's definition for ROS 2 (Jazzy)."""
+    """Return the quality of service of an endpoint, with its message's type hash for ROS 2 Jazzy."""
     durability = Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
     definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};{note}".encode())
     return Qos(durability, Policy.History.KeepLast(depth), definition, *policies)

@@ -102,7 +102,7 @@ class RosTransport(Transport):
         return self._queues.wait(seconds)
 
     def close(self) -> None:
-        """Leave the network; a second time does nothing."""
+        """Leave the network; a second call does nothing."""
         import rclpy
 
         if not self._is_open:

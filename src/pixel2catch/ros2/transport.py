@@ -122,7 +122,7 @@ class Subscription(ABC):
 
     @abstractmethod
     def take(self) -> list[Message]:
-        """Return what arrived since the last call, oldest first; beyond the depth, the oldest are lost."""
+        """Return the messages since the last call, oldest first; beyond the depth, the oldest are lost."""
 
 
 class Transport(ABC):

@@ -203,8 +203,8 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
     """Return points on the surface of an object, body frame [m].
 
-    The first points are all vertices, or those of the common hull if there are too many; they bound the
-    outline in an image exactly. The others are uniformly distributed over the outer surface.
+    The first points are all vertices, or those of the convex hull of all parts if there are too many; they
+    bound the outline in an image exactly. The others are uniformly distributed over the outer surface.
     """
     vertices = np.concatenate([part.vertices for part in spec.parts])
     if num_points < len(vertices):

@@ -89,7 +89,7 @@ class Workspace:
 
 
 def _joined(parts: Iterable[np.ndarray]) -> np.ndarray:
-    """Concatenate arrays; the tick is compiled for this memory layout."""
+    """Return the concatenated arrays, C-contiguous, the layout for which the servo tick is compiled."""
     return np.ascontiguousarray(np.concatenate([*parts]))
 
 

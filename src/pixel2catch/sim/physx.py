@@ -136,7 +136,7 @@ class PhysxCopy(EngineCopy):
 
 @final
 class _Tree:
-    """An articulation, and the indices of its joints in MuJoCo's arrays, in PhysX's order."""
+    """A PhysX articulation, and the indices in MuJoCo's arrays of its joints, in PhysX's joint order."""
 
     def __init__(self, articulation: Any, bodies: dict[int, tuple[Body, Joint]]) -> None:
         self.articulation, self.joints = articulation, articulation.get_active_joints()

@@ -66,7 +66,7 @@ def _response(status: http.HTTPStatus, kind: str, body: bytes, **headers: str) -
 class RequestCheck:
     """Checks which requests are answered."""
 
-    names: tuple[str, ...]  #: Valid host names of a request; all, if empty.
+    names: tuple[str, ...]  #: Valid host names in a request's Host header; all if empty.
     token: str = ""  #: Token that the address or a cookie must have; no token if empty.
     cookie: str = ""  #: Name of that cookie.
 
@@ -91,7 +91,7 @@ class RequestCheck:
         return ""
 
     def is_in_address(self, request: Request) -> bool:
-        """Return whether a request's address has the token."""
+        """Return whether the URL of a request has the valid token."""
         given = parse_qs(urlsplit(request.path).query).get("token", [""])[-1]
         return bool(self.token) and secrets.compare_digest(given.encode(), self.token.encode())
 

@@ -88,7 +88,7 @@ def advice(comparison: Comparison) -> Iterator[str]:
 
 
 def _pixels(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a pinhole sees points [px], and whether it does."""
+    """Return where a pinhole camera projects points [px], and which of them are in its image."""
     pixels, depth = project(camera, torch.from_numpy(points)[None])
     return pixels[0].numpy(), is_in_view(camera, pixels, depth)[0].numpy()
 
