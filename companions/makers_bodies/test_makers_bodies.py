@@ -138,3 +138,13 @@ def test_what_is_not_the_robot_is_refused(
     with pytest.raises(p2c.Pixel2CatchError, match=message):
         write_workcell([tmp_path / f"{name}.xml" for name in names], tmp_path / "makers", surface=surface)
     assert not (tmp_path / "makers").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("arm.urdf", '<robot name="%n"></robot>'), ("arm.xml", '<mujoco><default class="%n"/></mujoco>')],
+)
+def test_a_model_with_a_format_character_is_refused(name: str, content: str, tmp_path: Path):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(p2c.Pixel2CatchError, match="takes for a format"):
+        write_workcell([tmp_path / name], tmp_path / "makers")

@@ -62,12 +62,13 @@ class Operate:
             if page:
                 stack.callback(page.close)
                 say(f"open {page.address} in a browser")
-            say_change = saying_changes()
+            say_robot, say_change = saying_changes(), saying_changes()
 
             def report(presses: "list[Press]", status: dict[str, Any]) -> None:
                 for press in presses:
                     say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
                 if status:
+                    say_robot(f"deployment: {status.get('robot', 'several robots')}")
                     say_change(sentence(status))
                 if page and switches:
                     page.update()

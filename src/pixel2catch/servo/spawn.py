@@ -61,9 +61,9 @@ def start_servo(
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
     """Run the servo process until its link is closed, or SIGTERM or SIGHUP; Ctrl-C and Ctrl-Z are ignored."""
-    ServoCore(setup.limits)  # compile it before this is a real-time process
     for number in (signal.SIGINT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
+    ServoCore(setup.limits)  # compile it before this is a real-time process
     set_niceness(SERVO)
     set_real_time(SERVO_PRIORITY)
     clock = RealClock(clock_rate)
