@@ -118,8 +118,7 @@ class JointLimits:
             workcell: The robots.
             share: Share of the full speed, more than 0 and up to 1.
             dynamics: Of all joints, for their lag; nominal if absent.
-            is_identified: Whether the dynamics were identified. If not, commands are limited to the speed of
-                the joints, as the true lag may be shorter.
+            is_identified: Whether the dynamics are known; if not, commands are no faster than the joints.
             parts: Drivers, whose `limits` may lower the full speed.
 
         Raises:
@@ -133,21 +132,18 @@ class JointLimits:
         most = _allowed(workcell, parts)
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed
-        acceleration = np.minimum(
-            part * each(1000.0 if is_identified else 300.0, 2000.0), most["acceleration"]
-        )
+        own_acceleration = part * each(1000.0 if is_identified else 300.0, 2000.0)
+        acceleration = np.minimum(own_acceleration, most["acceleration"])
         jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
-        braking_time = STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN
-        fastest = np.minimum(most["command_speed"], acceleration * braking_time)
+        fastest = np.minimum(most["command_speed"], _stoppable_speed(acceleration, jerk))
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
-        speed = np.minimum(part * each(10.0, 20.0), fastest) if is_identified else even_speed
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
-            speed=speed,
+            speed=np.minimum(part * each(10.0, 20.0), fastest) if is_identified else even_speed,
             acceleration=acceleration,
             jerk=jerk,
             deceleration=np.minimum(np.maximum(each(20.0, 100.0), even_speed / RETURN_TIME), acceleration),
@@ -174,6 +170,11 @@ class JointLimits:
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
+
+
+def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
+    """Return the speed from which braking ends within `STOP_TIME` [rad/s]."""
+    return acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
 
 
 def _by_role(workcell: WorkcellSpec, arm: float, hand: float) -> Joints:

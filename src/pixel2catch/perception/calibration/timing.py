@@ -120,7 +120,11 @@ def _polynomial(values: Float[np.ndarray, "num size"]) -> Float[np.ndarray, "num
 def watch(
     transport: Transport, clock: Clock, profile: Profile, joints: Sequence[str], board: CharucoBoard
 ) -> BoardMotion:
-    """Collect views of a board and positions of some joints for `SECONDS`."""
+    """Collect views of a board and positions of some joints for `SECONDS`.
+
+    Raises:
+        PerceptionError: The images have another format than the profile's.
+    """
     parts = [part for part in profile.robots if {*part.joints} & {*joints}]
     states = [(part, transport.subscription(part.state_topic, 512)) for part in parts]
     images, motion = transport.subscription(profile.camera.image, 8), BoardMotion()
@@ -136,7 +140,8 @@ def watch(
                     motion.joints.append((reading.stamp, joint_pos[columns].copy()))
         for message in images.take():
             image: Image = messages.read_image(message.data)
-            profile.camera.require(image)
+            if wrong := profile.camera.wrong_format(image):
+                raise PerceptionError(wrong)
             if view := board.find(image.pixels):
                 motion.views.append((image.stamp, view))
     return motion
