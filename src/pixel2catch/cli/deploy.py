@@ -1,7 +1,8 @@
 """`pixel2catch deploy`: let a policy catch with a robot, or with its digital twin."""
 
 import gc
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, OutputFile
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
+from pixel2catch.errors import DeploymentError, InvalidValueError
 from pixel2catch.files import json_text, printable
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -20,9 +22,11 @@ from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
+    from pixel2catch.deployment.control_loop import Connection
     from pixel2catch.deployment.policy_pipeline import PolicyPipeline
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.scene.constants import CameraSpec
+    from pixel2catch.servo.limits import ServoLimits
 
 
 def make_pipeline(
@@ -66,6 +70,12 @@ class Deploy:
     #: New file, such as my_lab.yaml, for a copy of the --profile with its comments, as the start of your own.
     #: Nothing else is done.
     write_profile: Annotated[Path, OutputFile((".yaml", ".yml"), is_new=True)] | None = None
+    #: Place of the profile over which the robot releases what it caught. It then returns to its start pose
+    #: and waits for the next throw, armed. These motions have a quarter of a catch's speed at most.
+    after_catch: str | None = None
+    #: Before the throws, each joint moves by some degrees, and the encoder that follows is compared with the
+    #: profile. At a terminal this is asked once a day, if a robot can be reached.
+    joint_check: bool = False
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
@@ -73,11 +83,13 @@ class Deploy:
         """Deploy until a signal, and print what happened."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
+            from pixel2catch.deployment.throw_cycle import ThrowCycle
             from pixel2catch.servo.link import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
             from pixel2catch.servo.status_words import sentence
         if self.write_profile:
             self.link.robot.write_copy(self.write_profile)
             return
+        self._require_motion()
         set_niceness(CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
@@ -89,8 +101,12 @@ class Deploy:
             set_real_time(LOOP_PRIORITY)
         with ExitStack() as stack:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
-            connection = self.link.connect(profile, self.record, "jpeg", stack, is_dry_run=self.dry_run)
-            control_loop = ControlLoop(pipeline, camera, connection, profile, executor)
+            limits, place = self.link.limits(profile), self.after_catch
+            cycle = place and ThrowCycle(pipeline, profile, limits, camera, place, executor)
+            is_check_due = self._is_check_due(profile)
+            connection = self.link.connect(
+                profile, self.record, "jpeg", stack, limits=limits, is_dry_run=self.dry_run
+            )
             begin, hear = connection.clock.now(), saying_changes()
 
             def report(status: dict[str, Any]) -> None:
@@ -102,14 +118,65 @@ class Deploy:
             gc.collect()
             gc.freeze()  # later collections skip what exists now
             with StopRequest() as stop:
+                if is_check_due:
+                    _check_joints(connection, profile, limits, lambda: stop.is_set, report)
+                control_loop = ControlLoop(
+                    pipeline, camera, connection, profile, executor, cycle=cycle or None
+                )
                 control_loop.run(lambda: stop.is_set, report)
         summary = control_loop.statistics.summary()
-        if self.json:
-            print(json_text({"summary": summary, "ended_by": stop.by}, indent=None), end="")
-        else:
-            print("\n".join([*summary_lines(summary), f"ended by {stop.by}"]))
+        words = "\n".join([*summary_lines(summary), f"ended by {stop.by}\n"])
+        print(
+            json_text({"summary": summary, "ended_by": stop.by}, indent=None) if self.json else words, end=""
+        )
         if connection.recording:
             connection.recording.require_whole()
+
+    def _require_motion(self) -> None:
+        if self.dry_run and (self.joint_check or self.after_catch):
+            raise InvalidValueError("--joint-check and --after-catch move the robot: leave out --dry-run")
+
+    def _is_check_due(self, profile: "Profile") -> bool:
+        """Return whether the joints are to be checked now; at a terminal, a person decides."""
+        from pixel2catch.deployment.joint_check import record_of_today
+
+        is_done = self.dry_run or self.link.is_twin or record_of_today(profile.name).exists()
+        if self.joint_check or is_done:
+            return self.joint_check
+        if not sys.stdin.isatty():
+            say("the joints of this profile were not checked today: add --joint-check")
+            return False
+        return input("Check the joints, each by some degrees? [Y/n] ").strip().lower() in ("", "y", "yes")
+
+
+def _check_joints(
+    connection: "Connection",
+    profile: "Profile",
+    limits: "ServoLimits",
+    is_over: Callable[[], bool],
+    on_status: Callable[[dict[str, Any]], None],
+) -> None:
+    """Let an armed robot move each joint, and write that the joints of the profile were checked today.
+
+    Raises:
+        DeploymentError: Joints do not fit the profile, or not all were moved.
+    """
+    from pixel2catch.deployment.follower import move
+    from pixel2catch.deployment.joint_check import JointCheck, record_of_today
+    from pixel2catch.workcells import find_workcell
+
+    check, reason = JointCheck(find_workcell(profile.workcell), limits), "it was ended"
+    try:
+        topic = profile.operator.status
+        if move(check.plan, "joint check", connection, topic, is_over, on_status, check.note):
+            reason = ""
+    except DeploymentError as error:
+        reason = str(error)
+    if wrong := [*check.findings(), *filter(None, [reason])]:
+        raise DeploymentError(f"joint check: {'; '.join(wrong)}")
+    path = record_of_today(profile.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:

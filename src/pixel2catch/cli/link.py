@@ -104,18 +104,20 @@ class Link(Network):
         images: "ImageStorage",
         stack: ExitStack,
         *,
+        limits: "ServoLimits | None" = None,
         is_dry_run: bool = False,
     ) -> "Connection":
         """Join the network and start the servo process; record into a folder, if there is one.
 
-        The stack ends first the servo, which stops the robot, then the rest.
+        The limits are those of `limits` unless others are given. The stack ends first the servo, which stops
+        the robot, then the rest.
         """
         from pixel2catch.deployment.control_loop import Connection
         from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
         from pixel2catch.servo.process import ServoSetup
         from pixel2catch.servo.spawn import start_servo
 
-        limits = self.limits(profile)
+        limits = limits or self.limits(profile)
         speeds = (f"{part.name} {limits.joint_speed(part.ids):.3g} rad/s" for part in profile.robots)
         words = f"{self.in_words(profile)}; joints up to: {', '.join(speeds)}"
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=is_dry_run)

@@ -16,11 +16,13 @@ from pixel2catch.deployment.perception import ImageSubscriber, PerceptionRunner
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import SERVO, TARGETS, DeploymentRecorder
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
+from pixel2catch.deployment.throw_cycle import ThrowCycle
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, link
 from pixel2catch.servo.process import Servo, ServoSetup
 
@@ -111,8 +113,9 @@ class ControlLoop:
         profile: Profile,
         executor: Executor | None = None,
         perception_time: Callable[[], float] = float,
+        cycle: ThrowCycle | None = None,
     ) -> None:
-        """Subscribe and announce; the policy was trained for this camera.
+        """Subscribe and announce; the policy was trained for this camera. The cycle moves between throws.
 
         The executor has one thread for perception. None is for stepped time: perception runs in the caller's
         thread, and `perception_time` draws how long it takes for an image [s].
@@ -132,6 +135,9 @@ class ControlLoop:
         self._box: Box | None = None
         self._sent: JointTargets | None = None
         self._timer = DecisionTimer(connection.clock.now())
+        self._cycle = cycle
+        if cycle:
+            cycle.begin_waiting = lambda: self._perception.begin_throw(None)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Run until it is over, and report the status of every control step; raises what `poll` raises."""
@@ -183,14 +189,20 @@ class ControlLoop:
             if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
                 self._perception.begin_throw(None)
                 self._requests.stopped_by = ""
+                if self._cycle:
+                    self._cycle.arm(command.joint_pos, command.time + ServoLimits.ramp_time)
             self._mode = command.mode
         for prompt in self._requests.take_prompts():
-            self._perception.begin_throw(prompt)
+            if self._cycle and self._cycle.phase == "move":
+                self._requests.complaint = "a prompt was ignored: the robot moves. Point at the object later."
+            else:
+                self._perception.begin_throw(prompt)
 
     def _decide(self) -> tuple[JointTargets | None, str]:
         """Return the joint targets, if the policy can decide, and what went wrong."""
         try:
-            targets = self._pipeline.decide(self._joint_pos, self._clock.now())
+            decider = self._cycle if self._cycle and self._mode in ACTIVE else self._pipeline
+            targets = decider.decide(self._joint_pos, self._clock.now())
         except DeploymentError as error:
             return None, str(error)
         if targets is None:
@@ -199,7 +211,12 @@ class ControlLoop:
         return self._with_image(targets, self._images.stamp), ""
 
     def _with_image(self, targets: JointTargets, stamp: float) -> JointTargets:
-        """Return targets with the exposure time of the newest image [s] and the state of perception."""
+        """Return targets with the exposure time of the newest image [s] and the state of perception.
+
+        Those of a motion between throws depend on neither.
+        """
+        if self._cycle and self._cycle.phase != "throw":
+            return targets
         stamp = min(stamp, self._clock.now())
         return replace(targets, image_stamp=stamp, is_perception_sound=not self._problem)
 
@@ -230,10 +247,12 @@ class ControlLoop:
         message = message or (box.message if box else "") or complaint
         message = self._images.take_notice() or message
         trouble = self._recording.trouble if self._recording else ""
-        message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
+        announced = self._cycle.message if self._cycle else ""
+        message = " ".join(filter(None, (self._requests.stopped_by, announced, message, trouble)))
         sight = self._pipeline.sight
         status = self.statistics.status(box, message, sight.at(now), now - sight.box_stamp)
-        return status | {"robot": self._connection.robot_words}
+        phase = {"cycle": self._cycle.phase} if self._cycle else {}
+        return status | {"robot": self._connection.robot_words} | phase
 
 
 @final

@@ -1,17 +1,24 @@
-"""A robot that follows a trajectory of `excite` instead of a policy."""
+"""A robot that follows a trajectory instead of a policy: that of `excite`, or a slow motion to a pose."""
 
+import json
 from collections.abc import Callable
 from math import inf
 from typing import Any
 
+import numpy as np
+
 from pixel2catch.deployment.control_loop import Connection
+from pixel2catch.deployment.paths import Motion
 from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import Topic
 from pixel2catch.servo.limits import STOP_TIME, Joints, ServoLimits
-from pixel2catch.servo.link import JointTargets, Mode
+from pixel2catch.servo.link import Command, JointTargets, Mode
 
 PERIOD = 0.01  #: Time between two targets [s]. Source: ours.
+START_ERROR = 0.02  #: Largest distance of a joint from the start of a trajectory [rad]. Source: ours.
 
 
 def follow(
@@ -20,6 +27,8 @@ def follow(
     connection: Connection,
     is_over: Callable[[], bool],
     on_status: Callable[[dict[str, Any]], None],
+    start: Joints | None = None,
+    on_command: Callable[[Command], None] = lambda _: None,
 ) -> bool:
     """Wait until the servo is armed, then follow a trajectory once; operator and servo guard the robot.
 
@@ -31,6 +40,8 @@ def follow(
         connection: Network, servo, clock and recording.
         is_over: Ends it early.
         on_status: Gets a status with every target; "done" is the share of the trajectory that was sent.
+        start: Pose in which the trajectory begins [rad]. A robot that is elsewhere does not begin it.
+        on_command: Gets every command of the servo.
 
     Returns:
         Whether it was followed to its end.
@@ -41,7 +52,10 @@ def follow(
     statistics, recording, clock = RunStatistics(), connection.recording, connection.clock
     armed_at, elapsed, due = inf, -inf, clock.now()
     while elapsed <= duration and not is_over():
-        armed_at = _armed_at(connection, statistics, armed_at)
+        armed_at = _armed_at(connection, statistics, armed_at, on_command)
+        is_begun = elapsed > -inf
+        if start is not None and not is_begun and statistics.is_away_from(start, START_ERROR):
+            return False
         if armed_at < inf:
             now = clock.now()
             elapsed = now - armed_at - ServoLimits.ramp_time
@@ -63,14 +77,62 @@ def follow(
     return elapsed > duration
 
 
-def _armed_at(connection: Connection, statistics: RunStatistics, before: float) -> float:
+def move(
+    plan: Callable[[Joints], Motion],
+    what: str,
+    connection: Connection,
+    topic: Topic,
+    is_over: Callable[[], bool],
+    on_status: Callable[[dict[str, Any]], None],
+    on_command: Callable[[Command], None] = lambda _: None,
+) -> bool:
+    """Plan a motion from the measured pose, announce it with its purpose, and follow it as `follow` does.
+
+    It is planned again if somebody moves the robot before. The announcement is in the status, which is also
+    published on the topic.
+
+    Raises:
+        DeploymentError: There is no such motion, or `follow` raises it.
+    """
+    publisher = connection.transport.publisher(topic)
+    while not is_over():
+        start = _measured(connection)
+        if start is None:
+            connection.clock.sleep_until(connection.clock.now() + PERIOD)
+            continue
+        motion = plan(start)
+
+        def report(status: dict[str, Any], words: str = f"{what}: {motion.in_words}") -> None:
+            status["message"] = f"{words} {status['message']}".rstrip()
+            publisher.publish(messages.text(json.dumps(status)))
+            on_status(status)
+
+        if follow(motion.at, motion.duration, connection, is_over, report, start, on_command):
+            return True
+    return False
+
+
+def _measured(connection: Connection) -> Joints | None:
+    """Return the measured pose of the servo's newest command [rad]; None if a joint is unknown."""
+    for command in reversed([*connection.receive()]):
+        return command.joint_pos if np.isfinite(command.joint_pos).all() else None
+    return None
+
+
+def _armed_at(
+    connection: Connection,
+    statistics: RunStatistics,
+    before: float,
+    on_command: Callable[[Command], None],
+) -> float:
     """Count the servo's commands; return when it was armed, `before` or since then [s]."""
     for command in connection.receive():
         statistics.note_command(command)
+        on_command(command)
         if command.mode == Mode.STOPPED and before < inf:
             raise DeploymentError(
                 f"the robot was stopped ({', '.join(statistics.stops)}) {command.time - before:.1f} s after "
-                "it was armed; the recording ends there: remove the reason, and record again."
+                "it was armed: remove the reason, and begin again."
             )
         if command.mode == Mode.ARMED:
             before = min(before, command.time)

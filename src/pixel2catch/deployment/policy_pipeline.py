@@ -132,7 +132,7 @@ class ObjectSight:
     def __init__(self) -> None:
         """Start before the throw."""
         self.box_stamp = -inf  #: Exposure time of the newest image with the object [s].
-        self._center, self._moved = np.full(2, inf), -inf
+        self.center, self._moved = np.full(2, inf), -inf  # centre of the box [px], to `MOTION`
         self._jumps: deque[bool] = deque(maxlen=NUM_IMAGES)
 
     def update(self, box: Box) -> None:
@@ -140,8 +140,8 @@ class ObjectSight:
         self._jumps.append(box.verdict is Verdict.JUMP)
         if box.verdict is Verdict.SEEN:
             center = np.reshape(box.edges, (2, 2)).mean(axis=0)
-            if np.abs(center - self._center).max() > MOTION or box.stamp - self.box_stamp > LONGEST_GAP:
-                self._center, self._moved = center, box.stamp
+            if np.abs(center - self.center).max() > MOTION or box.stamp - self.box_stamp > LONGEST_GAP:
+                self.center, self._moved = center, box.stamp
             self.box_stamp = box.stamp
 
     @property
@@ -280,6 +280,11 @@ class PolicyPipeline:
             image_stamp=self._image_stamp,
             box_stamp=min(self.sight.box_stamp, now),
         )
+
+    def rest(self, joint_pos: Joints) -> Joints:
+        """Return targets with which an arm comes to rest in `FADE_STEPS` control steps [rad]."""
+        self._target = self._resting(joint_pos, joint_pos if self._target is None else self._target)
+        return self._target
 
     def _resting(self, joint_pos: Joints, target: Joints) -> Joints:
         """Return targets whose lead of the arm's joints fades to zero in `FADE_STEPS` [rad]."""

@@ -10,7 +10,7 @@ import numpy as np
 from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
+from pixel2catch.servo.link import Clamp, Command, Fault, Joints, JointTargets, Mode, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
@@ -90,6 +90,10 @@ class RunStatistics:
     def note_targets(self, targets: JointTargets) -> None:
         """Keep targets with the stamp of the image that they were decided on."""
         self._sent.append(targets)
+
+    def is_away_from(self, joint_pos: Joints, distance: float) -> bool:
+        """Return whether a joint was measured further than a distance from its position [rad]."""
+        return self._last is not None and bool(np.abs(self._last.joint_pos - joint_pos).max() > distance)
 
     def note_command(self, command: Command) -> None:
         """Count a tick of the servo."""

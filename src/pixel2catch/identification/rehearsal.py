@@ -8,24 +8,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
-from pixel2catch.identification.simulation import (
-    FIT_DT,
-    RecordedMotion,
-    hanging_on,
-    is_settled,
-    step_commands,
-)
+from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, is_settled, step_commands
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.scene import SceneCfg, build_spec
+from pixel2catch.scene.distances import RULES, Clearance, Distances
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
@@ -36,8 +29,6 @@ NOISE = 2e-4  # standard deviation of a measured position [rad]. Source: a UR's 
 LIMIT_TOLERANCE = 0.005
 """Tolerated excess of a position limit [rad]. Source: ours; in the start pose two joints are at their limits,
 and the motion of others moves them a little."""
-
-HORIZON = 0.1  # largest distance that is measured [m]
 
 
 def turns_of_a_loop(
@@ -106,95 +97,25 @@ def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.01
     return nominal.with_values(**factors, latency=latency)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Clearance:
-    """A distance to keep, and the smallest one in a motion."""
-
-    name: str  #: the two sides
-    margin: float  #: the distance to keep [m]
-    is_of_hand: bool  #: whether only joints of a hand change it
-    distance: float = np.inf  #: the smallest one [m]; infinite beyond the horizon
-    bodies: tuple[str, str] = ("", "")  #: the bodies of the smallest distance
-    time: float = 0.0  #: its time [s]
-
-    @property
-    def is_kept(self) -> bool:
-        """Return whether the distance is large enough."""
-        return self.distance >= self.margin
-
-    def sentence(self) -> str:
-        """Return the smallest distance as a sentence."""
-        if np.isinf(self.distance):
-            return f"{self.name}: never closer than {1e3 * HORIZON:.0f} mm"
-        return (
-            f"{self.name}: {1e3 * self.distance:.1f} mm between {' and '.join(self.bodies)} "
-            f"at {self.time:.2f} s; keep {1e3 * self.margin:.0f} mm"
-        )
-
-
-RULES = (
-    Clearance(name="robot and table", margin=0.05, is_of_hand=False),
-    Clearance(name="arm and robot", margin=0.02, is_of_hand=False),
-    Clearance(name="hand and hand", margin=0.005, is_of_hand=True),
-)
-"""Distances to keep. Source: ours. A laboratory's table, and what stands on it, differ by some centimetres;
-the model of the arm consists of capsules; the real covers of the fingers are 5.5 to 9 mm larger than the
-model."""
-
-
 def clearances(
     joints: Sequence[str],
     time: Float64[np.ndarray, " num_times"],
     positions: Float64[np.ndarray, "num_times num_joints"],
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> tuple[Clearance, ...]:
-    """Return the smallest distances in a motion, one for each of `RULES`, by MuJoCo's collision detection.
+    """Return the smallest distances in a motion, one for each of `RULES`.
 
     The joints are at some positions [rad] at some times [s]; others hold the start pose.
     """
-    spec = build_spec(SceneCfg(workcell=workcell.name))
-    for sensor in spec.sensors:
-        spec.delete(sensor)
-    spec.delete(spec.body("object"))
-    model = spec.compile()
-    model.geom_gap[:] = HORIZON / 2  # pairs within the horizon count as contacts without force
-    data = mujoco.MjData(model)
-    data.qpos[:] = [spec.home for spec in workcell.joints]
-    columns = [int(model.joint(name).qposadr[0]) for name in joints]
-    rules = _rule_of_pairs(model, workcell)
-    least = list(RULES)
+    distances, least = Distances(workcell), list(RULES)
+    joint_pos = np.array([joint.home for joint in workcell.joints])
+    columns = [workcell.joint_names.index(name) for name in joints]
     for now, row in zip(time, positions, strict=True):
-        data.qpos[columns] = row
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        pairs, distances = data.contact.geom, data.contact.dist
-        rule_of_contact = rules[pairs[:, 0], pairs[:, 1]]
-        for i, known in enumerate(least):
-            contacts = np.flatnonzero(rule_of_contact == i)
-            nearest = contacts[np.argmin(distances[contacts])] if len(contacts) else None
-            if nearest is not None and distances[nearest] < known.distance:
-                bodies = tuple(model.body(model.geom_bodyid[geom]).name for geom in pairs[nearest])
-                found = {"distance": float(distances[nearest]), "bodies": bodies, "time": float(now)}
-                least[i] = dataclasses.replace(known, **found)
+        joint_pos[columns] = row
+        for i, found in enumerate(distances.at(joint_pos)):
+            if found.distance < least[i].distance:
+                least[i] = dataclasses.replace(found, time=float(now))
     return tuple(least)
-
-
-def _rule_of_pairs(model: mujoco.MjModel, workcell: WorkcellSpec) -> np.ndarray:
-    """Return the index in `RULES` for two geoms, shape (geoms, geoms); -1 for those that touch on purpose.
-
-    The root of a robot and the link that turns on it stand on the table; a hand is all that hangs on a palm.
-    """
-    body, parents = model.geom_bodyid, model.body_parentid
-    roots = [model.body(each.prefix + each.robot.root).id for each in workcell.robots]
-    is_standing = np.isin(body, roots) | np.isin(parents[body], roots)
-    is_table = body == model.body("table").id
-    rules = np.ones((len(body), len(body)), dtype=int)
-    for palm in workcell.palms:
-        is_hand = hanging_on(parents)[model.body(palm.spec.body).id][body]
-        rules[is_hand[:, None] & is_hand] = 2
-    rules[is_table[:, None] | is_table] = 0
-    rules[(is_table[:, None] & is_standing) | (is_standing[:, None] & is_table)] = -1
-    return rules
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,6 +46,9 @@ class RehearsalCfg:
         0.0  #: With --lockstep: time by which the stamps of images are too early.
     )
     held_seconds: NotNegative = 0.0  #: Time for which the thrower holds the object while the policy runs [s].
+    #: Place of the profile over which the robot releases what it caught; it then returns and waits for the
+    #: next throw, without a stop.
+    after_catch: str | None = None
     plain: bool = False  #: With --lockstep: images of a red box instead of rendered ones; needs no OpenGL.
     #: New folder for a rosbag2 (MCAP) of what `deploy` received, decided and commanded.
     record: NewFolder | None = None

@@ -33,8 +33,12 @@ from pixel2catch.workcells import find_workcell
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: Requests of the operator.
 
-REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_stop"}, {"do": "resume"}'
-"""Valid requests. A protective stop is as after a collision, and `resume` ends every halt."""
+REQUESTS = (
+    '{"do": "prepare", "seed": 7}, {"do": "next", "seed": 8}, {"do": "throw"}, {"do": "protective_stop"}, '
+    '{"do": "resume"}'
+)
+"""Valid requests. `prepare` puts the robot into its start pose, `next` leaves it where it is. A protective
+stop is as after a collision, and `resume` ends every halt."""
 
 STATE = Topic(name="/twin/state", type=messages.TEXT)  #: True state of robot and throw, 30 times a second.
 DEPTH = 64  #: Length of the queue of commands while the twin is late.
@@ -262,9 +266,10 @@ class LabNode:
     def _handle(self, data: bytes) -> None:
         try:
             match messages.read_json(data):
-                case {"do": "prepare", "seed": int(seed)} if 0 <= seed < 2**63:
-                    self.lab.prepare(seed)
-                    self._hold_still()
+                case {"do": "prepare" | "next" as action, "seed": int(seed)} if 0 <= seed < 2**63:
+                    self.lab.prepare(seed, keeps_robot=action == "next")
+                    if action == "prepare":
+                        self._hold_still()
                 case {"do": "throw"}:
                     self.lab.throw()
                 case {"do": "protective_stop"}:

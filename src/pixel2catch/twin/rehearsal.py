@@ -22,11 +22,12 @@ from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics, Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
-from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
 
 POLL = 0.005  #: Time between two polls of the network [s]. Source: ours.
+CYCLE_TIME = 120.0  #: Largest time of the motions after a throw [s]. Source: ours.
 STEP_TIME = 10.0  #: Largest time of each step of a throw [s]. Source: ours.
 START_TIME = 600.0  #: Largest real time until both processes answer [s]; machines may be busy. Source: ours.
 END_TIME = 120.0  #: Largest real time until a process has ended [s].
@@ -103,19 +104,30 @@ class Outcome:
     problem: str  #: Why it could not be thrown; empty if it was.
 
 
-def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outcome:
-    """Run one throw, from an empty room to the stop after it; the object is held so long before [s]."""
+def run_trial(
+    operator: RehearsalOperator, seed: int, held: float = 0.0, *, is_cycle: bool = False
+) -> Outcome:
+    """Run one throw, from an empty room to the stop after it; the object is held so long before [s].
+
+    In a cycle the robot is not stopped: the throw ends when it waits for the next one.
+    """
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
-        _start_policy(operator, seed)
+        if is_cycle:
+            _start_in_cycle(operator, seed)
+        else:
+            _start_policy(operator, seed)
         operator.wait(held)
         operator.request(do="throw")
         operator.wait_until(lambda: operator.truth["throw"] > thrown, "the throw")
         operator.wait_until(lambda: operator.phase == "over", "the end of the throw")
+        if is_cycle:
+            operator.wait_until(lambda: _waits(operator), "the return to the start pose", CYCLE_TIME)
     except DeploymentError as error:
         problem = str(error)
     truth, stops = operator.truth, operator.stops[num_stops:]
-    _stop_robot(operator)
+    if not is_cycle or stops or problem:
+        _stop_robot(operator)
     is_thrown = truth.get("throw", 0) > thrown
     return Outcome(
         seed=seed,
@@ -140,6 +152,27 @@ def _start_policy(operator: RehearsalOperator, seed: int) -> None:
     operator.wait_until(lambda: operator.mode == "run", "the policy's run")
 
 
+def _start_in_cycle(operator: RehearsalOperator, seed: int) -> None:
+    """Arm the robot if it is not, wait for the object, and point at it."""
+    operator.holds = True
+    if operator.mode not in ("armed", "ramp", "run"):
+        operator.wait_until(
+            lambda: "dead man" not in operator.status.get("found", ["dead man"]), "the switch"
+        )
+        operator.arm()
+    operator.wait_until(lambda: operator.mode == "run" and _waits(operator), "the start pose", CYCLE_TIME)
+    operator.request(do="next", seed=seed)
+    operator.wait_until(lambda: operator.phase == "empty", "the empty room")
+    operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
+    operator.point(operator.truth["box"])
+    operator.wait_until(lambda: operator.status.get("cycle") == "throw", "the policy's run")
+    operator.wait(ServoLimits.ramp_time)
+
+
+def _waits(operator: RehearsalOperator) -> bool:
+    return operator.status.get("cycle") == "wait"
+
+
 def _stop_robot(operator: RehearsalOperator) -> None:
     if operator.mode in ("armed", "ramp", "run"):
         operator.stop()
@@ -155,7 +188,8 @@ def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow
     """Run all throws; return rates with their intervals, stops without a request, and every outcome."""
     outcomes: list[Outcome] = []
     for seed in range(cfg.seed, cfg.seed + cfg.throws):
-        outcomes.append(run_trial(operator, seed, cfg.held_seconds))
+        is_cycle = cfg.after_catch is not None
+        outcomes.append(run_trial(operator, seed, cfg.held_seconds, is_cycle=is_cycle))
         on_throw(outcomes[-1])
     num, report = len(outcomes), {"num_throws": len(outcomes)}
     for name, flag in (("tracking_rate", "is_tracked"), ("success_rate", "is_success")):
@@ -185,6 +219,7 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
     twin_args += ["--policy", policy] if policy else []
     twin_args += ["--dynamics", str(cfg.task.dynamics)] if cfg.task.dynamics else []
     deploy_args = ["--json", *([policy] if policy else [])]
+    deploy_args += ["--after-catch", cfg.after_catch] if cfg.after_catch else []
     deploy_args += ["--record", str(cfg.record)] if cfg.record else []
     with ExitStack() as stack:
         processes = [

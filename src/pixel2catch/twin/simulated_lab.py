@@ -150,16 +150,21 @@ class SimulatedLab:
         counts = np.rint((joints.position + (time - self.time) * velocity) / step + noise)
         return JointState(position=step * counts, velocity=velocity)
 
-    def prepare(self, seed: int) -> None:
-        """Put the robot at the start of the throw of a seed; the object follows after `EMPTY_TIME`.
+    def prepare(self, seed: int, *, keeps_robot: bool = False) -> None:
+        """Put the robot at the start of the throw of a seed, or keep its pose; the object follows.
 
-        It is the throw that `CatchEnv.seed` and `reset` begin in one environment.
+        It is the throw that `CatchEnv.seed` and `reset` begin in one environment. The object comes after
+        `EMPTY_TIME`.
         """
+        kept = self._qpos[self._robot].copy(), self._qvel[self._robot].copy()
         generator = torch.Generator().manual_seed(seed)
         self.episode: Episode = draw_episode(self._task, self._action_bias, self._object_ids, 1, generator)
         self._world.reset(_YES, self.episode.parameters, self.episode.throw)
+        if keeps_robot:
+            self._qpos[self._robot], self._qvel[self._robot] = kept
+        else:
+            self._encoder_offset = self.episode.parameters.joint_bias[0].double().numpy()
         self._world.simulation.forward(_YES)
-        self._encoder_offset = self.episode.parameters.joint_bias[0].double().numpy()
         self._velocity_before = self._qvel[self._robot].copy()
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))

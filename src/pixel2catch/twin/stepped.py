@@ -16,6 +16,7 @@ from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
 from pixel2catch.deployment.statistics import RunStatistics
+from pixel2catch.deployment.throw_cycle import ThrowCycle
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.regions import RobotMask
@@ -158,12 +159,16 @@ def in_step(
         pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
+        limits, cycle = ServoLimits.of(workcell), None
+        if cfg.after_catch:
+            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, cfg.after_catch)
         loop = ControlLoop(
             pipeline,
             scene.camera,
             twin.servo.connection,
             twin.profile,
             perception_time=partial(Random(cfg.seed).uniform, least, least + jitter),
+            cycle=cycle,
         )
         twin.followers = (twin.servo.tick, loop.poll)
         yield twin, loop.statistics

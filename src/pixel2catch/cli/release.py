@@ -1,0 +1,26 @@
+"""`pixel2catch release`: open the hand slowly, where it is or over a place."""
+
+from dataclasses import dataclass, field
+
+from tyro.conf import Positional
+
+from pixel2catch.cli.home import move_once
+from pixel2catch.cli.link import Link
+
+
+@dataclass(frozen=True, kw_only=True)
+class Release:
+    """Open the hand slowly, where it is or over a place of the profile; the arm stays there.
+
+    On the way to a place the fingers keep their hold. Path, speed and operator are as with `home`.
+    """
+
+    place: Positional[str | None] = None  #: Name of a place under `places` in the profile. Default: here.
+    link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
+
+    def run(self) -> None:
+        """Find the path, wait for the operator, move and open."""
+        what = f"release over {self.place}" if self.place else "release"
+        move_once(
+            self.link, what, lambda finder, start: finder.pose_over(self.place) if self.place else start
+        )

@@ -1,0 +1,78 @@
+"""The joint check: each joint moves by a few degrees, and the encoder that follows is compared."""
+
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from pixel2catch.deployment.paths import Motion
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.servo.laws import USER_CACHE
+from pixel2catch.servo.limits import Joints, ServoLimits
+from pixel2catch.servo.link import Command
+
+ANGLES = {"arm": 0.035, "hand": 0.1}  #: Motion of a joint by its role [rad]. Source: ours; 2° and 6°.
+SPEEDS = {"arm": 0.1, "hand": 0.25}  #: Largest speed by role [rad/s]. Source: ours.
+LEAST_MOTION = 0.003  #: Motion of a command that is compared [rad]. Source: ours.
+LEAST_GAIN = 0.4  #: Motion of an encoder over that of the command that it follows. Source: ours.
+GAIN_ERROR = 0.3  #: Largest error of that ratio. Source: ours; lag and friction reduce it.
+LAGS = np.arange(0.0, 0.3, 0.004)  #: Lags that are compared [s].
+LAG_ERROR = 0.08  #: Time by which a joint may follow later than twice its lag [s]. Source: ours.
+
+
+class JointCheck:
+    """Plans the motion, keeps the servo's commands, and finds the joints that do not fit the profile."""
+
+    def __init__(self, workcell: WorkcellSpec, limits: ServoLimits) -> None:
+        """Start without a command."""
+        self._names, self._limits = workcell.joint_names, limits
+        self._roles = [group.role for group in workcell.groups for _ in group.joints]
+        self._rows: list[tuple[float, Joints, Joints]] = []
+
+    def plan(self, start: Joints) -> Motion:
+        """Return the motion of one joint after the other from a pose and back [rad]."""
+        middle = (self._limits.joints.lower + self._limits.joints.upper) / 2.0
+        steps = np.diag(np.copysign([ANGLES[role] for role in self._roles], middle - start))
+        poses = np.array([start, *(pose for step in steps for pose in (start + step, start))])
+        speeds = [SPEEDS[role] for role in self._roles]
+        return Motion.along(poses, np.minimum(speeds, self._limits.joint_records["even_speed"]))
+
+    def note(self, command: Command) -> None:
+        """Keep a command of the servo, if it has commanded and measured positions."""
+        if np.isfinite([command.joint_pos_command, command.joint_pos]).all():
+            self._rows.append((command.time, command.joint_pos_command, command.joint_pos))
+
+    def findings(self) -> list[str]:
+        """Return the faults in the order of the joints; a joint that was not moved has none."""
+        found = list[str]()
+        if self._rows:
+            times, commands, measured = map(np.array, zip(*self._rows, strict=True))
+            commands, measured = commands - commands[0], (measured - measured[0]).T
+            for number, moves in enumerate(commands.T):
+                rows = np.abs(moves) > LEAST_MOTION
+                followed = np.array(
+                    [[np.interp(times[rows] + lag, times, q) for q in measured] for lag in LAGS]
+                )
+                gains = followed @ moves[rows] / max(moves[rows] @ moves[rows], LEAST_MOTION**2)
+                best = np.abs(gains).max(axis=1).argmax()
+                if rows.any() and (fault := self._fault(number, gains[best], LAGS[best])):
+                    found.append(f"{self._names[number]} {fault}")
+        return found
+
+    def _fault(self, number: int, gains: Joints, lag: float) -> str:
+        """Return the fault of a joint by the motion of all encoders and their lag [s]; empty without."""
+        own, first, expected = gains[number], int(np.abs(gains).argmax()), self._limits.joints.lag[number]
+        if abs(gains[first]) < LEAST_GAIN:
+            return "does not follow: check its drive, the order in the profile, and the driver"
+        if abs(own) < LEAST_GAIN:
+            return f"is exchanged: {self._names[first]} follows its command; correct the profile"
+        if own < 0.0:
+            return "is inverted: it moves against its command"
+        if abs(own - 1.0) > GAIN_ERROR:
+            return f"has another scale: it moves {own:.2f} times as far as its command"
+        return f"follows after {lag:.2f} s, not {expected:.2f} s" if lag > 2.0 * expected + LAG_ERROR else ""
+
+
+def record_of_today(profile: str) -> Path:
+    """Return the file that exists once the joints of a profile were checked today."""
+    return USER_CACHE.expanduser() / f"joints-{profile}-{date.today():%Y-%m-%d}"

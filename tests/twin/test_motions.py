@@ -1,0 +1,325 @@
+"""Slow motions in the stepped twin: home, release, joint check, and throws without touching the robot."""
+
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from motion_lab import HOME, LIMITS, PROFILE, SLOW, WORKCELL, motion_lab
+
+from pixel2catch.cli.home import EVEN
+from pixel2catch.cli.link import Link
+from pixel2catch.cli.main import main
+from pixel2catch.deployment.follower import move
+from pixel2catch.deployment.joint_check import JointCheck
+from pixel2catch.deployment.paths import PEAK, Motion, PathFinder
+from pixel2catch.deployment.throw_cycle import HELD_TIME, MISSED_TIME, ThrowCycle
+from pixel2catch.errors import DeploymentError, UnknownNameError
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.robots.geometry import bare_model
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.link import JointTargets
+from pixel2catch.twin import RehearsalCfg, stepped
+from pixel2catch.twin.rehearsal import run_throws
+from pixel2catch.twin.simulated_lab import SimulatedLab
+from pixel2catch.twin.stepped import in_step
+from pixel2catch.workcells import find_workcell
+
+FINDER = PathFinder(PROFILE, SLOW)
+SPEED = EVEN * SLOW.joint_records["even_speed"]
+JOINTS = WORKCELL.joint_names
+
+
+def allowed_poses(number: int, finder: PathFinder = FINDER, limits: ServoLimits = SLOW) -> list[np.ndarray]:
+    """Return random poses in which a robot may be, less than half a turn from the start pose [rad]."""
+    rng, found = np.random.default_rng(5), list[np.ndarray]()
+    lower = np.maximum(limits.joints.lower, finder.home - 3.0)
+    upper = np.minimum(limits.joints.upper, finder.home + 3.0)
+    while len(found) < number:
+        pose = rng.uniform(lower, upper)
+        if not finder.refusal(pose):
+            found.append(pose)
+    return found
+
+
+def test_a_motion_is_at_rest_in_its_poses_and_as_fast_as_permitted():
+    """A joint moves 1.875 rad at up to 1 rad/s in 3.515625 s; in the middle of the time it is half way."""
+    motion = Motion.along(np.array([[0.0, 0.0], [PEAK, 0.1], [PEAK, 0.0]]), np.array([1.0, 0.5]))
+    assert motion.times == pytest.approx([0.0, PEAK**2, PEAK**2 + 0.375])
+    assert motion.at(-1.0).tolist() == [0.0, 0.0]
+    assert motion.at(PEAK**2 / 2.0) == pytest.approx([PEAK / 2.0, 0.05])
+    assert motion.at(99.0).tolist() == [PEAK, 0.0]
+    times = np.linspace(0.0, motion.duration, 4001)
+    speeds = np.abs(np.diff([motion.at(time) for time in times], axis=0)) / times[1]
+    assert speeds.max(axis=0) == pytest.approx([1.0, 0.5], rel=1e-3)
+
+
+@pytest.mark.parametrize("workcell", ["ur5e_allegro", "two_ur5e_allegro"])
+def test_a_path_keeps_its_distances_or_is_refused(workcell: str):
+    """Measured at five times as many poses as the search looks at; the ends themselves may be nearer."""
+    profile = Profile.load("ur5e_allegro_v4" if workcell == WORKCELL.name else workcell)
+    limits = ServoLimits.of(find_workcell(workcell))
+    finder, num_found, num_around = PathFinder(profile, limits), 0, 0
+    for start in allowed_poses(12, finder, limits):
+        try:
+            poses = finder.motion(start, finder.home, np.ones(len(start))).poses
+        except DeploymentError:
+            continue
+        num_found, num_around = num_found + 1, num_around + (len(poses) > 3)
+        own = np.minimum(finder._nearest(poses[0]), finder._nearest(poses[-2]))
+        for one, other in pairwise(poses[:-1]):
+            for share in np.linspace(0.0, 1.0, 5 * int(np.abs(other - one).max() / 0.04) + 2):
+                nearest = finder._nearest(one + share * (other - one))
+                assert (nearest > np.minimum((0.05, 0.02), own) - 0.004).all()
+    assert num_found >= 5
+
+
+def test_no_path_leads_from_a_pose_outside_the_limits():
+    beyond, low = HOME.copy(), HOME.copy()
+    beyond[0], low[1] = 4.5, -0.2
+    for pose, reason in ((beyond, "shoulder_pan_joint is at 4.50 rad, beyond"), (low, "workspace")):
+        with pytest.raises(DeploymentError, match=reason):
+            FINDER.path(pose, HOME)
+
+
+def test_a_palm_over_a_place_faces_down():
+    pose, model = FINDER.pose_over("side"), bare_model(WORKCELL)
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    mujoco.mj_kinematics(model, data)
+    assert data.site("palm").xpos == pytest.approx((0.6, -0.5, 0.7), abs=0.01)
+    assert FINDER.pose_over("near")[0] == 2.8
+    with pytest.raises(UnknownNameError, match="near, side"):
+        FINDER.pose_over("shelf")
+
+
+def go_home(start: np.ndarray) -> np.ndarray:
+    """Let the simulated robot move home from a pose; return the smallest distances on the way [m]."""
+    with motion_lab(measures=True) as lab:
+        lab.place(start)
+        says = list[dict[str, Any]]()
+        plan = lambda pose: FINDER.motion(pose, HOME, SPEED)  # noqa: E731
+        assert move(plan, "home", lab.connection, lab.topic, lab.is_late, says.append)
+        assert says[0]["message"].startswith("home: ")
+        assert lab.joint_pos == pytest.approx(HOME, abs=0.15)
+        limit = np.array([joint.velocity_limit for joint in WORKCELL.joints])
+        assert (lab.fastest[:6] <= 0.25 * limit[:6]).all()
+        return lab.nearest
+
+
+def test_the_simulated_robot_moves_home_slowly_and_without_contact():
+    """From a pose with a bent wrist and a closed hand."""
+    start = HOME.copy()
+    start[[0, 3]] += (0.3, 0.6)
+    start[6:] += 0.2
+    assert (go_home(start) > (0.05, 0.02)).all()
+
+
+@pytest.mark.slow
+def test_the_simulated_robot_moves_home_from_200_poses():
+    """Or is refused; it never comes nearer than it was, or than 2 cm."""
+    num_done = 0
+    for start in allowed_poses(200):
+        own = FINDER._nearest(start)
+        try:
+            nearest = go_home(start)
+        except DeploymentError:
+            continue
+        num_done += 1
+        assert (nearest > np.minimum(own, 0.02) - 0.005).all()
+    assert num_done >= 100
+
+
+@pytest.mark.parametrize(("command", "arm"), [("home", HOME[0]), ("release", 3.3), ("release near", 2.8)])
+def test_the_commands_move_the_robot_to_the_end(
+    command: str, arm: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("pixel2catch.cli.link.Robot.load", lambda _: PROFILE)
+    start = HOME.copy()
+    start[0] = 3.3
+    start[6:] += 0.3
+    with motion_lab() as lab:
+        lab.place(start)
+        monkeypatch.setattr(Link, "connect", lambda *_, **__: lab.connection)
+        assert main(command.split()) == 0
+        assert lab.joint_pos[0] == pytest.approx(arm, abs=0.02)
+        assert lab.joint_pos[6:] == pytest.approx(HOME[6:], abs=0.15)
+        assert lab.fastest[6:].max() < 2.0
+    assert "done" in capsys.readouterr().out
+
+
+def test_a_place_that_the_profile_does_not_have_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    with motion_lab() as lab:
+        monkeypatch.setattr(Link, "connect", lambda *_, **__: lab.connection)
+        assert main(["release", "shelf"]) == 2
+    assert "unknown place 'shelf'" in capsys.readouterr().err
+
+
+FAULTS = {
+    "dead": (0.0, 1.0, "does not follow"),
+    "inverted": (-1.0, 1.0, "is inverted"),
+    "scaled": (2.0, 1.0, "has another scale"),
+    "exchanged": (0.0, 0.0, "is exchanged"),
+}
+"""Motion of an encoder over that of its joint; that of the next encoder over that of its own; the finding."""
+
+
+@pytest.mark.parametrize("number", [3, 8])
+@pytest.mark.parametrize("fault", [*FAULTS])
+def test_the_joint_check_names_the_wrong_joint(fault: str, number: int, monkeypatch: pytest.MonkeyPatch):
+    """An arm's and a finger's; it begins with that joint. A stop by the servo does not hide the reason."""
+    own, other, finding = FAULTS[fault]
+    factors, encoders = np.eye(len(HOME)), SimulatedLab.encoders
+    factors[number, number], factors[number + 1, number + 1] = own, other
+    factors[number, number + 1] = factors[number + 1, number] = 1.0 - other
+
+    def wrong(lab: SimulatedLab, time: float):
+        found = encoders(lab, time)
+        return replace(found, position=HOME + factors @ (found.position - HOME))
+
+    check = JointCheck(WORKCELL, LIMITS)
+
+    def plan(start: np.ndarray) -> Motion:
+        whole = check.plan(start)
+        part = slice(2 * number, 2 * number + 3)
+        return Motion(poses=whole.poses[part], times=whole.times[part] - whole.times[2 * number])
+
+    with motion_lab(LIMITS) as lab, ExitStack() as stack:
+        lab.place(HOME)
+        monkeypatch.setattr(SimulatedLab, "encoders", wrong)
+        stack.callback(monkeypatch.undo)
+        with suppress(DeploymentError):
+            move(plan, "joint check", lab.connection, lab.topic, lab.is_late, lambda _: None, check.note)
+    assert [text for text in check.findings() if text.startswith(f"{JOINTS[number]} {finding}")]
+
+
+@pytest.mark.slow
+def test_the_joint_check_finds_nothing_in_a_sound_robot():
+    check = JointCheck(WORKCELL, LIMITS)
+    with motion_lab(LIMITS) as lab:
+        assert move(check.plan, "check", lab.connection, lab.topic, lab.is_late, lambda _: None, check.note)
+    assert check.findings() == []
+
+
+class StubPipeline:
+    """A pipeline whose policy holds the start pose, and whose object is where the test puts it."""
+
+    def __init__(self) -> None:
+        self.sight = SimpleNamespace(center=np.array([600.0, 100.0]), box_stamp=10.0)
+        self.is_seen = False
+
+    def decide(self, joint_pos: np.ndarray, now: float) -> JointTargets | None:
+        stamps = dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now)
+        return JointTargets(joint_pos_target=joint_pos, **stamps) if self.is_seen else None
+
+    def rest(self, joint_pos: np.ndarray) -> np.ndarray:
+        return joint_pos
+
+
+class Session:
+    """A cycle whose robot follows at once."""
+
+    def __init__(self) -> None:
+        self.pipeline, self.waits, self.says, self.now = StubPipeline(), 0, list[str](), 10.0
+        pipeline: Any = self.pipeline
+        self.cycle = ThrowCycle(pipeline, PROFILE, LIMITS, RGB_CAMERA, "near")
+        self.cycle.begin_waiting = self.count
+        self.joint_pos = HOME.copy()
+        self.cycle.arm(self.joint_pos, self.now + 1.0)
+
+    def count(self) -> None:
+        self.waits, self.pipeline.is_seen = self.waits + 1, False
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / CONTROL_DT)):
+            self.now += CONTROL_DT
+            targets = self.cycle.decide(self.joint_pos, self.now)
+            assert targets is not None
+            assert np.abs(targets.joint_pos_target - self.joint_pos).max() < 0.12  # a closing finger
+            self.joint_pos = targets.joint_pos_target
+            self.says += [self.cycle.message.split(":")[0]] if self.cycle.message else []
+
+    def throw(self, center: tuple[float, float]) -> None:
+        self.pipeline.is_seen = True
+        self.run(0.1)
+        assert self.cycle.phase == "throw"
+        self.pipeline.sight.center, self.pipeline.sight.box_stamp = np.array(center), self.now
+
+
+def test_the_robot_carries_what_it_caught_and_returns(monkeypatch: pytest.MonkeyPatch):
+    session = Session()
+    session.throw(PALM)
+    session.run(HELD_TIME + 0.1)
+    assert session.cycle.phase == "move"
+    session.run(30.0)
+    assert [*dict.fromkeys(session.says)][:2] == ["to near", "to the start pose"]
+    assert (session.cycle.phase, session.waits) == ("wait", 1)
+    assert session.joint_pos == pytest.approx(HOME)
+
+
+def test_the_robot_returns_from_a_miss_at_once():
+    session = Session()
+    session.joint_pos[0] += 0.2
+    session.throw((10.0, 470.0))
+    session.run(MISSED_TIME + 20.0)
+    assert "to near" not in session.says
+    assert (session.cycle.phase, session.waits) == ("wait", 1)
+    assert session.joint_pos == pytest.approx(HOME)
+
+
+def test_a_stop_in_a_throw_or_a_motion_goes_on_when_the_robot_is_armed_again():
+    session = Session()
+    session.throw((300.0, 300.0))
+    session.cycle.arm(session.joint_pos, session.now)  # the object may be in the hand
+    session.run(1.0)
+    assert session.says[-1] == "to near"
+    session.cycle.arm(session.joint_pos, session.now + 1.0)
+    before = session.joint_pos.copy()
+    session.run(0.9)  # while the servo's ramp lasts
+    assert session.joint_pos[:6] == pytest.approx(before[:6])
+    session.run(30.0)
+    assert (session.cycle.phase, session.waits) == ("wait", 1)
+
+
+def _palm_pixel() -> tuple[float, float]:
+    """Return where the palm is in the image at the start pose [px]."""
+    import torch
+
+    from pixel2catch.camera.pinhole import project
+    from pixel2catch.robots.geometry import WorkcellGeometry
+
+    palms, _ = WorkcellGeometry(WORKCELL).palm_poses(torch.tensor(HOME[None], dtype=torch.float32))
+    pixel = project(RGB_CAMERA, palms)[0][0, 0]
+    return float(pixel[0]), float(pixel[1])
+
+
+PALM = _palm_pixel()
+
+
+def throws_in_a_row(number: int, place: str) -> dict[str, Any]:
+    policy, _ = load_policy(None)
+    cfg = RehearsalCfg(plain=True, throws=number, seed=100, after_catch=place)
+    with in_step(cfg, task_of(policy, physics_hz=120.0), policy) as (twin, statistics):
+        report = run_throws(cfg, twin.operator, lambda _: None)
+        return {**report, "stops_of_deployment": statistics.stops}
+
+
+def test_two_throws_are_caught_without_touching_the_robot(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(stepped, "twin_profile", lambda _: PROFILE)
+    report = throws_in_a_row(2, "near")
+    assert (report["success_rate"], report["problems"], report["stops_of_deployment"]) == (1.0, 0, {})
+
+
+@pytest.mark.slow
+def test_thirty_throws_in_a_row_need_no_hand():
+    report = throws_in_a_row(30, "side")
+    assert (report["problems"], report["stops_of_deployment"]) == (0, {})
+    assert report["success_rate"] >= 25 / 30
