@@ -84,6 +84,9 @@ class MotionBudget:
     )
     acceleration: Limit = inf  #: Largest acceleration of a command [rad/s²].
     jerk: Limit = inf  #: Largest jerk of a command [rad/s³].
+    step: Limit = inf  #: Change from one command to the next beyond which the driver ignores it [rad].
+    #: Cycles of the driver in a row that may read no command; `step` limits the change over one more.
+    missed_cycles: Annotated[int, Meta(ge=0)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ BEYOND_TRAVEL = 0.3  #: Possible motion of a joint beyond its travel [rad]. Sour
 BRAKING_MARGIN = (
     0.01  #: Part of the stop time that braking from full speed leaves [s]. Source: ours; five ticks.
 )
+ROUNDING = 1e-6  #: Share of a driver's largest step that is kept for rounding.
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
@@ -101,6 +102,7 @@ class JointLimits:
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
     position_age: Joints  #: Age of a measured position that is a fault [s].
+    hand: Int[np.ndarray, " joints"]  #: Number of the joint group, from 1.
 
     @classmethod
     def of(
@@ -136,6 +138,8 @@ class JointLimits:
         acceleration = np.minimum(own_acceleration, most["acceleration"])
         jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
         fastest = np.minimum(most["command_speed"], _stoppable_speed(acceleration, jerk))
+        accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
+        fastest = np.minimum(fastest, accepted)
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
@@ -161,6 +165,7 @@ class JointLimits:
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
             position_age=age,
+            hand=np.repeat(np.arange(1, 1 + len(workcell.groups)), [len(g.joints) for g in workcell.groups]),
         )
 
     def __post_init__(self) -> None:

@@ -80,6 +80,8 @@ class Fault(IntFlag):
     OTHER_SUBSCRIBER = auto()
     CONTROLLER = auto()
     JOINTS_FROZEN = auto()
+    HAND_ASTRAY = auto()
+    COMMANDS_IGNORED = auto()
 
 
 def flag_names(kind: type[IntFlag], found: int) -> list[str]:

@@ -26,6 +26,7 @@ from jaxtyping import Float64
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
 from pixel2catch.servo.laws import (
+    RETURN_TIME,
     Record,
     Records,
     bit,
@@ -39,10 +40,7 @@ from pixel2catch.servo.laws import (
     joint_faults,
     limited_speed,
     moving_mean,
-    policy_faults,
-    robot_faults,
-    stop_speed,
-    target_speed,
+    speed_to,
     update_expected,
 )
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
@@ -148,6 +146,37 @@ def tick_all(
 def has_other_publisher(robot: Record) -> bool:
     """Return whether the robot was stopped because another program commands it: nothing is sent then."""
     return robot.stopped_by & Fault.OTHER_PUBLISHER.value != 0
+
+
+@compiled
+def robot_faults(last_tick: float, inputs: Record, limits: Record) -> int:
+    """Return the faults of robot, operator and clock; the last tick is a time [s]."""
+    elapsed = inputs.now - last_tick
+    return (
+        bit(Fault.CLOCK, not ((elapsed > 0.0) and (elapsed <= limits.tick_age)))
+        | bit(Fault.SAFETY_MODE, not inputs.is_safe)
+        | bit(Fault.SPEED_SCALING, inputs.speed_scaling != 1.0)
+        | bit(Fault.STATUS_UNKNOWN, not inputs.is_status_known)
+        | bit(Fault.CONTROLLER, not inputs.has_controller)
+        | bit(Fault.NO_SUBSCRIBER, not inputs.has_subscriber)
+        | bit(Fault.OTHER_SUBSCRIBER, inputs.has_other_subscriber)
+        | bit(Fault.OTHER_PUBLISHER, inputs.has_other_publisher)
+        | bit(Fault.OTHER_OPERATOR, inputs.has_other_operator)
+        | bit(Fault.DEAD_MAN, not is_recent(inputs.now, inputs.dead_man_stamp, limits.operator_age))
+        | bit(Fault.STOP_REQUEST, inputs.is_stop_requested)
+    )
+
+
+@compiled
+def policy_faults(inputs: Record, is_finite: bool, limits: Record) -> int:
+    """Return the faults of perception and policy; it is given whether all targets are finite."""
+    return (
+        bit(Fault.IMAGE_STALE, not is_recent(inputs.now, inputs.image_stamp, limits.image_age))
+        | bit(Fault.POLICY_LATE, not is_recent(inputs.now, inputs.target_stamp, limits.target_age))
+        | bit(Fault.TARGET_NOT_FINITE, not is_finite)
+        | bit(Fault.OBJECT_LOST, not is_recent(inputs.now, inputs.box_stamp, limits.box_age))
+        | bit(Fault.PERCEPTION_UNSOUND, not inputs.is_perception_sound)
+    )
 
 
 @compiled
@@ -292,6 +321,43 @@ def read_target(
             joint.end = allowed
     if is_new:
         robot.target_begun, robot.target_stamp = robot.now, inputs.target_stamp
+
+
+@compiled
+def target_speed(robot: Record, joint: Record, limit: Record) -> float:
+    """Return the speed of an armed robot's joint to its target, with a limited lead [rad/s]."""
+    goal = joint.hold
+    if is_driven(robot):
+        share = min((robot.ticks + 1) * limit.dt / limit.ramp_time, 1.0) if robot.mode == Mode.RAMP else 1.0
+        elapsed = robot.now - robot.target_begun + limit.time_ahead
+        wanted = interpolated(joint.start, joint.end, elapsed, limit.control_dt)
+        wanted = joint.hold + share * (wanted - joint.hold)
+        reach = limit.even_speed * (joint.lag + limit.delay)
+        goal = clipped(wanted, joint.joint_pos - reach, joint.joint_pos + reach)
+        robot.clamped |= bit(Clamp.LEAD, goal != wanted)
+    speed = speed_to(joint.position, clipped(goal, limit.lower, limit.upper), limit)
+    most = np.inf if joint.is_lag_estimated else limit.unseen_speed
+    return clipped(speed, -most, most)
+
+
+@compiled
+def stop_speed(robot: Record, joint: Record, limit: Record) -> float:
+    """Return the speed that brings a joint to rest [rad/s], from its position if that is measured.
+
+    It is at most the speed from which braking ends within `STOP_TIME`.
+    """
+    time = robot.ticks * limit.dt
+    left = limit.stop_time - time
+    if robot.is_returning and time < RETURN_TIME:
+        speed = joint.speed - joint.lead / limit.stop_time if left > 0.0 else 0.0
+        back = joint.joint_pos + joint.lead * max(left / limit.stop_time, 0.0) + speed * limit.time_ahead
+        back = clipped(back, joint.hold - limit.stop_reach, joint.hold + limit.stop_reach)
+        speed += speed_to(joint.position, clipped(back, limit.lower, limit.upper), limit)
+    else:
+        slower = clipped(joint.velocity, -limit.even_speed, limit.even_speed)
+        speed = slower * max(1.0 - limit.dt / max(left, limit.dt), 0.0)
+    fastest = limit.change * max(STOP_TIME / limit.dt - limit.window - robot.ticks, 0.0)
+    return clipped(speed, -fastest, fastest)
 
 
 @compiled

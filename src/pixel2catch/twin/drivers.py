@@ -89,6 +89,8 @@ class ArmDriver(Driver):
         self._braking: JointState | None = None
         self.safety_mode = NORMAL_SAFETY_MODE  #: Or `PROTECTIVE_STOP`.
         self.num_halts = 0
+        self.num_missed = 0  #: Next cycles that are lost: no command is read, and the target stays.
+        self._newest: Joints | None = None  #: Newest command that arrived in lost cycles.
 
     @property
     def is_running(self) -> bool:
@@ -106,6 +108,12 @@ class ArmDriver(Driver):
 
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
         """See `Driver.cycle`."""
+        command = self._newest if command is None else command
+        if self.num_missed > 0:
+            self.num_missed -= 1
+            self._newest = command
+            return self._target
+        self._newest = None
         self._silence = self._silence + CYCLE if command is None else 0.0
         is_silent = self._is_moving and self._silence > SILENCE + 0.5 * CYCLE
         if self.is_running and (is_silent or self.safety_mode != NORMAL_SAFETY_MODE):

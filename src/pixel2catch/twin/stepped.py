@@ -28,7 +28,7 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, CameraDriver
@@ -77,7 +77,8 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
         if cfg.record:
             recorder = self._open.enter_context(BagRecorder(cfg.record))
             self._recording = DeploymentRecorder(recorder, node, self.profile, self.clock, images)
-        setup = ServoSetup(profile=self.profile, limits=limits or ServoLimits.of(workcell))
+        joints = JointLimits.of(workcell, parts=self.profile.robots)
+        setup = ServoSetup(profile=self.profile, limits=limits or ServoLimits.of(workcell, joints))
         nodes = self.broker.node(self.clock), node
         self.servo = SteppedServo(setup, nodes, self.clock, self._recording)
         #: Called after every cycle of the drivers, each `HOP` later than the one before.
