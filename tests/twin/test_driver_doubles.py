@@ -20,16 +20,31 @@ from pixel2catch.workcells import find_workcell
 
 MakeDoubles = Callable[[Broker, StepClock], list[Double]]
 CELLS: dict[str, tuple[str, MakeDoubles]] = {
-    "humble": ("ur5e_allegro_v4", lambda *on: [UrArms(*on, "humble"), AllegroV4(*on, "humble")]),
-    "jazzy": ("ur5e_allegro_v4", lambda *on: [UrArms(*on, "jazzy"), AllegroV4(*on, "jazzy")]),
-    "lyrical": ("ur5e_allegro_v4", lambda *on: [UrArms(*on, "lyrical"), AllegroV4(*on, "lyrical")]),
-    "v5": ("ur5e_allegro_v5", lambda *on: [UrArms(*on, "jazzy"), AllegroV5(*on)]),
-    "classic": ("ur5e_allegro_classic", lambda *on: [UrArms(*on, "jazzy"), AllegroClassic(*on)]),
-    "leap": ("ur5e_leap", lambda *on: [UrArms(*on, "jazzy"), Leap(*on)]),
-    "fr3": ("fr3_allegro", lambda *on: [Fr3(*on), AllegroV4(*on, "jazzy")]),
+    "humble": (
+        "ur5e_allegro_v4",
+        lambda net, clock: [UrArms(net, clock, "humble"), AllegroV4(net, clock, "humble")],
+    ),
+    "jazzy": (
+        "ur5e_allegro_v4",
+        lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroV4(net, clock, "jazzy")],
+    ),
+    "lyrical": (
+        "ur5e_allegro_v4",
+        lambda net, clock: [UrArms(net, clock, "lyrical"), AllegroV4(net, clock, "lyrical")],
+    ),
+    "v5": ("ur5e_allegro_v5", lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroV5(net, clock)]),
+    "classic": (
+        "ur5e_allegro_classic",
+        lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroClassic(net, clock)],
+    ),
+    "leap": ("ur5e_leap", lambda net, clock: [UrArms(net, clock, "jazzy"), Leap(net, clock)]),
+    "fr3": ("fr3_allegro", lambda net, clock: [Fr3(net, clock), AllegroV4(net, clock, "jazzy")]),
     "two": (
         "two_ur5e_allegro",
-        lambda *on: [UrArms(*on, "jazzy", ("left_", "right_")), AllegroV4(*on, "jazzy", ("l", "r"))],
+        lambda net, clock: [
+            UrArms(net, clock, "jazzy", ("left_", "right_")),
+            AllegroV4(net, clock, "jazzy", ("l", "r")),
+        ],
     ),
 }
 THUMB_FIRST, INDEX_FIRST = ("thumb", "index", "middle", "ring"), ("index", "middle", "ring", "thumb")
