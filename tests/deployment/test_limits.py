@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_without_identified_dynamics_commands_have_the_speed_limit_of_joints():
     np.testing.assert_allclose(joints.speed, [0.5 * 0.9 * joint.velocity_limit for joint in JOINTS])
 
 
-def part(name: str, joints: list[str], **limits: float) -> RobotPart:
+def part(name: str, joints: list[str], **limits: Any) -> RobotPart:
     return replace(
         next(part for part in Profile.load("ur5e_allegro_v4").robots if part.name == name),
         joints={joint: DriverJoint(name_in_state=joint, index_in_command=0) for joint in joints},

@@ -22,7 +22,7 @@ def test_commands_survive_missed_cycles_and_a_driver_that_ignores_them_is_named(
     driver = ArmDriver(HOME[:6], limits.joints.lag[:6])
     lab = Lab(limits=replace(limits, ramp_time=0.1)).started()
     rest = JointState(position=HOME[:6], velocity=np.zeros(6))
-    target = HOME.copy()
+    target, output = HOME.copy(), lab.state
     for tick in range(1500):
         lab.target[0, :6] = HOME[:6] + (0.4 if tick // 150 % 2 else -0.4) * np.array((1, 0, 0, 1, 1, 1))
         if tick % 97 == 50:

@@ -1,5 +1,7 @@
 """Motion of commands: exact braking, limits, and arrival without overshoot."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import ruckig
@@ -88,7 +90,7 @@ def test_a_goal_is_reached_without_overshoot(joint: int):
 @given(st.floats(0.02, 1.0), st.sampled_from([0, 1]))
 def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joint: int):
     """Compared with Ruckig in continuous time."""
-    limits = BOTH[joint : joint + 1].copy()
+    limits: Any = BOTH[joint : joint + 1].copy()
     limits.lower, limits.upper = -2.0, 2.0
     limits = limits[0]
     position = velocity = command = 0.0

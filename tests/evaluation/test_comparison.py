@@ -40,11 +40,12 @@ RUN = Training(method="proposed", seed=0)
 
 
 def plan(**changes: Any) -> Plan:
-    return Plan(
-        **{"methods": ("only_wh", "proposed"), "seeds": 2, "configuration": {"training lr": 0.1}}
+    given: dict[str, Any] = (
+        {"methods": ("only_wh", "proposed"), "seeds": 2, "configuration": {"training lr": 0.1}}
         | {"sessions": (SESSION,)}
         | changes
     )
+    return Plan(**given)
 
 
 def rates(successes: int, trials: int) -> dict[str, Any]:

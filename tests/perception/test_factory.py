@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +21,11 @@ RED = (340.0, 20.0)
 def test_segmenters_and_their_missing_options():
     assert isinstance(PerceptionArgs().make_segmenter(), BackgroundSubtraction)
     assert isinstance(PerceptionArgs(segmenter="color", color=RED).make_segmenter(), ColorThreshold)
+    options: dict[str, Any] = {}
     for name, words in (("color", "--color 340 20"), ("sam2", "sam2 needs --checkpoint")):
+        options["segmenter"] = name
         with pytest.raises(InvalidValueError, match=words):
-            PerceptionArgs(segmenter=name).make_segmenter()
+            PerceptionArgs(**options).make_segmenter()
 
 
 def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(
@@ -48,6 +51,11 @@ def test_options_reach_the_prompter():
 
 
 def test_places_off_the_image_are_refused():
-    for args in ({"box": (30, 10, 10, 30)}, {"box": (600, 10, 700, 30)}, {"region": (0, 0, 641, 480)}):
+    several: list[dict[str, Any]] = [
+        {"box": (30, 10, 10, 30)},
+        {"box": (600, 10, 700, 30)},
+        {"region": (0, 0, 641, 480)},
+    ]
+    for args in several:
         with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
             PerceptionArgs(**args).make_prompter()

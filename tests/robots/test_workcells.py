@@ -113,6 +113,7 @@ def test_chains_agree_with_the_model(workcell: WorkcellSpec, dtype: torch.dtype,
             np.testing.assert_allclose(pos[0].numpy(), site.xpos, atol=tolerance)
             np.testing.assert_allclose(matrix, site.xmat, atol=tolerance)
     if workcell is UR5E_ALLEGRO:
+        chain = chain_of(workcell, workcell.palms[0], dtype=dtype)
         torch.testing.assert_close(
             chain.side, torch.tensor((0.0, -0.777, 0.0, -0.629), dtype=dtype), atol=1e-3, rtol=0
         )

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from twin_bench import PROFILE, Bench
@@ -33,6 +34,7 @@ class Laboratory(Bench):
     def examine(self, profile: Profile = PROFILE, cycles: int = CYCLES) -> dict[str, Check]:
         """What is found after so many cycles of 2 ms, by name."""
         clock = StepClock(lambda _: None)
+        node: Any
         with self.broker.node(clock) as node:
             survey = Survey(node, profile, clock)
             for number in range(cycles):

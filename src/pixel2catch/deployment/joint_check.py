@@ -55,7 +55,7 @@ class JointCheck:
                 )
                 gains = followed @ moves[rows] / max(moves[rows] @ moves[rows], LEAST_MOTION**2)
                 best = np.abs(gains).max(axis=1).argmax()
-                if rows.any() and (fault := self._fault(number, gains[best], LAGS[best])):
+                if rows.any() and (fault := self._fault(number, gains[best], float(LAGS[best]))):
                     found.append(f"{self._names[number]} {fault}")
         return found
 

@@ -112,8 +112,7 @@ class PathFinder:
         between[:, ~self.is_arm] = start[~self.is_arm]
         poses = np.array([start, goal, *(pose for pose in between if not self.refusal(pose))])
         lengths = np.abs(poses[:, None] - poses).max(axis=-1) + DETOUR
-        blocked = True
-        while blocked:
+        while True:
             way = _shortest(lengths)
             if not way:
                 far = int(np.abs(goal - start).argmax())
@@ -122,12 +121,12 @@ class PathFinder:
                     f"{self._workcell.joint_names[far]} is {abs(goal[far] - start[far]):.1f} rad from its "
                     "goal. Move the robot by hand (free drive)."
                 )
-            blocked = False
             for one, other in pairwise(way):
-                if not blocked and not self._is_free(poses[one], poses[other], poses[:2]):
+                if not self._is_free(poses[one], poses[other], poses[:2]):
                     lengths[one, other] = lengths[other, one] = np.inf
-                    blocked = True
-        return poses[way]
+                    break
+            else:
+                return poses[way]
 
     def refusal(self, pose: Joints) -> str:
         """Return why the robot cannot be in a pose; empty if it can."""

@@ -54,30 +54,6 @@ LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
 Source: ours; 0.03 s after the beginning of a swing, and 0.02 s of the fastest.
 """
 
-MOTION_TIME = 0.05  #: Motion is the distance from the mean over this time [s]. Source: ours.
-MOTION_MEMORY = 0.1  #: Time over which squares of motion are averaged [s]. Source: ours.
-LEAST_MOTION = 0.015
-"""Commanded motion from which a hand is judged, root of the sum of squares over its joints [rad].
-
-Source: ours, more than vibrations of a hand at rest.
-"""
-
-MOST_ASTRAY = 0.7
-"""Square of a hand's error of motion, as a share of that of its expected motion.
-
-Source: ours. A hand that stands still has 1. Objects do not hold all fingers while their commands move far.
-"""
-
-ASTRAY_TIME, SCALED_TIME = 0.15, 0.08
-"""Time for which a hand must move in a wrong way, and on a wrong scale [s].
-
-Source: ours; the longest in 40 rehearsed throws were 0.112 s and 0.038 s.
-"""
-
-LEAST_SCALE, LEAST_LIKENESS = 0.65, 0.85
-"""Smallest scale of a hand's motion, and its squared correlation with the expected motion from which a scale
-counts. Source: ours."""
-
 LEAST_AHEAD, LEAST_FOLLOWING = 0.04, 0.5
 """Lead of a command over its joint [rad], and share of it that the joint's motion explains if it follows.
 
@@ -257,7 +233,6 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
     if of_commands & Fault.TRACKING_ERROR.value and num_ahead > 1 and num_following == 0:
         of_commands ^= Fault.TRACKING_ERROR.value
         of_commands |= Fault.COMMANDS_IGNORED.value
-    of_commands |= bit(Fault.HAND_ASTRAY, is_hand_astray(joints, limits))
     return found | of_commands if is_commanded else found
 
 
@@ -292,48 +267,7 @@ def update_estimates(
     estimate_lag(joint, joint.speed * elapsed if is_commanded else 0.0, limits)
     if is_new:
         joint.measured, joint.stamp = position, stamp
-    update_motion(joint, is_commanded, limits.dt)
     return is_jump
-
-
-@compiled
-def update_motion(joint: Record, is_commanded: bool, dt: float) -> None:
-    """Update mean squares and product of a joint's expected and measured motion; tick in seconds."""
-    if not is_commanded:
-        joint.mean_expected, joint.mean_measured = joint.expected, joint.measured
-        joint.asked, joint.common, joint.shown = 0.0, 0.0, 0.0
-        joint.hand_time, joint.scaled_time = 0.0, 0.0
-        return
-    joint.mean_expected += dt / MOTION_TIME * (joint.expected - joint.mean_expected)
-    joint.mean_measured += dt / MOTION_TIME * (joint.measured - joint.mean_measured)
-    asked, shown = joint.expected - joint.mean_expected, joint.measured - joint.mean_measured
-    joint.asked += dt / MOTION_MEMORY * (asked * asked - joint.asked)
-    joint.common += dt / MOTION_MEMORY * (asked * shown - joint.common)
-    joint.shown += dt / MOTION_MEMORY * (shown * shown - joint.shown)
-
-
-@compiled
-def is_hand_astray(joints: Records, limits: Records) -> bool:
-    """Return whether a hand does not follow its commands, or follows them on another scale.
-
-    An object may hold some fingers, which then stand still. It does not hold all while their commands move
-    far, and it scales no motion.
-    """
-    found = False
-    for number in range(len(joints)):
-        joint, limit, asked, common, shown = joints[number], limits[number], 0.0, 0.0, 0.0
-        for other in range(len(joints)):
-            if limit.is_finger and limits[other].hand == limit.hand:
-                each = joints[other]
-                asked, common, shown = asked + each.asked, common + each.common, shown + each.shown
-        moves = asked > LEAST_MOTION**2
-        is_astray = asked - 2.0 * common + shown > MOST_ASTRAY * asked
-        is_scaled = common < LEAST_SCALE * asked or LEAST_SCALE * common > asked
-        is_like = common > 0.0 and common * common > LEAST_LIKENESS * asked * shown
-        joint.hand_time = joint.hand_time + limit.dt if moves and is_astray else 0.0
-        joint.scaled_time = joint.scaled_time + limit.dt if moves and is_scaled and is_like else 0.0
-        found |= joint.hand_time > ASTRAY_TIME or joint.scaled_time > SCALED_TIME
-    return found
 
 
 @compiled

@@ -102,7 +102,6 @@ class JointLimits:
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
     position_age: Joints  #: Age of a measured position that is a fault [s].
-    hand: Int[np.ndarray, " joints"]  #: Number of the joint group, from 1.
 
     @classmethod
     def of(
@@ -165,7 +164,6 @@ class JointLimits:
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
             position_age=age,
-            hand=np.repeat(np.arange(1, 1 + len(workcell.groups)), [len(g.joints) for g in workcell.groups]),
         )
 
     def __post_init__(self) -> None:

@@ -80,7 +80,6 @@ class Fault(IntFlag):
     OTHER_SUBSCRIBER = auto()
     CONTROLLER = auto()
     JOINTS_FROZEN = auto()
-    HAND_ASTRAY = auto()
     COMMANDS_IGNORED = auto()
 
 

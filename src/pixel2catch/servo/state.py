@@ -53,13 +53,6 @@ JOINT_STATE = np.dtype(
         ("estimated_lag", np.float64),  # that distance per speed [s]
         ("evidence", np.float64),  # motion from which it is estimated [rad²/s]
         ("lag", np.float64),  # lag that is used: specified, or estimated once there is evidence [s]
-        ("mean_expected", np.float64),  # recent mean of the expected position [rad]
-        ("mean_measured", np.float64),  # recent mean of the measured position [rad]
-        ("asked", np.float64),  # mean square of the expected position's distance from its mean [rad²]
-        ("common", np.float64),  # mean product of that distance and the measured one [rad²]
-        ("shown", np.float64),  # mean square of the measured distance [rad²]
-        ("hand_time", np.float64),  # time for which its hand has not followed [s]
-        ("scaled_time", np.float64),  # time for which its hand has moved on another scale [s]
         ("is_lag_estimated", np.bool_),  # whether there is enough evidence; arms only
     ],
     align=True,

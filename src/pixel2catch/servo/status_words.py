@@ -85,10 +85,6 @@ FAULT_WORDS = {
         "measured joint positions do not change while the joints are commanded to move",
         "Check the encoders and the driver: positions must not be repeated.",
     ),
-    "hand astray": (
-        "a hand does not move as commanded",
-        "Check its power and driver, and the order of its joints in the profile.",
-    ),
     "commands ignored": (
         "the driver of the arm ignores the commands",
         "Its cycles slip: give driver and servo cores of their own, or raise missed_cycles in the profile.",

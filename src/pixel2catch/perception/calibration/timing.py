@@ -75,7 +75,8 @@ class BoardMotion:
                 left.append(pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0])
             return np.concatenate(left).ravel()
 
-        fitted, steps = np.zeros(2), STEP * np.eye(2)
+        fitted, steps, slopes = np.zeros(2), STEP * np.eye(2), np.zeros((2, 0))
+        remaining = residuals(*fitted)
         for _ in range(NUM_STEPS):
             slopes = np.stack(
                 [(residuals(*(fitted + step)) - residuals(*(fitted - step))) / (2.0 * STEP) for step in steps]
