@@ -136,9 +136,7 @@ class JointLimits:
         own_acceleration = part * each(1000.0 if is_identified else 300.0, 2000.0)
         acceleration = np.minimum(own_acceleration, most["acceleration"])
         jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
-        fastest = np.minimum(most["command_speed"], _stoppable_speed(acceleration, jerk))
-        accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
-        fastest = np.minimum(fastest, accepted)
+        fastest = np.minimum(_accepted_speed(most), _stoppable_speed(acceleration, jerk))
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
@@ -173,6 +171,12 @@ class JointLimits:
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
+
+
+def _accepted_speed(most: dict[str, Joints]) -> Joints:
+    """Return the largest speed of commands that drivers accept, missed cycles included [rad/s]."""
+    steps = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
+    return np.minimum(most["command_speed"], steps)
 
 
 def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
