@@ -38,10 +38,6 @@ class Image:
     encoding: str = ""  #: How the camera's message stored it, such as rgb8; empty without a message.
     readout_time: float = 0.0  #: Time from its first row to its last, the stamp being of the middle one [s].
 
-    def time_of(self, row: float) -> float:
-        """Return when a row was taken [s]."""
-        return self.stamp + self.readout_time * (row / len(self.pixels) - 0.5)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:

@@ -14,9 +14,8 @@ from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.robots.geometry import bare_model
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.distances import RULES, Distances
-from pixel2catch.servo.laws import entry
 from pixel2catch.servo.limits import Joints, ServoLimits
-from pixel2catch.servo.workspace import Space, is_inside
+from pixel2catch.servo.workspace import note_inside
 from pixel2catch.workcells import find_workcell
 
 Poses = Float64[np.ndarray, "poses joints"]
@@ -65,13 +64,6 @@ class Motion:
         share = min(max((time - begin) / (end - begin), 0.0), 1.0)
         share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
         return self.poses[after - 1] + share * (self.poses[after] - self.poses[after - 1])
-
-
-@entry
-def note_inside(space: Space, poses: np.ndarray, are_inside: np.ndarray) -> None:
-    """Note for each pose of the joints that carry palms [rad] whether it is in the workspace."""
-    for number in range(len(poses)):
-        are_inside[number] = is_inside(space, poses[number])
 
 
 def _shortest(lengths: Float64[np.ndarray, "poses poses"]) -> list[int]:

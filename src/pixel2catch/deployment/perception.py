@@ -284,7 +284,9 @@ class PerceptionRunner:
             return None
         box, self._running = self._running.result(), None
         if box.verdict is Verdict.SEEN and self._image:
-            box = replace(box, stamp=self._image.time_of(0.5 * (box.edges[1] + box.edges[3])))
+            row, image = 0.5 * (box.edges[1] + box.edges[3]), self._image
+            later = image.readout_time * (row / len(image.pixels) - 0.5)
+            box = replace(box, stamp=image.stamp + later)
         if self._on_end:
             self._on_end()
             self._on_end = None

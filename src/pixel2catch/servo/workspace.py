@@ -21,13 +21,11 @@ from jaxtyping import Bool, Float64, Int64
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, arm_shape, chain_of
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled
+from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled, entry
 
 HAND_CLEARANCE = 0.01  #: Distance of a hand to its own arm [m]. Source: ours.
-MOST_POSES, STRIDE = (
-    32,
-    8,
-)  #: Ticks of braking that are all checked; step between those checked beyond. Source: ours.
+MOST_POSES = 32  #: Ticks of braking that are all checked. Source: ours.
+STRIDE = 8  #: Step between the ticks that are checked beyond [ticks]. Source: ours.
 HALVINGS = 10  #: Bisection steps for the point of a capsule nearest to a box. Source: ours.
 ROUNDING = 1e-9  #: Gap that counts as none [m].
 
@@ -177,6 +175,13 @@ def is_inside(space: Space, joint_pos: np.ndarray) -> bool:
             if space.is_reached[capsule] and is_near(boxes, palm, ends, radius + HAND_CLEARANCE):
                 return False
     return True
+
+
+@entry
+def note_inside(space: Space, poses: np.ndarray, are_inside: np.ndarray) -> None:
+    """Note for each pose of the joints that carry palms [rad] whether it is in the workspace."""
+    for number in range(len(poses)):
+        are_inside[number] = is_inside(space, poses[number])
 
 
 @compiled
