@@ -61,13 +61,18 @@ class BatchSimulation(Simulation):
         origin: Float[Tensor, "3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
+        mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
         geomgroup = np.isin(np.arange(MAX_GEOM_GROUPS), groups).astype(np.uint8)
+        ids = np.arange(self.num_envs) if mask is None else mask.numpy().nonzero()[0]
         self._rays.bind("qpos")[:] = self._batch.bind("qpos")
         for name in SEEN_FIELDS:
             if (values := self._batch.expanded(name)) is not None:
                 self._rays.expand(name)[:] = values
-        distance, _ = self._rays.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
+        distance = np.full(directions.shape[:2], -1.0)
+        distance[ids], _ = self._rays.ray(
+            origin.numpy(), directions.numpy()[ids], geomgroup=geomgroup, ids=ids
+        )
         return torch.from_numpy(distance)
 
 

@@ -135,8 +135,9 @@ class EngineSimulation(Simulation):
         origin: Float[Tensor, "3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
+        mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
-        return self._described.ray(origin, directions, groups)
+        return self._described.ray(origin, directions, groups, mask)
 
     def check(self) -> None:
         """Raise if the engine diverged."""

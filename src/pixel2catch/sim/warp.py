@@ -115,6 +115,7 @@ class WarpSimulation(Simulation):
         origin: Float[Tensor, "3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
+        mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
         with wp.ScopedDevice(self._device):
             return _cast_rays(self._model, self._data, origin, directions, groups)
