@@ -41,7 +41,7 @@ def write_checkpoint(folder: Path) -> None:
 
 
 def times_of(segmenter: Sam2Segmenter, count: int) -> np.ndarray:
-    """Times of so many images [ms]; NaN for those that begin a throw."""
+    """Times of a number of images [ms]; NaN for those that begin a throw."""
     images = np.random.default_rng(0).integers(0, 256, (8, HEIGHT, WIDTH, 3), dtype=np.uint8)
     times = np.full(count, np.nan)
     for index in range(count):
@@ -54,7 +54,7 @@ def times_of(segmenter: Sam2Segmenter, count: int) -> np.ndarray:
 
 
 def measure(folder: Path, setting: str, device: str, size: int, count: int) -> dict[str, Any]:
-    """Load and warm up as the robot does, then time so many images."""
+    """Load and warm up as the robot does, then time a number of images."""
     begin = time.perf_counter()
     segmenter = Sam2Segmenter(folder, device, size, is_compiled=SETTINGS[setting])
     times_of(segmenter, WARM_UP_IMAGES if device != "cpu" else 2)

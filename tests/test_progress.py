@@ -17,7 +17,7 @@ from pixel2catch.progress import ProgressBar
     ],
 )
 def test_time_before_the_first_report_tells_no_speed(reports: list[tuple[float, float]], lines: list[str]):
-    """Of 1000 parts, so many are done after so many seconds."""
+    """Parts of 1000 that are done, and the time since the start [s]."""
     clock, out = [0.0], io.StringIO()
     console = Console(file=out, get_time=lambda: clock[0])
     with ProgressBar("work", 1000.0, console=console, line_seconds=0.0) as bar:

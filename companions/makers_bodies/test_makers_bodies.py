@@ -67,7 +67,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData, body: str) -> np.ndarray:
 def test_the_same_robot_in_other_words_is_the_same_robot(
     arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """Fingers are told apart by where they are; whichever way an axis points, our joints turn as ours do."""
+    """Fingers are found by their place; the sign of a joint is that of our model for any axis."""
     out, hand = tmp_path / "makers", in_other_words(allegro("left").mjcf, tmp_path / "hand.xml")
     monkeypatch.setattr(sys, "argv", ["makers_bodies.py", str(hand), str(arm), "--out", str(out)])
     main()

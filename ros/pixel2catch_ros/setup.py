@@ -17,6 +17,4 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", sorted(str(path) for path in Path("launch").iterdir())),
     ],
-    install_requires=["setuptools"],
-    zip_safe=True,
 )

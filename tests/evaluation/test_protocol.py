@@ -98,7 +98,7 @@ def test_an_action_that_is_nan_is_reported_at_the_end_of_a_round():
 
 
 def test_actions_are_latched_after_a_success():
-    """The arm is told to stay and the hand repeats what it did last; the policy moves both back and forth."""
+    """The arm holds its position and the hand repeats its last action; the policy would move both."""
     states: list[RoundState] = []
 
     cfg = over_the_palm(hover_steps=NEVER)

@@ -49,7 +49,7 @@ Make = Callable[[int, np.ndarray], Any]
 
 
 def stream(topic: str, times: np.ndarray, rows: np.ndarray, make: Make, late: int = 0) -> list[Message]:
-    """A message for each time [s], received so many ns later."""
+    """A message for each time [s], received later by a delay [ns]."""
     stamps = map(nanoseconds, times)
     return [(topic, at + late, make(at, row)) for at, row in zip(stamps, rows, strict=True)]
 

@@ -91,7 +91,7 @@ def hand_views(
 
     Of each corner [px]; of all corners of an image together [px]; of the joints anew in each image, and of
     their constant offsets [rad]; of the squares' size and of the focal length, relative. A row of `offsets`
-    is how far the joints are from what is said of them in an image [rad].
+    has the errors of the joint positions in an image [rad].
     """
     rng = np.random.default_rng(1000 + seed)
     constant, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)

@@ -15,7 +15,7 @@ from pixel2catch.cli.home import EVEN
 from pixel2catch.cli.link import Link
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.follower import move
-from pixel2catch.deployment.joint_check import JointCheck
+from pixel2catch.deployment.joint_check import JointCheck, record_of_today
 from pixel2catch.deployment.paths import PEAK, Motion, PathFinder
 from pixel2catch.deployment.throw_cycle import HELD_TIME, MISSED_TIME, ThrowCycle
 from pixel2catch.errors import DeploymentError, UnknownNameError
@@ -23,6 +23,7 @@ from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robots.geometry import bare_model
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.servo.laws import USER_CACHE
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.twin import RehearsalCfg, stepped
@@ -323,3 +324,10 @@ def test_thirty_throws_in_a_row_need_no_hand():
     report = throws_in_a_row(30, "side")
     assert (report["problems"], report["stops_of_deployment"]) == (0, {})
     assert report["success_rate"] >= 25 / 30
+
+
+@pytest.mark.parametrize("name", ["../../escaped", "/etc/escaped", "a" * 1000, "nul\0"])
+def test_the_name_of_a_profile_leads_to_no_other_folder(name: str):
+    path = record_of_today(name)
+    assert path.parent == USER_CACHE.expanduser()
+    assert not path.exists()

@@ -125,7 +125,7 @@ def _armed_at(
     before: float,
     on_command: Callable[[Command], None],
 ) -> float:
-    """Count the servo's commands; return when it was armed, `before` or since then [s]."""
+    """Count new commands of the servo; return when it was first armed: `before`, if that is finite [s]."""
     for command in connection.receive():
         statistics.note_command(command)
         on_command(command)

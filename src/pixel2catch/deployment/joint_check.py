@@ -1,5 +1,6 @@
 """The joint check: each joint moves by a few degrees, and the encoder that follows is compared."""
 
+import re
 from datetime import date
 from pathlib import Path
 
@@ -74,5 +75,6 @@ class JointCheck:
 
 
 def record_of_today(profile: str) -> Path:
-    """Return the file that exists once the joints of a profile were checked today."""
-    return USER_CACHE.expanduser() / f"joints-{profile}-{date.today():%Y-%m-%d}"
+    """Return the file that exists once the joints of a profile of this name were checked today."""
+    name = re.sub(r"\W", "_", profile)[:64]  # the name is from a file, and may contain a path
+    return USER_CACHE.expanduser() / f"joints-{name}-{date.today():%Y-%m-%d}"
