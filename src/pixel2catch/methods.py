@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
 from pixel2catch.errors import InvalidValueError, UnknownNameError
@@ -23,6 +24,8 @@ class Method:
     agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
     pixel_features: tuple[str, ...]  #: Names out of `mdp.observations.PIXEL_FEATURES`.
     num_boxes: int = 1  #: Number of measured boxes that it keeps.
+    #: Input of every value network: the state, with the truth of the simulator, or the agent's observation.
+    value_input: Literal["state", "observation"] = "state"
 
     def __post_init__(self) -> None:
         """Refuse a method without agents, two agents of one name, and unknown pixel features."""
@@ -122,12 +125,13 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     `object_position` observes the object in 3D, `object_extent` also its size; `shared_reward` gives all
     agents the sum of their rewards; `agent_per_robot` has an agent for each robot; `catch` has a shared
     reward with costs of unrest and self-contact, `catch_alone` the same as one agent; `catch_teacher`
-    observes the object in 3D and can be imitated.
+    observes the object in 3D and can be imitated. With a `local_critic` no value network sees the state.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
     oracle = (observations.object_position, *observations.PROPRIOCEPTION)
     proposed = Method(name="proposed", agents=agents, pixel_features=ALL_FEATURES)
+    single = replace(proposed, name="single_agent", agents=(together(agents),))
     methods = (
         proposed,
         Method(
@@ -137,7 +141,9 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
         ),
         replace(proposed, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
         replace(proposed, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
-        replace(proposed, name="single_agent", agents=(together(agents),)),
+        single,
+        replace(proposed, name="proposed_local_critic", value_input="observation"),
+        replace(single, name="single_agent_local_critic", value_input="observation"),
         Method(name="object_position", agents=_seeing(agents, *oracle), pixel_features=()),
         Method(
             name="object_extent",

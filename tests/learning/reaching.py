@@ -17,6 +17,7 @@ from torch import Tensor
 from pixel2catch.envs.catch_env import Observation
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
+from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import AgentContract, PolicyContract
 
 EPISODE_STEPS = 12
@@ -90,6 +91,7 @@ class Statistics:
 
 
 class _ReachingEnv:
+    method = PROPOSED  # only what its value networks see is asked for
     observation_sizes = {"arm": 4, "hand": 2}  # noqa: RUF012
     state_size = 3
     action_sizes = {"arm": 2, "hand": 1}  # noqa: RUF012

@@ -17,6 +17,7 @@ from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import gru_rollout
 from pixel2catch.mdp.tensors import assign
+from pixel2catch.methods import METHODS
 from pixel2catch.policy import HIDDEN, Policy
 
 
@@ -137,6 +138,22 @@ def test_training_gives_the_numbers_of_skrl(
     assert tuple(metrics.values())[:9] == pytest.approx(FROZEN[name], rel=1e-3, abs=1e-5)
     weights = torch.cat([tensor.flatten() for tensor in mappo.export().parameters()])
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
+
+
+@pytest.mark.parametrize("recurrent", [0, 16])
+def test_a_local_critic_sees_no_state(recurrent: int):
+    """What the simulator alone knows changes every value of a central critic, and none of a local one."""
+    cfg = dataclasses.replace(SMALL, recurrent=recurrent)
+    for method in ("proposed", "proposed_local_critic"):
+        env, outcomes = ReachingEnv(cfg), []
+        env.method, observation = METHODS[method], env.reset()
+        for truth in (0.0, 7.0):
+            torch.manual_seed(0)
+            mappo = Mappo(cfg, env, CONTRACT)
+            mappo.act(dataclasses.replace(observation, state=torch.full_like(observation.state, truth)))
+            outcomes.append([mappo.rollout[agent].values[0].clone() for agent in mappo.agents])
+        are_equal = [torch.equal(one, other) for one, other in zip(*outcomes, strict=True)]
+        assert are_equal == [method == "proposed_local_critic"] * 2
 
 
 @pytest.mark.slow

@@ -46,7 +46,8 @@ def give_half(whole: Mappo, half: Mappo, rank: int) -> None:
     half._hidden_states = {
         agent: (states[0][mine], states[1][mine]) for agent, states in whole._hidden_states.items()
     }
-    half.is_done, half.next_states = whole.is_done[:, mine], whole.next_states[mine]
+    half.is_done = whole.is_done[:, mine]
+    half.next_states = {agent: states[mine] for agent, states in whole.next_states.items()}
     for agent, rollout in half.rollout.items():
         half.rewards[agent] = whole.rewards[agent][:, mine]
         for target, source in zip(rollout, whole.rollout[agent], strict=True):

@@ -49,6 +49,8 @@ SIZES = {
     "only_wh": {"arm": 46, "hand": 74},
     "only_center": {"arm": 46, "hand": 74},
     "single_agent": {"robot": 2 * (6 + 7 + 19 + 19)},
+    "proposed_local_critic": {"arm": 50, "hand": 78},
+    "single_agent_local_critic": {"robot": 2 * (6 + 7 + 19 + 19)},
     "agent_per_robot": {"robot": 2 * (6 + 7 + 19 + 19)},
 }
 

@@ -24,9 +24,10 @@ class Train:
     The defaults below are those of the preset fast; add --preset NAME to see those of another one.
     """
 
-    #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-    #: object_extent, shared_reward, agent_per_robot, journal, catch, catch_alone, catch_teacher, or
-    #: one of your own, with --import FILE.py; with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit.
+    #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent,
+    #: proposed_local_critic, single_agent_local_critic, object_position, object_extent, shared_reward,
+    #: agent_per_robot, journal, catch, catch_alone, catch_teacher, or one of your own, with --import FILE.py;
+    #: with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit.
     method: Positional[str] = METHOD
     #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
     #: CUDA, else cpu.

@@ -1,4 +1,6 @@
-"""MAPPO: every agent learns by PPO on its own observations, with a value network that sees the whole state.
+"""MAPPO: every agent learns by PPO on its own observations; its value network sees the whole state.
+
+A method may give the value network the agent's observation instead (independent PPO).
 
 Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and values, generalised advantages,
 standardised inputs and values. Ours: imitation of a teacher, frozen policies, several processes.
@@ -42,7 +44,7 @@ class Mappo:
         rollout: Observations, actions and so on since the last update, (rollout_steps, num_envs, ...).
         rewards: Rewards of every agent since the last update, (rollout_steps, num_envs).
         is_done: Whether an episode ended at that step, (rollout_steps, num_envs).
-        next_states: Input of the value networks after the last step.
+        next_states: Input of every agent's value network after the last step.
     """
 
     def __init__(
@@ -57,8 +59,10 @@ class Mappo:
         """
         self.cfg, self.contract, self.workers = cfg, contract, workers or Workers(device=cfg.device)
         self.agents = tuple(contract.agents)
+        self._is_local = env.method.value_input == "observation"
+        sizes = env.observation_sizes if self._is_local else dict.fromkeys(self.agents, env.state_size)
         self.networks = {
-            agent: ActorCritic(cfg, env.observation_sizes[agent], env.state_size, num_actions)
+            agent: ActorCritic(cfg, env.observation_sizes[agent], sizes[agent], num_actions)
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
@@ -69,12 +73,14 @@ class Mappo:
         def hidden_state() -> Tensor:
             return buffer(cfg.recurrent, num_steps=1 if cfg.recurrent else cfg.rollout_steps, fill=0.0)
 
-        self.next_states, states = buffer(env.state_size)[0], buffer(env.state_size)
+        seen = {agent: buffer(env.observation_sizes[agent]) for agent in self.agents}
+        states = seen if self._is_local else dict.fromkeys(self.agents, buffer(env.state_size))
+        self.next_states = {agent: states[agent][0].clone() for agent in self.agents}
         self.is_done, is_first = buffer(fill=False), buffer(fill=False)
         self.rollout = {
             agent: Batch(
-                observations=buffer(env.observation_sizes[agent]),
-                states=states,
+                observations=seen[agent],
+                states=states[agent],
                 actions=buffer(num_actions),
                 log_prob=buffer(),
                 values=buffer(),
@@ -127,7 +133,7 @@ class Mappo:
                 rollout, hidden = self.rollout[agent], self._hidden_states[agent]
                 if self._num_steps == 0:
                     rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
-                seen = {"observations": observation.policy[agent], "states": observation.state}
+                seen = {"observations": observation.policy[agent], "states": self._states(observation)[agent]}
                 drawn = self._draw[agent](*seen.values(), *hidden)
                 seen |= dict(zip(("actions", "log_prob", "values"), drawn, strict=False))
                 actions[agent] = seen["actions"]
@@ -137,6 +143,10 @@ class Mappo:
             if self._teacher is not None:
                 self._query_teacher(self._teacher, observation)
         return actions
+
+    def _states(self, observation: Observation) -> dict[str, Tensor]:
+        """Return the input of every agent's value network, (num_envs, size)."""
+        return observation.policy if self._is_local else dict.fromkeys(self.agents, observation.state)
 
     def _query_teacher(self, teacher: Policy, observation: Observation) -> None:
         """Record a teacher's actions; its agents may split the joints otherwise."""
@@ -157,7 +167,7 @@ class Mappo:
             self.rewards[agent][self._num_steps] = step.rewards[agent]
         self.is_done[self._num_steps] = step.terminated | step.truncated
         self.reset_hidden(self.is_done[self._num_steps])
-        self.next_states = step.observation.state
+        self.next_states = self._states(step.observation)
         self._num_steps += 1
 
     def reset_hidden(self, is_ended: Tensor | None = None) -> None:
@@ -200,7 +210,7 @@ class Mappo:
 
     def _update_agents(self) -> Tensor:
         cfg, steps = self.cfg, self.steps.values()
-        self._estimate(self.next_states, *(self._hidden_states[agent][1] for agent in self.agents))
+        self._estimate(*self.next_states.values(), *(hidden[1] for hidden in self._hidden_states.values()))
         epochs = []
         for epoch in range(cfg.epochs):
             epochs.append(self._epochs[epoch == 0]().clone())
@@ -246,12 +256,17 @@ class Mappo:
         learn_together(self.workers, seen)
 
     @torch.no_grad()
-    def _estimate_advantages(self, next_states: Tensor, *hidden_states: Tensor) -> None:
-        """Compute returns and advantages; standardise first the values, then the returns."""
+    def _estimate_advantages(self, *given: Tensor) -> None:
+        """Compute returns and advantages; standardise first the values, then the returns.
+
+        Given are the next states of all agents, then the hidden states of their value networks.
+        """
+        next_states, hidden_states = given[: len(self.agents)], given[len(self.agents) :]
         found: list[tuple[Tensor, Tensor, Tensor]] = []
-        for (agent, rollout), hidden in zip(self.rollout.items(), hidden_states, strict=True):
+        ends = zip(self.rollout.items(), next_states, hidden_states, strict=True)
+        for (agent, rollout), states, hidden in ends:
             rollout.is_first[1:] = self.is_done[:-1]
-            last, _ = self.networks[agent].value_of(next_states, hidden)
+            last, _ = self.networks[agent].value_of(states, hidden)
             returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, rollout.values, last)
             found.append((returns - rollout.values, rollout.values, returns))
         parts = [(each.mean(), each.var()) for agent in found for each in agent]

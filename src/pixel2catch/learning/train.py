@@ -265,7 +265,7 @@ def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tens
         columns = rollout.observations.sum((0, 1)).split([size for _, size in layout])
         for (name, _), term in zip(layout, columns, strict=True):
             found[f"observation term '{name}' of agent '{agent}'"] = term
-        found["value input (state)"] = rollout.states.sum((0, 1)) + mappo.next_states.sum(0)
+        found["value input (state)"] = rollout.states.sum((0, 1)) + mappo.next_states[agent].sum(0)
         found[f"sampled action of agent '{agent}'"] = rollout.actions
     return found
 
