@@ -38,20 +38,12 @@ if TYPE_CHECKING:
         CatchSingleEnv as CatchSingleEnv,
         CatchVectorEnv as CatchVectorEnv,
     )
-    from pixel2catch.mdp.observations import (
-        PIXEL_FEATURES as PIXEL_FEATURES,
-        pixel_features as pixel_features,
-    )
     from pixel2catch.camera.pinhole import nominal_projection as nominal_projection
-    from pixel2catch.deployment import recorder as recorder
     from pixel2catch.envs import actuators as actuators, world as world
     from pixel2catch.envs.catch_env import CatchEnv as CatchEnv
     from pixel2catch.envs.cfg import CatchEnvCfg as CatchEnvCfg
     from pixel2catch.envs.tasks import find_task as find_task
-    from pixel2catch.errors import (
-        DeploymentError as DeploymentError,
-        Pixel2CatchError as Pixel2CatchError,
-    )
+    from pixel2catch.errors import Pixel2CatchError as Pixel2CatchError
     from pixel2catch.evaluation.loading import task_of as task_of
     from pixel2catch.evaluation.protocol import EvaluationCfg as EvaluationCfg, run_round as run_round
     from pixel2catch.evaluation.stress import Axis as Axis, Level as Level
@@ -61,12 +53,9 @@ if TYPE_CHECKING:
     from pixel2catch.methods import Method as Method, find_method as find_method
     from pixel2catch.policy.contract import method_of as method_of
     from pixel2catch.policy.policy import INPUT_CLIP as INPUT_CLIP, Policy as Policy
-    from pixel2catch.rendering.renderer import RGB_VIEW as RGB_VIEW, Renderer as Renderer
+    from pixel2catch.rendering.renderer import Renderer as Renderer
     from pixel2catch.robots.geometry import chain_of as chain_of
     from pixel2catch.robots.workcell import WorkcellSpec as WorkcellSpec
-    from pixel2catch.ros2 import messages as messages
-    from pixel2catch.ros2.bags import is_bag as is_bag, opened_bag as opened_bag
-    from pixel2catch.ros2.profile import Profile as Profile
     from pixel2catch.scene import constants as constants
     from pixel2catch.scene.cfg import PUSH_OUT as PUSH_OUT
     from pixel2catch.scene.meshes import mesh_object as mesh_object
@@ -78,7 +67,6 @@ if TYPE_CHECKING:
         surface_points as surface_points,
     )
     from pixel2catch.scene.scene import build_model as build_model, build_spec as build_spec
-    from pixel2catch.servo import link as link
     from pixel2catch.workcells import find_workcell as find_workcell
 
 _NAMES = {
@@ -86,35 +74,30 @@ _NAMES = {
     "api.calls": "evaluate load_policy make train",
     "api.views": "CatchParallelEnv CatchSingleEnv CatchVectorEnv",
     "camera.pinhole": "nominal_projection",
-    "deployment.recorder": "recorder",
     "envs.actuators": "actuators",
     "envs.catch_env": "CatchEnv",
     "envs.cfg": "CatchEnvCfg",
     "envs.tasks": "find_task",
     "envs.world": "world",
-    "errors": "DeploymentError Pixel2CatchError",
+    "errors": "Pixel2CatchError",
     "evaluation.loading": "task_of",
     "evaluation.protocol": "EvaluationCfg run_round",
     "evaluation.stress": "Axis Level",
     "learning.experiment": "Experiment preset",
-    "mdp.observations": "PIXEL_FEATURES observations pixel_features",
+    "mdp.observations": "observations",
     "mdp.rewards": "RewardTerm",
     "mdp.terminations": "terminations",
     "methods": "Method find_method",
     "policy.contract": "method_of",
     "policy.policy": "INPUT_CLIP Policy",
-    "rendering.renderer": "RGB_VIEW Renderer",
+    "rendering.renderer": "Renderer",
     "robots.geometry": "chain_of",
     "robots.workcell": "WorkcellSpec",
-    "ros2.bags": "is_bag opened_bag",
-    "ros2.messages": "messages",
-    "ros2.profile": "Profile",
     "scene.cfg": "PUSH_OUT",
     "scene.constants": "constants",
     "scene.meshes": "mesh_object",
     "scene.objects": "OBJECTS SEEN UNSEEN make_object surface_points",
     "scene.scene": "build_model build_spec",
-    "servo.link": "link",
     "workcells": "find_workcell",
 }
 """Names by module; modules themselves hold constants that another implementation of the environment needs."""

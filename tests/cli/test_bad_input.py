@@ -67,7 +67,7 @@ BAD = [
     ("train --physics-stages 60 --env.scene.physics-hz 60", "not both"),
     ("play --web --out film.mp4", "leave out --out, or --web"),
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
-    ("export --format lerobot", "companions/datasets/to_lerobot.py"),
+    ("export --format lerobot", "export writes policies as ONNX only"),
     ("operate", "--web"),
     ("deploy --network eth99", "network 'eth99'"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),

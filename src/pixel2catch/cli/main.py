@@ -52,7 +52,7 @@ REMOVED_OPTIONS = (
     (
         "export",
         "--format --images --objects --seed --throws --profile",
-        "run 'python companions/datasets/to_lerobot.py'; ONNX needs no --format",
+        "leave it out; export writes policies as ONNX only",
     ),
     ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
     ("identify", "--filter", "give --free filter_gain filter_lookahead latency"),
