@@ -28,7 +28,6 @@ from pixel2catch.evaluation.comparison import (
     write_comparison,
 )
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.report import read_rows
 from pixel2catch.files import read_json_object
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
@@ -210,8 +209,9 @@ def test_report_of_a_whole_study(study: ComparisonFolder):
     text = (report / "table.md").read_text()
     assert "curves.png" in text
     assert "| training lr | 0.1 |" in text
-    assert read_rows(report / "table.json")[2]["success_rate"]["values"] == [0.2, 0.4]
-    assert read_json_object(report / "table.json")["sessions"] == [SESSION]
+    data = read_json_object(report / "table.json")
+    assert data["results"][2]["success_rate"]["values"] == [0.2, 0.4]
+    assert data["sessions"] == [SESSION]
 
 
 def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
@@ -229,9 +229,10 @@ def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
 def test_an_earlier_study_is_read(tmp_path: Path):
     """Its results are those that it was reported with."""
     copytree(EARLIER / "2026-11-21-comparison", tmp_path / "study")
-    shown = read_rows(tmp_path / "study" / "report" / "table.json")
+    table = tmp_path / "study" / "report" / "table.json"
+    shown = read_json_object(table)["results"]
     write_comparison(ComparisonFolder(tmp_path / "study"))
-    again = read_rows(tmp_path / "study" / "report" / "table.json")
+    again = read_json_object(table)["results"]
     for before, now in zip(shown, again, strict=True):
         assert (now["method"], now["objects"], now["paper"]) == tuple(
             before[n] for n in ("method", "objects", "paper")

@@ -16,7 +16,6 @@ from pixel2catch.mdp.randomization import EpisodeParameters, sample_delay, sampl
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
-from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
 REST_STEPS = HOLD_STEPS // 2
@@ -32,11 +31,8 @@ class StepExtremes(NamedTuple):
     is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
     is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched another one.
     penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
-    table_penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of a robot and the table [m].
     joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
     torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
-    #: Mean torque of the hand's joints, as a share of their limits.
-    hand_torque_share: Float[Tensor, " num_envs"]
 
     def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
         """Return the log, cleared in the masked environments."""
@@ -52,7 +48,6 @@ class EpisodeRecord:
     """The present episode of each environment so far."""
 
     object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
-    aim: Float[Tensor, "num_envs 3"]  #: Where the throw was aimed at, world frame [m].
     steps: Int[Tensor, " num_envs"]  #: Control steps.
     #: Consecutive control steps with the object near the palm, up to now.
     held_steps: Int[Tensor, " num_envs"]
@@ -64,36 +59,25 @@ class EpisodeRecord:
     is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
     is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
     is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another robot.
-    self_contact_steps: Int[Tensor, " num_envs"]  #: Control steps in which it touched itself.
-    #: Height of the object at its first contact with the hand [m]; 0 before.
-    contact_height: Float[Tensor, " num_envs"]
     contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
     #: Deepest overlap of the object with anything in each step of `contact_steps`, summed over them [m].
     penetration_sum: Float[Tensor, " num_envs"]
     #: Deepest overlap of the object with anything, over all physics steps [m].
     max_penetration: Float[Tensor, " num_envs"]
-    max_table_penetration: Float[Tensor, " num_envs"]  #: Likewise of robot and table [m].
     #: Largest speed of an arm joint, over all physics steps [rad/s].
     max_joint_speed: Float[Tensor, " num_envs"]
     max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
     #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
     hold_speed: Float[Tensor, " num_envs"]
-    #: Mean torque of the hand's joints then, as a share of their limits; likewise.
-    hold_torque_share: Float[Tensor, " num_envs"]
     hold_palms: Float[Tensor, " num_envs"]  #: Mean number of palms in reach then; likewise.
-    #: Largest change of the object's velocity in a control step over its duration, from that of the first
-    #: contact with the hand to success [m/s²].
-    peak_deceleration: Float[Tensor, " num_envs"]
 
     @classmethod
-    def start(cls, object_id: Int[Tensor, " num_envs"], aim: Float[Tensor, "num_envs 3"]) -> "EpisodeRecord":
+    def start(cls, object_id: Int[Tensor, " num_envs"]) -> "EpisodeRecord":
         """Return records of episodes that have just begun."""
-        kept = {"object_id": object_id, "aim": aim}
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
-        zero = aim.new_zeros(len(aim))
-        counts = ("steps", "held_steps", "self_contact_steps", "contact_steps")
-        begun = {name: no if name.startswith("is_") else zero for name in cls.__dataclass_fields__}
-        return cls(**(begun | dict.fromkeys(counts, none) | kept))
+        begun = {name: no if name.startswith("is_") else none.float() for name in cls.__dataclass_fields__}
+        counts = dict.fromkeys(("steps", "held_steps", "contact_steps"), none)
+        return cls(**(begun | counts | {"object_id": object_id}))
 
     def advanced(
         self, transition: Transition, log: StepExtremes, arms: Columns, palms: Columns
@@ -103,14 +87,10 @@ class EpisodeRecord:
         `arms` are the columns of arm joints, `palms` those of palms in `StepExtremes.is_touching`.
         """
         touched, now = log.is_touching.any(dim=-1), transition.now
-        first = touched & ~self.is_hand_contact
         speed = take(now.joint_vel, arms).abs().mean(dim=-1)
-        change = now.object_lin_vel - transition.before.object_lin_vel
-        deceleration = torch.linalg.vector_norm(change, dim=-1) / CONTROL_DT
         return replace(
             self,
             object_id=self.object_id.clone(),
-            aim=self.aim.clone(),
             steps=transition.episode_steps,
             held_steps=transition.held_steps,
             is_tracked=self.is_tracked | is_near(now),
@@ -121,22 +101,13 @@ class EpisodeRecord:
             is_table_contact=self.is_table_contact | log.is_robot_on_table,
             is_self_contact=self.is_self_contact | log.is_self_contact,
             is_robot_contact=self.is_robot_contact | log.is_robot_contact,
-            self_contact_steps=self.self_contact_steps + log.is_self_contact.long(),
-            contact_height=torch.where(first, now.object_pos[:, 2], self.contact_height),
             contact_steps=self.contact_steps + touched.long(),
             penetration_sum=self.penetration_sum + torch.where(touched, log.penetration, 0.0),
             max_penetration=torch.maximum(self.max_penetration, log.penetration),
-            max_table_penetration=torch.maximum(self.max_table_penetration, log.table_penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
             hold_speed=self._at_rest(self.hold_speed, speed, transition),
-            hold_torque_share=self._at_rest(self.hold_torque_share, log.hand_torque_share, transition),
             hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
-            peak_deceleration=torch.where(
-                (self.is_hand_contact | touched) & ~self.is_success,
-                torch.maximum(self.peak_deceleration, deceleration),
-                self.peak_deceleration,
-            ),
         )
 
     def _at_rest(
@@ -210,7 +181,7 @@ def draw_episode(
             if is_drawn
             else drawn(delay[0], num_envs, generator),
             drag=drag,
-            record=EpisodeRecord.start(parameters.object_id, throw.aim),
+            record=EpisodeRecord.start(parameters.object_id),
         )
 
     episode = draw(cfg)

@@ -12,11 +12,10 @@ RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_cont
 """Names of rates, besides `tracking_rate`."""
 
 SHARES = ("is_tracked", "is_hand_contact", "is_dropped", *(f"is_{name}" for name in RATES))
-SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
-SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "hold_palms", "peak_deceleration")
-"""Sums over successes."""
+SUMS = ("steps", "contact_steps", "penetration_sum")
+SUCCESS_SUMS = ("hold_speed", "hold_palms")  #: Sums over successes.
 
-MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
+MAXIMA = ("max_penetration", "max_joint_speed", "max_torque_share")
 
 
 class EpisodeStatistics:
@@ -98,9 +97,7 @@ def _means(row: list[float]) -> dict[str, float]:
         "episodes": episodes,
         "tracking_rate": _ratio(values["is_tracked"], episodes),
         **{f"{name}_rate": _ratio(values[f"is_{name}"], episodes) for name in RATES},
-        "contact_height": _ratio(values["contact_height"], values["is_hand_contact"]),
         "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
-        "self_contact_steps": _ratio(values["self_contact_steps"], episodes),
         **{name: _ratio(values[name], values["is_success"]) for name in SUCCESS_SUMS},
         "episode_steps": _ratio(values["steps"], episodes),
         **{f"failure/{name}": _ratio(count, episodes) for name, count in failures.items()},

@@ -148,7 +148,7 @@ class CatchWorld:
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         self._sensors = ContactColumns.of(model, workcell)
-        self.arms, self._hands = merged(workcell.of_role("arm")), merged(workcell.of_role("hand"))
+        self.arms = merged(workcell.of_role("arm"))
         sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
         starts = np.cumsum([0, *sizes[:-1]]).tolist()
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
@@ -314,7 +314,6 @@ class CatchWorld:
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
-        torque_share = (fields.actuator_force.abs() / self._actuators.effort_limit).float()
         sensors = self._sensors
         return StepExtremes(
             is_touching=found[:, sensors.touching],
@@ -322,10 +321,8 @@ class CatchWorld:
             is_self_contact=found[:, sensors.robots].any(dim=-1),
             is_robot_contact=found[:, sensors.others].any(dim=-1),
             penetration=depth[:, sensors.anything],
-            table_penetration=depth[:, sensors.table].amax(dim=-1),
             joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
-            torque_share=torque_share.amax(dim=-1),
-            hand_torque_share=take(torque_share, self._hands).mean(dim=-1),
+            torque_share=(fields.actuator_force.abs() / self._actuators.effort_limit).amax(dim=-1).float(),
         )
 
 

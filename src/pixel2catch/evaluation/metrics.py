@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from math import comb, isfinite, sqrt
-from statistics import NormalDist, median
+from statistics import NormalDist
 from typing import Any
 
 import torch
@@ -91,7 +91,7 @@ def assess(
 def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
     """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
-    Speed, torque and deceleration of the holds are None without a success.
+    The speed of the holds is None without a success.
 
     Args:
         trials: The trials.
@@ -108,20 +108,15 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
     for name, value in maxima.items():
         if not isfinite(value):
             raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
-    decelerations = record.peak_deceleration[caught].tolist()
     return {
         **_rates(trials, everything),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
         "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,
         "robot_contact_rate": int(record.is_robot_contact.sum()) / num_trials,
-        "self_contact_steps": int(record.self_contact_steps.sum()) / num_trials,
         "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
-        "contact_height": _mean(record.contact_height, record.is_hand_contact),
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
         **maxima,
         "hold_speed": _mean(record.hold_speed[caught], caught),
-        "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
-        "peak_deceleration": median(decelerations) if decelerations else None,
         "objects": {names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }
 

@@ -286,7 +286,7 @@ def shake_action(
 def _round_start(env: CatchEnv) -> RoundState:
     yes = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
     return RoundState(
-        record=EpisodeRecord.start(torch.zeros_like(yes, dtype=torch.long), env.world.joint_pos[:, :3] * 0.0),
+        record=EpisodeRecord.start(torch.zeros_like(yes, dtype=torch.long)),
         is_running=yes,
         is_testing=~yes,
         test_steps=yes.long() * 0,
