@@ -153,6 +153,12 @@ def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
     return float64(decode(data, FLOAT_ARRAY).data)
 
 
+def read_command(data: bytes, kind: str) -> Float[np.ndarray, " size"]:
+    """Decode the positions of a command of a type in `COMMANDS` [rad]; raises as `decode` does."""
+    message = decode(data, kind)
+    return float64(message.data if kind == FLOAT_ARRAY else message.position)
+
+
 def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
     """Encode an image as rgb8."""
     height, width, _ = pixels.shape

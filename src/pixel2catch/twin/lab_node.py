@@ -23,7 +23,7 @@ from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
+from pixel2catch.ros2.profile import PROFILES, DriverJoint, Profile, RobotPart
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.link import set_niceness
@@ -56,15 +56,17 @@ age."""
 
 
 def twin_profile(workcell: WorkcellSpec) -> Profile:
-    """Return the profile of the twin of a work cell.
+    """Return the profile of the twin of a work cell: `PROFILE` if the joints have its names, else its own.
 
-    If its joints have other names than in `PROFILE`, each joint group has a driver like that of its role
-    there, with the names and the order of the work cell.
+    If none is shipped for it, each joint group has a driver like that of its role in `PROFILE`, with the names
+    and the order of the work cell.
     """
     profile = Profile.load(PROFILE)
     names = {joint for part in profile.robots for joint in part.joints}
     if names == {joint.name for joint in workcell.joints}:
         return replace(profile, workcell=workcell.name)
+    if (PROFILES / f"{workcell.name}.yaml").exists():
+        return Profile.load(workcell.name)
     by_role = {part.name: part for part in profile.robots}
     parts = [
         replace(
@@ -125,7 +127,7 @@ class PartTopics:
 
     def _read(self, data: bytes) -> Float[np.ndarray, " part_joints"] | None:
         try:
-            values = messages.read_float_array(data)
+            values = messages.read_command(data, self._part.command_topic.type)
         except DeploymentError:
             values = np.empty(0)
         if len(values) != self._part.command_size:
@@ -169,18 +171,9 @@ class LabNode:
     def __init__(
         self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: CameraDriver
     ) -> None:
-        """Create all publishers and subscriptions.
-
-        Raises:
-            DeploymentError: The profile has commands of another type.
-        """
+        """Create all publishers and subscriptions."""
         self.lab, self.camera = lab, camera
         roles: dict[str, str] = {group.name: group.role for group in lab.workcell.groups}
-        if any(part.command_topic.type != messages.FLOAT_ARRAY for part in profile.robots):
-            raise DeploymentError(
-                f"profile '{profile.name}' has commands of another type than {messages.FLOAT_ARRAY}, and the "
-                f"twin takes no other: use its own profile, {PROFILE}."
-            )
         position = lab.joints.position
         drivers = [
             ArmDriver(position[part.ids], lab.lag[part.ids])

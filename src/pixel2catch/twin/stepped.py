@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 from random import Random
@@ -77,8 +78,9 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
         if cfg.record:
             recorder = self._open.enter_context(BagRecorder(cfg.record))
             self._recording = DeploymentRecorder(recorder, node, self.profile, self.clock, images)
-        joints = JointLimits.of(workcell, parts=self.profile.robots)
-        setup = ServoSetup(profile=self.profile, limits=limits or ServoLimits.of(workcell, joints))
+        limits = limits or ServoLimits.of(workcell, JointLimits.of(workcell, parts=self.profile.robots))
+        self.limits = replace(limits, dt=CYCLE)  #: Of the servo, which ticks after each cycle.
+        setup = ServoSetup(profile=self.profile, limits=self.limits)
         nodes = self.broker.node(self.clock), node
         self.servo = SteppedServo(setup, nodes, self.clock, self._recording)
         #: Called after every cycle of the drivers, each `HOP` later than the one before.
@@ -160,9 +162,9 @@ def in_step(
         pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
-        limits, cycle = ServoLimits.of(workcell), None
+        cycle = None
         if cfg.after_catch:
-            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, cfg.after_catch)
+            cycle = ThrowCycle(pipeline, twin.profile, twin.limits, scene.camera, cfg.after_catch)
         loop = ControlLoop(
             pipeline,
             scene.camera,
