@@ -73,6 +73,9 @@ def _field_type(description: Any) -> Any:
 
 
 LARGEST_DOMAIN = 232  #: Largest domain whose ports exist. Source: DDS-RTPS.
+LONGEST_NAME = 60  #: Longest part of a participant's description that is shown [characters]. Source: ours.
+HANDLES = 2**64  #: Message handles are unsigned, entity handles signed: compare modulo this number.
+MOST_ENDPOINTS = 10_000  #: Largest number of endpoints that are listed; a laboratory has some hundreds.
 
 THIS_MACHINE = """
 <CycloneDDS><Domain>
@@ -107,9 +110,6 @@ NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
 
 NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive  #: Messages, not the end of a publisher.
 ALIVE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Participants that have not left.
-LONGEST_NAME = 60  #: Longest part of a participant's description that is shown [characters]. Source: ours.
-HANDLES = 2**64  #: Message handles are unsigned, entity handles signed: compare modulo this number.
-MOST_ENDPOINTS = 10_000  #: Largest number of endpoints that are listed; a laboratory has some hundreds.
 
 
 def _only_watches(qos: Qos) -> bool:
@@ -126,18 +126,6 @@ def _description(qos: Collection[Any]) -> str:
     return "{} (process {} on {})".format(*parts)
 
 
-def domain_id() -> int:
-    """Return the number of the network, ROS_DOMAIN_ID.
-
-    Raises:
-        DeploymentError: It is not a number, or too large.
-    """
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
-        raise DeploymentError(f"ROS_DOMAIN_ID is '{text}'; set it to a number from 0 to {LARGEST_DOMAIN}.")
-    return int(text)
-
-
 @cache
 def _configured_domain(number: int, network: str) -> Domain:
     """Limit a domain to a network: once in a process, before its first node."""
@@ -151,41 +139,41 @@ def _configured_domain(number: int, network: str) -> Domain:
         ) from error
 
 
+def join(node_name: str, clock: RealClock, network: str) -> Transport:
+    """Join the domain ROS_DOMAIN_ID on this machine only, one interface, or any, as CYCLONEDDS_URI says.
+
+    Raises:
+        DeploymentError: There is no such domain, or DDS cannot be started.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
+        raise DeploymentError(f"ROS_DOMAIN_ID is '{text}'; set it to a number from 0 to {LARGEST_DOMAIN}.")
+    if network != ANY:
+        _configured_domain(int(text), network)
+    qos = Qos(Policy.Userdata(b"enclave=/;"), Policy.EntityName(node_name))
+    try:
+        return _DdsTransport(DomainParticipant(int(text), qos), clock)
+    except DDSException as error:
+        raise DeploymentError(
+            f"DDS cannot join domain {text} ({error}); check the network interfaces, "
+            "CYCLONEDDS_URI, and whether this machine has more than 30 nodes."
+        ) from error
+
+
 @final
-class DdsTransport(Transport):
-    """A node of the DDS domain ROS_DOMAIN_ID."""
-
-    def __init__(self, node_name: str, clock: RealClock, *, network: str) -> None:
-        """Join this machine only, one interface, or any: the setting of CYCLONEDDS_URI.
-
-        Raises:
-            DeploymentError: DDS cannot be started.
-        """
-        number = domain_id()
-        if network != ANY:
-            _configured_domain(number, network)
-        try:
-            qos = Qos(Policy.Userdata(b"enclave=/;"), Policy.EntityName(node_name))
-            self._participant = DomainParticipant(number, qos)
-        except DDSException as error:
-            raise DeploymentError(
-                f"DDS cannot join domain {number} ({error}); check the network interfaces, "
-                "CYCLONEDDS_URI, and whether this machine has more than 30 nodes."
-            ) from error
-        self._clock = clock
+class _DdsTransport(Transport):
+    def __init__(self, participant: DomainParticipant, clock: RealClock) -> None:
+        self._participant, self._clock = participant, clock
         self._news = WaitSet(self._participant)
         self._kept: list[Publisher | Subscription] = []  # the library removes endpoints without references
         self._watchers: dict[Topic, DataReader] = {}
 
     def publisher(self, topic: Topic) -> Publisher:
-        """See `Transport.publisher`."""
-        qos = _qos(topic, 1, NEVER_BLOCK)
-        writer = DataWriter(self._participant, self._dds_topic(topic), qos)
+        writer = DataWriter(self._participant, self._dds_topic(topic), _qos(topic, 1, NEVER_BLOCK))
         self._kept.append(publisher := _DdsPublisher(topic, writer))
         return publisher
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """See `Transport.subscription`."""
         reader = self._reader(topic, depth, only_watches=only_watches)
         if not only_watches:
             self._news.attach(ReadCondition(reader, NEW))
@@ -193,47 +181,40 @@ class DdsTransport(Transport):
         return subscription
 
     def num_other_publishers(self, topic: Topic) -> int:
-        """See `Transport.num_other_publishers`; one that was killed counts for 10 s more."""
+        # cheaper than to describe them; one that was killed counts for 10 s more
         return len(self._watcher(topic).get_matched_publications())
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
-        """See `Transport.other_publishers`."""
-        watcher = self._watcher(topic)
+        watcher, found = self._watcher(topic), dict[int, str]()
         participants = {each.key: each.qos for each in self._listed(builtin.BuiltinTopicDcpsParticipant)}
-        found = {
-            each: watcher.get_matched_publication_data(each) for each in watcher.get_matched_publications()
-        }
-        return {
-            each % HANDLES: _description(participants.get(data.participant_key, ()) if data else ())
-            for each, data in found.items()
-        }
+        for each in watcher.get_matched_publications():
+            data = watcher.get_matched_publication_data(each)
+            found[each % HANDLES] = _description(participants.get(data.participant_key, ()) if data else ())
+        return found
 
     def endpoints(self) -> list[Endpoint]:
-        """See `Transport.endpoints`."""
-        found = []
-        for kind in (builtin.BuiltinTopicDcpsPublication, builtin.BuiltinTopicDcpsSubscription):
-            is_publisher = kind is builtin.BuiltinTopicDcpsPublication
-            for each in self._listed(kind):
-                is_other = each.participant_key != self._participant.guid
-                if is_other and each.topic_name.startswith("rt/") and not _only_watches(each.qos):
-                    name = each.topic_name.removeprefix("rt")
-                    ros_type = each.type_name.removesuffix("_").replace("dds_::", "").replace("::", "/")
-                    program = str(each.participant_key)
-                    found.append(
-                        Endpoint(topic=name, type=ros_type, is_publisher=is_publisher, program=program)
-                    )
-        return found
+        return [
+            Endpoint(
+                topic=each.topic_name.removeprefix("rt"),
+                type=each.type_name.removesuffix("_").replace("dds_::", "").replace("::", "/"),
+                is_publisher=kind is builtin.BuiltinTopicDcpsPublication,
+                program=str(each.participant_key),
+            )
+            for kind in (builtin.BuiltinTopicDcpsPublication, builtin.BuiltinTopicDcpsSubscription)
+            for each in self._listed(kind)
+            if each.participant_key != self._participant.guid
+            and each.topic_name.startswith("rt/")
+            and not _only_watches(each.qos)
+        ]
 
     def _listed(self, kind: Any) -> list[Any]:
         reader = builtin.BuiltinDataReader(self._participant, kind)
         return reader.read(MOST_ENDPOINTS, ReadCondition(reader, ALIVE))
 
     def wait(self, seconds: float) -> bool:
-        """See `Transport.wait`."""
         return self._news.wait(max(0, round(seconds * 1e9))) > 0
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._participant.__del__()  # the only way of the library while publishers are referenced
 
     def _watcher(self, topic: Topic) -> DataReader:

@@ -34,8 +34,9 @@ class MessageQueue(Subscription):
             self._waiting.clear()
         return received
 
+    @property
     def ends_wait(self) -> bool:
-        """Return whether there is a message for which a node waits."""
+        """Whether there is a message for which a node waits."""
         return bool(self._waiting) and not self.only_watches
 
 
@@ -55,7 +56,7 @@ class MessageQueues(list[MessageQueue]):
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: any(each.ends_wait() for each in self), timeout=seconds)
+            return self._arrived.wait_for(lambda: any(each.ends_wait for each in self), timeout=seconds)
 
 
 class Broker:
@@ -68,10 +69,9 @@ class Broker:
 
     def node(self, clock: Clock) -> "MemoryTransport":
         """Add a node; the clock gives the arrival of its messages."""
-        node = MemoryTransport(self, clock)
         with self.lock:
-            self.nodes.append(node)
-        return node
+            self.nodes.append(MemoryTransport(self, clock))
+            return self.nodes[-1]
 
 
 @final
@@ -86,35 +86,35 @@ class MemoryTransport(Transport):
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
         with self.broker.lock:
-            self.publishers.append(publisher := _MemoryPublisher(self, topic))
-        return publisher
+            self.publishers.append(_MemoryPublisher(self, topic))
+            return self.publishers[-1]
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
         with self.broker.lock:
             queue = self.queues.add(topic, depth, only_watches=only_watches)
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
-                if publisher.last is not None and topic.is_latched and _fits(publisher.topic, topic):
+                if publisher.last is not None and topic.is_latched and publisher.reaches(queue):
                     queue.put(publisher.last, sender=publisher.number)
         return queue
 
+    @property
+    def _others(self) -> list["MemoryTransport"]:
+        with self.broker.lock:
+            return [node for node in self.broker.nodes if node is not self]
+
     def other_publishers(self, topic: Topic) -> dict[int, str]:
         """See `Transport.other_publishers`."""
-        with self.broker.lock:
-            others = (each for node in self.broker.nodes if node is not self for each in node.publishers)
-            return {each.number: f"publisher {each.number}" for each in others if _is_same(each.topic, topic)}
+        others = (each for node in self._others for each in node.publishers)
+        return {each.number: f"publisher {each.number}" for each in others if _is_same(each.topic, topic)}
 
     def endpoints(self) -> list[Endpoint]:
         """See `Transport.endpoints`."""
-        with self.broker.lock:
-            others = [node for node in self.broker.nodes if node is not self]
-            found = [(node, each.topic, True) for node in others for each in node.publishers]
-            found += [
-                (node, each.topic, False) for node in others for each in node.queues if not each.only_watches
-            ]
+        ends = [(node, each.topic, True) for node in self._others for each in node.publishers]
+        ends += [(node, q.topic, False) for node in self._others for q in node.queues if not q.only_watches]
         return [
-            Endpoint(topic=topic.name, type=topic.type, is_publisher=sends, program=str(id(node)))
-            for node, topic, sends in found
+            Endpoint(topic=topic.name, type=topic.type, is_publisher=is_publisher, program=str(id(node)))
+            for node, topic, is_publisher in ends
         ]
 
     def wait(self, seconds: float) -> bool:
@@ -124,7 +124,7 @@ class MemoryTransport(Transport):
     def close(self) -> None:
         """See `Transport.close`."""
         with self.broker.lock:
-            self.broker.nodes = [node for node in self.broker.nodes if node is not self]
+            self.broker.nodes = self._others
 
 
 @final
@@ -140,22 +140,18 @@ class _MemoryPublisher(Publisher):
             if self._node not in broker.nodes:
                 raise DeploymentError(f"{self.topic.name} cannot be sent: its node is closed.")
             self.last = data
-            for queue in (queue for node in broker.nodes for queue in self._queues(node)):
+            for queue in (each for node in broker.nodes for each in node.queues if self.reaches(each)):
                 queue.put(data, sender=self.number)
 
     def num_subscribers(self) -> int:
         with self._node.broker.lock:
-            nodes = self._node.broker.nodes
-            return sum(not all(queue.only_watches for queue in self._queues(node)) for node in nodes)
+            counted = [[q for q in node.queues if not q.only_watches] for node in self._node.broker.nodes]
+            return sum(any(map(self.reaches, queues)) for queues in counted)
 
-    def _queues(self, node: MemoryTransport) -> list[MessageQueue]:
-        return [each for each in node.queues if _fits(self.topic, each.topic)]
+    def reaches(self, queue: MessageQueue) -> bool:
+        """Return whether DDS would connect them: latched messages need a publisher that keeps them."""
+        return _is_same(self.topic, queue.topic) and self.topic.is_latched >= queue.topic.is_latched
 
 
 def _is_same(one: Topic, other: Topic) -> bool:
     return (one.name, one.type) == (other.name, other.type)
-
-
-def _fits(offered: Topic, requested: Topic) -> bool:
-    """Return whether DDS would connect them: latched messages need a publisher that keeps them."""
-    return _is_same(offered, requested) and (offered.is_latched or not requested.is_latched)

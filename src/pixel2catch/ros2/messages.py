@@ -23,6 +23,14 @@ SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
 ACTIVITY = "controller_manager_msgs/msg/ControllerManagerActivity"
 _CONTROLLER = "controller_manager_msgs/msg/NamedLifecycleState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+BOOLEAN = "std_msgs/msg/Bool"
+NUMBER = "std_msgs/msg/Float64"
+TEXT = "std_msgs/msg/String"
 
 MOST_BYTES = 2**26  #: Largest message that is read [bytes]: an image of 22 million pixels. Source: ours.
 
@@ -32,22 +40,18 @@ NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 ACTIVE = 3  #: State of a controller that moves its joints. Source: `lifecycle_msgs`.
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-"""Definitions of all messages.
+"""Definitions of all messages. Source: ROS 2 Jazzy; `ur_dashboard_msgs`; `controller_manager_msgs`."""
 
-Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`; activity: `controller_manager_msgs`.
-"""
-
-STORE.register(
-    get_types_from_msg("uint8 mode", SAFETY_MODE)
-    | get_types_from_msg("int8 mode", ROBOT_MODE)
-    | get_types_from_msg("string name\nlifecycle_msgs/State state", _CONTROLLER)
-    | get_types_from_msg(
-        "std_msgs/Header header\n"
-        "NamedLifecycleState[] controllers\n"
-        "NamedLifecycleState[] hardware_components",
-        ACTIVITY,
-    )
+_STATES = (
+    "std_msgs/Header header\nNamedLifecycleState[] controllers\nNamedLifecycleState[] hardware_components"
 )
+for kind, definition in {
+    SAFETY_MODE: "uint8 mode",
+    ROBOT_MODE: "int8 mode",
+    _CONTROLLER: "string name\nlifecycle_msgs/State state",
+    ACTIVITY: _STATES,
+}.items():
+    STORE.register(get_types_from_msg(definition, kind))
 
 
 def encode(kind: str, *fields: Any) -> bytes:
@@ -72,7 +76,7 @@ def decode(data: bytes, kind: str) -> Any:
 
 
 def float64(values: Iterable[float]) -> np.ndarray:
-    """Return an array for the encoder."""
+    """Return numbers as the encoder needs them."""
     return np.array(values if isinstance(values, np.ndarray) else tuple(values), dtype=np.float64)
 
 
@@ -87,15 +91,6 @@ def seconds(header: Any) -> float:
     """Return the time of a header since the epoch [s]."""
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
-IMAGE = "sensor_msgs/msg/Image"
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-BOOLEAN = "std_msgs/msg/Bool"
-NUMBER = "std_msgs/msg/Float64"
-TEXT = "std_msgs/msg/String"
 
 CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 """Encodings of images that are read, and the order of their channels for red, green and blue."""
@@ -125,11 +120,7 @@ def joint_state(
 
 
 def read_joint_state(data: bytes) -> JointReading:
-    """Decode the positions of a joint state.
-
-    Raises:
-        DeploymentError: It is damaged, or has not one position for each name.
-    """
+    """Decode the positions of a joint state; raises as `decode`, and where a name has no position."""
     message = decode(data, JOINT_STATE)
     if len(message.name) != len(message.position):
         raise DeploymentError(
@@ -148,13 +139,8 @@ def float_array(values: Iterable[float]) -> bytes:
     return encode(FLOAT_ARRAY, _LAYOUT, float64(values))
 
 
-def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
-    """Decode numbers without names; raises as `decode` does."""
-    return float64(decode(data, FLOAT_ARRAY).data)
-
-
-def read_command(data: bytes, kind: str) -> Float[np.ndarray, " size"]:
-    """Decode the positions of a command of a type in `COMMANDS` [rad]; raises as `decode` does."""
+def read_float_array(data: bytes, kind: str = FLOAT_ARRAY) -> Float[np.ndarray, " size"]:
+    """Decode numbers without names, or the positions of a joint state; raises as `decode` does."""
     message = decode(data, kind)
     return float64(message.data if kind == FLOAT_ARRAY else message.position)
 
@@ -166,34 +152,24 @@ def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
 
 
 def pixels_of(message: Any) -> Pixels | None:
-    """Return the pixels of a decoded image of one of `CHANNELS`, or None if its size and bytes differ.
-
-    They are not copied if it is rgb8 without padding.
-    """
+    """Return the pixels of a decoded image of one of `CHANNELS`, or None if its size and bytes differ."""
     height, width, step = message.height, message.width, message.step
     if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
         return None
     rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, : 3 * width]
+    # no copy of rgb8 without padding
     return np.ascontiguousarray(rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]])
 
 
 def read_image(data: bytes) -> Image:
-    """Decode an image; see `pixels_of`.
-
-    Raises:
-        DeploymentError: It is damaged, or not encoded in one of `CHANNELS`.
-    """
+    """Decode an image; raises as `decode`, and where it has no encoding of `CHANNELS` or bytes are missing."""
     message = decode(data, IMAGE)
     if message.encoding not in CHANNELS:
-        raise DeploymentError(
-            f"an image is encoded as '{message.encoding}'; set the camera to {' or '.join(CHANNELS)}."
-        )
-    pixels = pixels_of(message)
-    if pixels is None:
-        raise DeploymentError(
-            f"an image of {message.width} x {message.height} has {len(message.data)} bytes, "
-            f"{message.step} in each row: it is damaged."
-        )
+        known = " or ".join(CHANNELS)
+        raise DeploymentError(f"an image is encoded as '{message.encoding}'; set the camera to {known}.")
+    if (pixels := pixels_of(message)) is None:
+        size = f"{message.width} x {message.height} has {len(message.data)} bytes, {message.step} in each row"
+        raise DeploymentError(f"an image of {size}: it is damaged.")
     return Image(pixels=pixels, stamp=seconds(message.header), encoding=message.encoding)
 
 
@@ -208,7 +184,7 @@ def camera_info(camera: CameraSpec, stamp: float) -> bytes:
 
 
 def read_camera_info(data: bytes) -> CameraSpec:
-    """Decode size and lens of a camera, in its own frame, without its distortion.
+    """Decode size and lens of a camera in its own frame, without distortion.
 
     Raises:
         DeploymentError: It is damaged, or the camera is not calibrated.
@@ -217,16 +193,9 @@ def read_camera_info(data: bytes) -> CameraSpec:
     fx, _, cx, _, fy, cy, *_ = map(float, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
-    return CameraSpec(
-        width=message.width,
-        height=message.height,
-        fx=fx,
-        fy=fy,
-        cx=cx + PIXEL_CENTER,
-        cy=cy + PIXEL_CENTER,
-        pos=(0.0, 0.0, 0.0),
-        quat=IDENTITY,
-    )
+    lens = {"fx": fx, "fy": fy, "cx": cx + PIXEL_CENTER, "cy": cy + PIXEL_CENTER}
+    size = {"width": message.width, "height": message.height}
+    return CameraSpec(**size, **lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
 
 
 Value = TypeVar("Value", bool, int, float, str)
@@ -242,7 +211,8 @@ def _single(
 boolean, read_boolean = _single(BOOLEAN, bool)
 number, read_number = _single(NUMBER, float)
 text, read_text = _single(TEXT, str)
-
+safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
+robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
 
 MOST_TEXT = 65_536  #: Longest JSON text that is read [characters]; ours have some hundreds. Source: ours.
 
@@ -271,13 +241,8 @@ def read_json(data: bytes) -> dict[str, Any]:
     try:
         return _printable(json_object(written))
     except InvalidValueError as error:
-        raise DeploymentError(
-            f"a text is no JSON object ({error}): check the program that publishes it."
-        ) from error
-
-
-safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
-robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
+        fix = "check the program that publishes it"
+        raise DeploymentError(f"a text is no JSON object ({error}): {fix}.") from error
 
 
 def activity(states: Mapping[str, int], stamp: float) -> bytes:
@@ -309,9 +274,8 @@ def compress(data: bytes) -> bytes:
 
     reading = read_image(data)
     if max(reading.pixels.shape) > LARGEST_JPEG:
-        raise DeploymentError(
-            f"an image of shape {reading.pixels.shape} is too large for a JPEG; {LARGEST_JPEG} is the most."
-        )
+        size = f"an image of shape {reading.pixels.shape} is too large for a JPEG"
+        raise DeploymentError(f"{size}; {LARGEST_JPEG} is the most.")
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(reading.pixels, cv2.COLOR_RGB2BGR))
     return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
 
@@ -329,13 +293,8 @@ def unpacked_image(data: bytes) -> Pixels | None:
 
 
 def uncompress(data: bytes) -> bytes:
-    """Convert a JPEG message to an image message.
-
-    Raises:
-        DeploymentError: It is damaged.
-    """
+    """Convert a JPEG message to an image message; raises as `decode`, and where the JPEG is damaged."""
     message = decode(data, COMPRESSED_IMAGE)
-    pixels = unpacked_image(bytes(message.data))
-    if pixels is None:
+    if (pixels := unpacked_image(bytes(message.data))) is None:
         raise DeploymentError("a compressed image cannot be read: it is damaged.")
     return image(pixels, seconds(message.header))

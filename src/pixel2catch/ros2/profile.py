@@ -3,7 +3,7 @@
 It is a YAML file, whose schema are the dataclasses here. Errors name file, key and fix.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, pi
@@ -27,22 +27,21 @@ if TYPE_CHECKING:
 PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
 COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of messages that drivers take as commands.
 
-TOPICS = {
-    "activity": (messages.ACTIVITY, True),
-    "safety_mode": (messages.SAFETY_MODE, True),
-    "robot_mode": (messages.ROBOT_MODE, True),
-    "program_running": (messages.BOOLEAN, True),
-    "speed_scaling": (messages.NUMBER, False),
-    "state_topic": (messages.JOINT_STATE, False),
-    "image": (messages.IMAGE, False),
-    "info": (messages.CAMERA_INFO, False),
-    "arm": (messages.BOOLEAN, False),
-    "dead_man": (messages.BOOLEAN, False),
-    "stop": (messages.BOOLEAN, False),
-    "prompt": (messages.TEXT, False),
-    "status": (messages.TEXT, False),
+LATCHED = {
+    "activity": messages.ACTIVITY,
+    "safety_mode": messages.SAFETY_MODE,
+    "robot_mode": messages.ROBOT_MODE,
+    "program_running": messages.BOOLEAN,
 }
-"""Type of the topics that have only a name in the file, and whether they are latched, by field."""
+TOPICS = LATCHED | {
+    "speed_scaling": messages.NUMBER,
+    "state_topic": messages.JOINT_STATE,
+    "image": messages.IMAGE,
+    "info": messages.CAMERA_INFO,
+    **dict.fromkeys(("arm", "dead_man", "stop"), messages.BOOLEAN),
+    **dict.fromkeys(("prompt", "status"), messages.TEXT),
+}
+"""Type of the topics that have only a name in the file, by field; the latched ones."""
 
 
 def _with_topics(content: Any, field: str = "") -> Any:
@@ -54,11 +53,9 @@ def _with_topics(content: Any, field: str = "") -> Any:
     if field not in TOPICS or not isinstance(content, str):
         return content
     if not content.startswith("/"):
-        raise InvalidValueError(
-            f"field '{field}': {shown(content)} is no topic; write its full name, such as '/joint_states'"
-        )
-    kind, is_latched = TOPICS[field]
-    return {"name": content, "type": kind, "is_latched": is_latched}
+        fix = "write its full name, such as '/joint_states'"
+        raise InvalidValueError(f"field '{field}': {shown(content)} is no topic; {fix}")
+    return {"name": content, "type": TOPICS[field], "is_latched": field in LATCHED}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +67,8 @@ class DriverJoint:
 
 
 Limit = Annotated[float, Meta(gt=0.0)]
-
 FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no joint turns further.
+Columns = Int[np.ndarray, " num_found"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +76,7 @@ class MotionBudget:
     """A laboratory's limits of a part's motion, in addition to those of the servo."""
 
     speed: Limit = inf  #: Largest speed of a joint [rad/s].
-    command_speed: Limit = (
-        inf  #: Largest speed of a command, which may be more than that of its joint [rad/s].
-    )
+    command_speed: Limit = inf  #: Largest speed of a command, which its joint need not reach [rad/s].
     acceleration: Limit = inf  #: Largest acceleration of a command [rad/s²].
     jerk: Limit = inf  #: Largest jerk of a command [rad/s³].
     step: Limit = inf  #: Change from one command to the next beyond which the driver ignores it [rad].
@@ -104,9 +99,6 @@ class Controller:
 
     name: str  #: Such as forward_position_controller; it must be active.
     activity: Topic  #: Topic of its controller manager with the states of all controllers, from Jazzy on.
-
-
-Columns = Int[np.ndarray, " num_found"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,14 +124,15 @@ class RobotPart:
                 raise UnknownNameError("joint", joint, self.joint_order)
         if self.command_topic.type not in COMMANDS:
             raise UnknownNameError("type of commands", self.command_topic.type, COMMANDS)
-        all_theirs = self.joints.values()
-        names = (each.name_in_state for each in (*all_theirs, *self.held.values()) if each.name_in_state)
-        _require_once("the joint state's name", names)
-        places = [*(theirs.index_in_command for theirs in all_theirs), *self.held]
+        everyone = (*self.joints.values(), *self.held.values())
+        _require_once(
+            "the joint state's name", [each.name_in_state for each in everyone if each.name_in_state]
+        )
+        places = sorted((*self._places[0].tolist(), *self.held))
         _require_once("the command's place", places)
-        if len(places) != self.command_size or sorted(places) != list(range(len(places))):
+        if places != list(range(self.command_size)):
             raise InvalidValueError(
-                f"a command has places 0 to {self.command_size - 1}, joints and held have {sorted(places)}: "
+                f"a command has places 0 to {self.command_size - 1}, joints and held have {places}: "
                 "give each place one joint or one held angle"
             )
 
@@ -175,10 +168,7 @@ class RobotPart:
     def merge(
         self, reading: JointReading, joint_pos: Float[np.ndarray, " num_joints"]
     ) -> Int[np.ndarray, " num_read"]:
-        """Copy this part's joints of a joint state into positions in joint order [rad].
-
-        Returns which of them were written. Raises as `columns` does.
-        """
+        """Copy its joints of a joint state into positions [rad]; return their ids. Raises as `columns`."""
         columns, ids = self.columns(reading.names)
         joint_pos[ids] = reading.position[columns]
         return ids
@@ -189,28 +179,29 @@ class RobotPart:
         Raises:
             DeploymentError: It has one of them twice.
         """
-        ours = (theirs.name_in_state for theirs in self.joints.values())
-        return _columns(names, dict(zip(ours, self.ids.tolist(), strict=True)))
+        return _columns(names, [joint.name_in_state for joint in self.joints.values()], self.ids)
 
     def held_columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
         """Return the columns of its held joints, and their places among these; raises as `columns` does."""
-        others = {joint.name_in_state: place for place, joint in enumerate(self.held.values())}
-        return _columns(names, {name: place for name, place in others.items() if name})
+        return _columns(names, [joint.name_in_state for joint in self.held.values()], range(len(self.held)))
 
 
-def _columns(names: tuple[str, ...], places: Mapping[str, int]) -> tuple[Columns, Columns]:
-    twice = sorted({name for name in places if names.count(name) > 1})
-    if twice:
+def _columns(
+    names: tuple[str, ...], wanted: Iterable[str | None], places: Iterable[int]
+) -> tuple[Columns, Columns]:
+    found = {name: place for name, place in zip(wanted, places, strict=True) if name in names}
+    if twice := sorted(name for name in found if names.count(name) > 1):
         raise DeploymentError(f"a joint state has {', '.join(twice)} twice: check what publishes it.")
-    found = [(names.index(name), place) for name, place in places.items() if name in names]
-    columns, ids = np.array(found, dtype=np.int64).reshape(-1, 2).T
+    columns, ids = (
+        np.array([(names.index(name), place) for name, place in found.items()], dtype=np.int64)
+        .reshape(-1, 2)
+        .T
+    )
     return columns, ids
 
 
-def _require_once(what: str, values: Iterable[str | int]) -> None:
-    values = list(values)
-    twice = sorted({str(value) for value in values if values.count(value) > 1})
-    if twice:
+def _require_once(what: str, values: Sequence[str | int]) -> None:
+    if twice := sorted({str(value) for value in values if values.count(value) > 1}):
         raise InvalidValueError(f"{what} {', '.join(twice)} is given twice; give it once")
 
 
@@ -231,10 +222,9 @@ class CameraProfile:
     def wrong_format(self, image: Image) -> str:
         """Return the error of an image of another size or encoding; empty if it has the profile's."""
         height, width, _ = image.pixels.shape
-        found = f"{width} x {height} {image.encoding}"
-        expected = f"{self.width} x {self.height} {self.encoding}"
-        wrong = f"{self.image.name} sends {found}, the profile says {expected}: set the camera's driver"
-        return "" if found == expected else f"{wrong} to that."
+        found, ours = f"{width} x {height} {image.encoding}", f"{self.width} x {self.height} {self.encoding}"
+        wrong = f"{self.image.name} sends {found}, the profile says {ours}: set the camera's driver to that."
+        return "" if found == ours else wrong
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,19 +237,21 @@ class StatusTopics:
     speed_scaling: Topic | None = None  #: [%].
 
 
-def _own(name: str, message: str = messages.BOOLEAN) -> Topic:
-    return Topic(name=f"/pixel2catch/{name}", type=message)
+_OWN = {
+    name: Topic(name=f"/pixel2catch/{name}", type=TOPICS[name])
+    for name in ("arm", "dead_man", "stop", "prompt", "status")
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class OperatorTopics:
     """Topics between operator and deployment."""
 
-    arm: Topic = field(default=_own("arm"))  #: Requests to arm.
-    dead_man: Topic = field(default=_own("dead_man"))  #: Whether the dead-man's switch is held.
-    stop: Topic = field(default=_own("stop"))  #: Requests to stop.
-    prompt: Topic = field(default=_own("prompt", messages.TEXT))  #: Where the object is in an image.
-    status: Topic = field(default=_own("status", messages.TEXT))  #: Status of the deployment.
+    arm: Topic = _OWN["arm"]  #: Requests to arm.
+    dead_man: Topic = _OWN["dead_man"]  #: Whether the dead-man's switch is held.
+    stop: Topic = _OWN["stop"]  #: Requests to stop.
+    prompt: Topic = _OWN["prompt"]  #: Where the object is in an image.
+    status: Topic = _OWN["status"]  #: Status of the deployment.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,11 +269,10 @@ class Place:
         for joint, angle in self.joints.items():
             if joint not in arm:
                 raise UnknownNameError("arm joint", joint, arm)
-            if not arm[joint].lower <= angle <= arm[joint].upper:
-                raise InvalidValueError(
-                    f"places.{name}: {joint} is {angle:g}; it may be {arm[joint].lower:g} to "
-                    f"{arm[joint].upper:g} rad"
-                )
+            lower, upper = arm[joint].lower, arm[joint].upper
+            if not lower <= angle <= upper:
+                wrong = f"{joint} is {angle:g}; it may be {lower:g} to {upper:g} rad"
+                raise InvalidValueError(f"places.{name}: {wrong}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,8 +306,8 @@ class Profile:
         arm = {each.name: each for group in workcell.groups if group.role == "arm" for each in group.joints}
         for name, place in self.places.items():
             place.require_valid(name, arm)
-        _require_once("the joint", (joint for part in parts for joint in part.joints))
-        _require_once("the command topic", (part.command_topic.name for part in parts))
+        _require_once("the joint", [joint for part in parts for joint in part.joints])
+        _require_once("the command topic", [part.command_topic.name for part in parts])
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Profile":
@@ -333,9 +324,9 @@ class Profile:
     @property
     def driver_topics(self) -> set[Topic]:
         """Topics that the robot's drivers send: joint states and status."""
-        topics = {part.state_topic for part in self.robots} | {*vars(self.status).values()}
-        topics |= {part.controller.activity for part in self.robots if part.controller}
-        return topics - {None}
+        controllers = {part.controller.activity for part in self.robots if part.controller}
+        states = {part.state_topic for part in self.robots}
+        return states | controllers | {topic for topic in vars(self.status).values() if topic}
 
     def require(self, joints: Iterable[str]) -> None:
         """Refuse a policy that moves joints which this robot does not have.
@@ -343,8 +334,8 @@ class Profile:
         Raises:
             DeploymentError: Some are missing.
         """
-        missing = [joint for joint in joints if not any(joint in part.joints for part in self.robots)]
-        if missing:
+        ours = {joint for part in self.robots for joint in part.joints}
+        if missing := [joint for joint in joints if joint not in ours]:
             raise DeploymentError(
                 f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
                 "joints of a part, or use a policy for this robot."

@@ -16,55 +16,57 @@ from pixel2catch.ros2.transport import Endpoint, Publisher, RealClock, Subscript
 OWN_NODES = "pixel2catch"  #: Prefix of the names of our nodes, whose subscriptions only watch.
 
 
+def join(node_name: str, clock: RealClock, _: str) -> Transport:
+    """Join as a node of rclpy, with a thread that receives.
+
+    Raises:
+        DeploymentError: This version of ROS 2 is too old, or rclpy cannot be started.
+        ImportError: ROS 2 is not sourced.
+    """
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.subscription import Subscription as RclpySubscription
+
+    if not hasattr(RclpySubscription, "CallbackType"):
+        raise DeploymentError(
+            "this rclpy does not give the time at which a message was sent, so that an old switch would "
+            "count: use ROS 2 Iron or newer, or another --network."
+        )
+    context = Context()
+    try:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(
+            node_name, context=context, enable_rosout=False, start_parameter_services=False
+        )
+    except RuntimeError as error:
+        rclpy.try_shutdown(context=context)
+        raise DeploymentError(
+            f"rclpy cannot join ({error}); check ROS_DOMAIN_ID, RMW_IMPLEMENTATION, "
+            "ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENCLAVE_OVERRIDE, and the settings of the middleware."
+        ) from error
+    return _RosTransport(node, context, clock)
+
+
 @final
-class RosTransport(Transport):
-    """A node of rclpy, with a thread that receives."""
-
-    def __init__(self, node_name: str, clock: RealClock) -> None:
-        """Join.
-
-        Raises:
-            DeploymentError: This version of ROS 2 is too old, or rclpy cannot be started.
-            ImportError: ROS 2 is not sourced.
-        """
-        import rclpy
-        from rclpy.context import Context
+class _RosTransport(Transport):
+    def __init__(self, node: Any, context: Any, clock: RealClock) -> None:
         from rclpy.executors import SingleThreadedExecutor
-        from rclpy.signals import SignalHandlerOptions
-        from rclpy.subscription import Subscription as RclpySubscription
 
-        if not hasattr(RclpySubscription, "CallbackType"):
-            raise DeploymentError(
-                "this rclpy does not give the time at which a message was sent, so that an old switch would "
-                "count: use ROS 2 Iron or newer, or another --network."
-            )
-        self._clock, self._queues = clock, MessageQueues(clock)
-        self._context = Context()
-        try:
-            rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-            self._node = rclpy.create_node(
-                node_name, context=self._context, enable_rosout=False, start_parameter_services=False
-            )
-        except RuntimeError as error:
-            rclpy.try_shutdown(context=self._context)
-            raise DeploymentError(
-                f"rclpy cannot join ({error}); check ROS_DOMAIN_ID, RMW_IMPLEMENTATION, "
-                "ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENCLAVE_OVERRIDE, and the settings of the middleware."
-            ) from error
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._node, self._context, self._clock = node, context, clock
+        self._queues = MessageQueues(clock)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(node)
         self._is_open = True
         self._receiver = Thread(target=self._receive, name="rclpy", daemon=True)
         self._receiver.start()
 
     def publisher(self, topic: Topic) -> Publisher:
-        """See `Transport.publisher`."""
-        qos = _qos(topic, 1, is_reader=False)
-        publisher = self._node.create_publisher(_type(topic), topic.name, qos)
+        publisher = self._node.create_publisher(_type(topic), topic.name, _qos(topic, 1, is_reader=False))
         return _RosPublisher(topic, self._node, publisher)
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """See `Transport.subscription`; others recognise one that only watches by the name of its node."""
+        """Subscribe; others recognise a subscription that only watches by the name of its node."""
         queue = self._queues.add(topic, depth, only_watches=only_watches)
         qos = _qos(topic, depth, is_reader=True)
 
@@ -76,33 +78,27 @@ class RosTransport(Transport):
         return queue
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
-        """See `Transport.other_publishers`; messages do not name their sender."""
+        """Return the publishers; messages do not name their sender."""
         found = self._node.get_publishers_info_by_topic(topic.name)
         others = (each for each in found if each.node_name != self._node.get_name())
         return {int.from_bytes(bytes(each.endpoint_gid)): f"node {each.node_name}" for each in others}
 
     def endpoints(self) -> list[Endpoint]:
-        """See `Transport.endpoints`."""
-        node, found = self._node, []
-        for name, _ in node.get_topic_names_and_types():
-            both = ((node.get_publishers_info_by_topic, True), (node.get_subscriptions_info_by_topic, False))
-            for list_of, is_publisher in both:
-                found += [
-                    Endpoint(
-                        topic=name, type=each.topic_type, is_publisher=is_publisher, program=_program(each)
-                    )
-                    for each in list_of(name)
-                    if each.node_name != node.get_name()
-                    and (is_publisher or not each.node_name.startswith(OWN_NODES))
-                ]
-        return found
+        node = self._node
+        both = ((node.get_publishers_info_by_topic, True), (node.get_subscriptions_info_by_topic, False))
+        return [
+            Endpoint(topic=name, type=each.topic_type, is_publisher=is_publisher, program=_program(each))
+            for name, _ in node.get_topic_names_and_types()
+            for list_of, is_publisher in both
+            for each in list_of(name)
+            if each.node_name != node.get_name()
+            and (is_publisher or not each.node_name.startswith(OWN_NODES))
+        ]
 
     def wait(self, seconds: float) -> bool:
-        """See `Transport.wait`."""
         return self._queues.wait(seconds)
 
     def close(self) -> None:
-        """Leave the network; a second call does nothing."""
         import rclpy
 
         if not self._is_open:
@@ -131,16 +127,18 @@ class _RosPublisher(Publisher):
             raise DeploymentError(f"{self._topic.name} cannot be sent ({error}).") from error
 
     def num_subscribers(self) -> int:
-        found = self._node.get_subscriptions_info_by_topic(self._topic.name)
-        others = (each for each in found if not each.node_name.startswith(OWN_NODES))
-        return len({_program(each) for each in others if self._is_taken_by(each)})
-
-    def _is_taken_by(self, subscription: Any) -> bool:
-        """Return whether a subscription receives these messages."""
         from rclpy.qos import QoSDurabilityPolicy
 
-        is_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-        return subscription.topic_type == self._topic.type and self._topic.is_latched >= is_latched
+        latched = QoSDurabilityPolicy.TRANSIENT_LOCAL
+        return len(
+            {
+                _program(each)
+                for each in self._node.get_subscriptions_info_by_topic(self._topic.name)
+                if not each.node_name.startswith(OWN_NODES)
+                and each.topic_type == self._topic.type
+                and self._topic.is_latched >= (each.qos_profile.durability == latched)
+            }
+        )
 
 
 def _program(endpoint: Any) -> str:
@@ -164,16 +162,12 @@ def _type(topic: Topic) -> Any:
 
 
 def _qos(topic: Topic, depth: int, *, is_reader: bool) -> Any:
-    """Return the qualities of an endpoint.
-
-    Writers are reliable, and keep the last message of latched topics. Best-effort readers receive from every
-    publisher; latched messages need reliable ones.
-    """
+    """Return the qualities of an endpoint: best effort to receive from every publisher, else reliable."""
     from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
-    is_reliable = topic.is_latched or not is_reader
+    is_best_effort = is_reader and not topic.is_latched
     return QoSProfile(
         depth=depth,
-        reliability=QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        reliability=QoSReliabilityPolicy.BEST_EFFORT if is_best_effort else QoSReliabilityPolicy.RELIABLE,
         durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE,
     )

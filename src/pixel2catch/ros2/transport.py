@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Annotated, final
 
 from pixel2catch.checks import Requirement
-from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
+from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.installation import install_command
 
 POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
@@ -45,13 +45,7 @@ class RealClock(Clock):
     """
 
     def __init__(self, rate: float = 1.0) -> None:
-        """Set the rate: 1 for a robot, less where a twin is too slow.
-
-        Raises:
-            InvalidValueError: The rate is out of range.
-        """
-        if not 0.0 < rate <= 1.0:
-            raise InvalidValueError(f"the clock's rate is {rate:g}; it must be more than 0 and at most 1")
+        """Set the rate: 1 for a robot, less where a twin is too slow."""
         self.rate = rate
 
     def now(self) -> float:
@@ -204,10 +198,9 @@ def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
             "give --network ros, or unset it."
         )
     Reachable().require("network", network)
+    module = "rclpy_node" if network == ROS else "dds"
     try:  # imported here, as the libraries may be missing
-        if network == ROS:
-            return import_module("pixel2catch.ros2.rclpy_node").RosTransport(node_name, clock)
-        return import_module("pixel2catch.ros2.dds").DdsTransport(node_name, clock, network=network)
+        return import_module(f"pixel2catch.ros2.{module}").join(node_name, clock, network)
     except ImportError as error:
         remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or another --network"
         remedy = remedy if network == ROS else install_command("deployment")

@@ -58,8 +58,8 @@ age."""
 def twin_profile(workcell: WorkcellSpec) -> Profile:
     """Return the profile of the twin of a work cell: `PROFILE` if the joints have its names, else its own.
 
-    If none is shipped for it, each joint group has a driver like that of its role in `PROFILE`, with the names
-    and the order of the work cell.
+    If none is shipped, each joint group has a driver like that of its role in `PROFILE`, with the names and
+    the order of the work cell.
     """
     profile = Profile.load(PROFILE)
     names = {joint for part in profile.robots for joint in part.joints}
@@ -127,7 +127,7 @@ class PartTopics:
 
     def _read(self, data: bytes) -> Float[np.ndarray, " part_joints"] | None:
         try:
-            values = messages.read_command(data, self._part.command_topic.type)
+            values = messages.read_float_array(data, self._part.command_topic.type)
         except DeploymentError:
             values = np.empty(0)
         if len(values) != self._part.command_size:
