@@ -11,9 +11,7 @@ from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 from pixel2catch.twin.drivers import ArmDriver, CameraDriver, HandDriver
 from pixel2catch.twin.simulated_lab import JointState
 
-HOME = np.array((0.5, -1.0))
-AHEAD = np.array((0.039, -0.039))
-LAG = np.array((0.1, 0.2))
+HOME, LAG = np.array((0.5, -1.0)), np.array((0.1, 0.2))
 REST = JointState(position=HOME, velocity=np.zeros(2))
 
 
@@ -23,8 +21,8 @@ def arm() -> ArmDriver:
 
 
 def test_a_step_beyond_20_rad_per_second_is_ignored_as_a_whole(arm: ArmDriver):
-    # 20 rad/s in 2 ms are 0.04 rad.
-    before = HOME + AHEAD
+    """20 rad/s in 2 ms are 0.04 rad."""
+    before = HOME + np.array((0.039, -0.039))
     assert np.array_equal(arm.cycle(before, REST), before)
     assert np.array_equal(arm.cycle(before + np.array((0.0, 0.041)), REST), before)
     assert arm.num_ignored == 1
@@ -33,34 +31,28 @@ def test_a_step_beyond_20_rad_per_second_is_ignored_as_a_whole(arm: ArmDriver):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_no_number_moves_nothing(arm: ArmDriver, bad: float):
-    hand = HandDriver(HOME)
-    for driver in (arm, hand):
+    for driver in (arm, HandDriver(HOME)):
         assert np.array_equal(driver.cycle(np.array((bad, -1.0)), REST), HOME)
         assert driver.num_ignored == 1
 
 
 def test_a_sender_may_go_when_its_commands_stand_still(arm: ArmDriver):
-    for command in (None, HOME + 0.01, HOME + 0.01, HOME + 1.0):  # the last one is ignored
-        for _ in range(15 if command is None else 1):
-            arm.cycle(command, REST)
-    for _ in range(100):
-        arm.cycle(None, REST)
+    for command in (*[None] * 15, HOME + 0.01, HOME + 0.01, HOME + 1.0, *[None] * 100):  # one is ignored
+        arm.cycle(command, REST)
     assert arm.is_running
 
 
 def test_a_silence_of_40_ms_in_a_motion_halts_the_program(arm: ArmDriver):
-    arm.cycle(HOME + 0.01, REST)
-    for _ in range(20):  # 40 ms
-        arm.cycle(None, REST)
-    assert arm.is_running
+    for command in (HOME + 0.01, *[None] * 20):
+        arm.cycle(command, REST)
+        assert arm.is_running
     arm.cycle(None, REST)
-    assert not arm.is_running
-    assert (arm.num_halts, arm.safety_mode) == (1, NORMAL_SAFETY_MODE)
+    assert (arm.is_running, arm.num_halts, arm.safety_mode) == (False, 1, NORMAL_SAFETY_MODE)
     assert np.array_equal(arm.cycle(HOME + 0.01, REST), HOME)  # where it is
     assert not arm.is_running
 
 
-def test_a_halted_arm_slows_down_by_4_rad_per_second_squared(arm: ArmDriver):
+def test_a_halted_arm_slows_down_by_4_rad_per_second_squared_until_it_is_reset(arm: ArmDriver):
     arm.protective_stop()
     moving = JointState(position=HOME, velocity=np.array((2.0, -0.4)))
     aims = np.array([arm.cycle(None, moving) for _ in range(260)])
@@ -71,74 +63,62 @@ def test_a_halted_arm_slows_down_by_4_rad_per_second_squared(arm: ArmDriver):
     assert aims[49, 0] == pytest.approx(HOME[0] + 0.18 + 0.16)
     assert np.array_equal(aims[249], aims[-1])
     assert aims[248, 0] != aims[-1, 0]
-
-
-def test_a_reset_lets_the_program_run_again(arm: ArmDriver):
-    arm.protective_stop()
-    arm.cycle(None, REST)
     arm.reset(HOME + 1.0)
-    assert arm.is_running
-    assert arm.safety_mode == NORMAL_SAFETY_MODE
-    aims = [arm.cycle(None, REST) for _ in range(50)]  # nobody has commanded since
+    aims = [arm.cycle(None, REST) for _ in range(50)]  # nobody commands
     assert np.array_equal(aims[-1], HOME + 1.0)
-    assert arm.num_halts == 1
+    assert (arm.is_running, arm.num_halts, arm.safety_mode) == (True, 1, NORMAL_SAFETY_MODE)
 
 
-class SlowDrawing:
-    """Draws on request."""
+class SlowCamera(CameraDriver):
+    """Draws images on request."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock_error: float = 0.0) -> None:
+        super().__init__(self._begin, clock_error)
         self.begun: list[Future[Pixels]] = []
 
-    def __call__(self, exposure: Exposure) -> "Future[Pixels]":
+    def _begin(self, _: Exposure) -> "Future[Pixels]":
         self.begun.append(Future())
         return self.begun[-1]
+
+    def open(self, time: float) -> None:
+        moment = Moment(qpos=np.zeros(26), qvel=np.zeros(25), time=time)
+        self.expose(Exposure(moment=moment, object_name=None, thrower=lambda _: np.zeros(6)))
 
     def finish(self, number: int) -> None:
         self.begun[number].set_result(np.full((2, 2, 3), number, dtype=np.uint8))
 
-
-def exposure(time: float) -> Exposure:
-    moment = Moment(qpos=np.zeros(26), qvel=np.zeros(25), time=time)
-    return Exposure(moment=moment, object_name=None, thrower=lambda _: np.zeros(6))
-
-
-def developed(camera: CameraDriver, now: float) -> list[tuple[float, int]]:
-    return [(image.stamp, int(image.pixels[0, 0, 0])) for image in camera.take(now)]
+    def developed(self, now: float) -> list[tuple[float, int]]:
+        return [(image.stamp, int(image.pixels[0, 0, 0])) for image in self.take(now)]
 
 
 def test_an_image_comes_when_it_is_due_and_not_before():
     """The stamp is too early by the clock error; the image is on time."""
-    drawing = SlowDrawing()
-    camera = CameraDriver(drawing, clock_error=0.02)
-    camera.expose(exposure(0.1))
-    drawing.finish(0)
-    assert developed(camera, 0.114) == []
-    assert developed(camera, 0.116) == [(pytest.approx(0.08), 0)]
-    assert developed(camera, 0.2) == []
-    assert (camera.num_images, camera.num_late, camera.num_lost) == (1, 0, 0)
+    camera = SlowCamera(clock_error=0.02)
+    camera.open(0.1)
+    camera.finish(0)
+    assert camera.developed(0.114) == []
+    assert camera.developed(0.116) == [(pytest.approx(0.08), 0)]
+    assert camera.developed(0.2) == []
+    assert (camera.num_late, camera.num_lost) == (0, 0)
 
 
 def test_a_late_image_keeps_its_time_and_is_counted():
-    drawing = SlowDrawing()
-    camera = CameraDriver(drawing)
-    camera.expose(exposure(0.1))
-    camera.expose(exposure(0.2))
-    assert developed(camera, 0.13) == []
-    drawing.finish(1)
-    assert developed(camera, 0.22) == []  # images keep their order
-    drawing.finish(0)
-    assert developed(camera, 0.23) == [(0.1, 0), (0.2, 1)]
-    assert (camera.num_images, camera.num_late, camera.num_lost) == (2, 1, 0)
+    camera = SlowCamera()
+    camera.open(0.1)
+    camera.open(0.2)
+    camera.finish(1)
+    assert camera.developed(0.216) == []  # images keep their order
+    camera.finish(0)
+    assert camera.developed(0.216) == [(0.1, 0), (0.2, 1)]
+    assert (camera.num_late, camera.num_lost) == (1, 0)
 
 
 def test_an_image_is_lost_while_two_are_in_work():
-    drawing = SlowDrawing()
-    camera = CameraDriver(drawing)
+    camera = SlowCamera()
     for i in range(4):
-        camera.expose(exposure(0.1 * i))
-    assert (len(drawing.begun), camera.num_lost) == (2, 2)
-    drawing.finish(0)
-    assert developed(camera, 1.0) == [(0.0, 0)]
-    camera.expose(exposure(0.5))
-    assert (len(drawing.begun), camera.num_lost) == (3, 2)
+        camera.open(0.1 * i)
+    assert (len(camera.begun), camera.num_lost) == (2, 2)
+    camera.finish(0)
+    assert camera.developed(1.0) == [(0.0, 0)]
+    camera.open(0.5)
+    assert (len(camera.begun), camera.num_lost) == (3, 2)

@@ -23,12 +23,13 @@ from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import Command, JointTargets, Mode
 from pixel2catch.shipped import policy_folder
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_throws, run_trial
-from pixel2catch.twin.stepped import HOP, in_step, rehearse_stepped
+from pixel2catch.twin.stepped import HOP, SteppedTwin, in_step, plain_image, rehearse_stepped
 from pixel2catch.workcells import find_workcell
 
 POLICY = Policy.load(policy_folder(Path("proposed")))
@@ -56,14 +57,8 @@ def report(out: Path) -> dict[str, Any]:
 
 def test_the_shipped_policy_catches(report: dict[str, Any]):
     (throw,) = report["throws"]
-    assert throw == {
-        "seed": 3,
-        "object": "sphere_l",
-        "is_tracked": True,
-        "is_success": True,
-        "stops": [],
-        "problem": "",
-    }
+    caught = {"is_tracked": True, "is_success": True, "stops": [], "problem": ""}
+    assert throw == {"seed": 3, "object": "sphere_l", **caught}
     assert report["deploy"]["stops"] == {"stop request": 1}
     assert report["deploy"]["num_missed"] == report["deploy"]["num_late_ticks"] == 0
     assert 2.0 < report["twin"]["joint_speed"] < 2.8
@@ -94,23 +89,15 @@ def knowing_ages(policy: Policy) -> Policy:
 SLOW = replace(ONE, throws=2, perception_ms=60.0, perception_jitter_ms=10.0, clock_error_ms=5.0)
 
 
-def commands(recording: Path) -> np.ndarray:
-    """When each decision was made, and the stamp of the newest image then [s]."""
-    rows: list[tuple[float, float]] = []
-    with opened_bag(recording) as reader:
-        wanted = [each for each in reader.connections if each.topic == TARGETS.name]
-        for _, _, data in reader.messages(wanted):
-            joint_targets = JointTargets.of(messages.read_float_array(data))
-            rows.append((joint_targets.target_stamp, joint_targets.image_stamp))
-    return np.array(rows)
-
-
 def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_path: Path):
     """And the robot does not stop, as images come in time."""
     recording = tmp_path / "tape"
     report = rehearsed(replace(SLOW, record=recording), knowing_ages(POLICY))
     assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")] * 2
-    made, newest = commands(recording).T
+    with opened_bag(recording) as reader:
+        wanted = [each for each in reader.connections if each.topic == TARGETS.name]
+        rows = [JointTargets.of(messages.read_float_array(data)) for *_, data in reader.messages(wanted)]
+    made, newest = np.array([(row.target_stamp, row.image_stamp) for row in rows]).T
     gaps = np.diff(made)
     gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
     assert len(gaps) > 100
@@ -183,6 +170,33 @@ def test_throws_survive_bursts_of_cycles_that_the_drivers_of_the_arm_miss():
     assert len(stops) <= 1, stops
     assert (report["problems"], arm.num_ignored) == (0, 0)
     assert report["success_rate"] >= 34 / 40
+
+
+def test_play_after_a_protective_stop_moves_nothing():
+    """An arm that was displaced by less than what counts as moved stays where it is."""
+    with SteppedTwin(ONE, TASK, plain_image) as twin:
+        operator, lab, arm = twin.operator, twin.lab, twin.profile.robots[0].ids
+
+        def wait(seconds: float) -> Command:
+            operator.wait(seconds)
+            return [*twin.servo.connection.receive()][-1]
+
+        wait(0.5)
+        operator.holds = True
+        wait(0.2)
+        operator.arm()
+        assert wait(0.2).mode == Mode.ARMED
+        operator.request(do="protective_stop")
+        assert wait(0.1).mode == Mode.STOPPED
+        last = wait(STOP_TIME)
+        assert last.mode == Mode.IDLE
+        lab._qpos[arm] += 0.03
+        operator.request(do="resume")
+        displaced = lab.joints.position[arm]
+        assert np.isnan(wait(1.0).joint_pos_command).all()
+        assert lab.truth()["joint_speed"] < 0.05
+        np.testing.assert_allclose(lab.joints.position[arm], displaced, atol=2e-3)
+        np.testing.assert_allclose(displaced, last.joint_pos[arm] + 0.03, atol=2e-3)
 
 
 NUM_LOOKS = 40

@@ -162,7 +162,7 @@ def pixels_of(message: Any) -> Pixels | None:
 
 
 def read_image(data: bytes) -> Image:
-    """Decode an image; raises as `decode`, and where it has no encoding of `CHANNELS` or bytes are missing."""
+    """Decode an image; raises as `decode`, for encodings beside `CHANNELS`, and where bytes are missing."""
     message = decode(data, IMAGE)
     if message.encoding not in CHANNELS:
         known = " or ".join(CHANNELS)

@@ -21,15 +21,12 @@ from pixel2catch.twin.simulated_lab import JointState
 CYCLE = 0.002  #: Period in which drivers read a command and publish joints [s]. Source: UR driver, 500 Hz.
 MAX_STEP = 20.0 * CYCLE  #: Change of a target from which the UR ignores a command [rad]. Source: UR driver.
 
-SILENCE = 0.04
-"""Time without a command after which the UR's program halts [s]. Source: UR driver (Jazzy).
-
-Differs: the UR's driver repeats the last command without end, and only its own silence halts the program. The
-twin halts if the commands end in the middle of a motion, so that a gap is noticed. It does not halt if the
-last commands were equal.
-"""
-
 DECELERATION = 4.0  #: Deceleration of every stop [rad/s²]. Source: UR driver, `stopj` of a halt.
+SILENCE = 0.04
+"""Time without a command in a motion after which the UR's program halts [s]. Source: UR driver (Jazzy).
+
+Differs: the UR's driver repeats the last command without end, and only its own silence halts the program.
+"""
 
 LATENCY = 0.015
 """Time from the middle of the exposure to the published image [s].
@@ -51,7 +48,7 @@ class Driver(ABC):
         self.num_ignored = 0  #: Commands that were not followed.
 
     def reset(self, position: Joints) -> None:
-        """Hold the joints at these positions, to which they were just moved [rad]."""
+        """Hold other positions [rad]."""
         self._target = position
 
     @abstractmethod
@@ -68,10 +65,9 @@ class HandDriver(Driver):
 
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
         """See `Driver.cycle`."""
-        if command is not None and np.isfinite(command).all():
-            self._target = command
-        elif command is not None:
-            self.num_ignored += 1
+        is_valid = command is not None and np.isfinite(command).all()
+        self._target = command if is_valid else self._target
+        self.num_ignored += command is not None and not is_valid
         return self._target
 
 
@@ -80,10 +76,7 @@ class ArmDriver(Driver):
     """The UR's driver and its program on the robot, which ignores too large steps."""
 
     def __init__(self, position: Joints, lag: Joints) -> None:
-        """Hold these positions [rad], with a running program that has no command yet.
-
-        The lag is the time by which the joints follow their target in a steady motion [s].
-        """
+        """Hold these positions [rad]; the joints follow in a steady motion with a lag [s]."""
         super().__init__(position)
         self._lag, self._silence, self._is_moving = lag, 0.0, False
         self._braking: JointState | None = None
@@ -134,9 +127,8 @@ class ArmDriver(Driver):
 def _brake_for_one_cycle(joints: JointState) -> JointState:
     speed = np.maximum(np.abs(joints.velocity) - DECELERATION * CYCLE, 0.0)
     velocity = np.copysign(speed, joints.velocity)
-    return JointState(
-        position=joints.position + 0.5 * CYCLE * (joints.velocity + velocity), velocity=velocity
-    )
+    way = 0.5 * CYCLE * (joints.velocity + velocity)
+    return JointState(position=joints.position + way, velocity=velocity)
 
 
 class CameraDriver:
@@ -146,9 +138,7 @@ class CameraDriver:
         """Begin without an image; stamps are too early by the clock error [s]."""
         self._draw, self._clock_error = draw, clock_error
         self._waiting: deque[tuple[float, Future[Pixels]]] = deque()
-        self._is_overdue = False
-        self.num_images = 0  #: Images that were published.
-        self.num_late = 0  #: Those of them that were not drawn in time.
+        self.num_late = 0  #: Images that were published a cycle or more after their time.
         self.num_lost = 0  #: Images that were not drawn, because earlier ones took too long.
 
     def expose(self, exposure: Exposure) -> None:
@@ -160,13 +150,7 @@ class CameraDriver:
 
     def take(self, now: float) -> Iterator[Image]:
         """Yield the images that are due; the stamp is the middle of the exposure."""
-        while self._waiting and self._waiting[0][0] + LATENCY <= now:
-            time, image = self._waiting[0]
-            if not image.done():
-                self._is_overdue = True
-                return
-            self._waiting.popleft()
-            self.num_images += 1
-            self.num_late += self._is_overdue
-            self._is_overdue = False
+        while self._waiting and self._waiting[0][0] + LATENCY <= now and self._waiting[0][1].done():
+            time, image = self._waiting.popleft()
+            self.num_late += now >= time + LATENCY + CYCLE
             yield Image(pixels=image.result(), stamp=time - self._clock_error)

@@ -6,7 +6,7 @@ import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from typing import Any, final
@@ -33,10 +33,7 @@ from pixel2catch.workcells import find_workcell
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: Requests of the operator.
 
-REQUESTS = (
-    '{"do": "prepare", "seed": 7}, {"do": "next", "seed": 8}, {"do": "throw"}, {"do": "protective_stop"}, '
-    '{"do": "resume"}'
-)
+REQUESTS = '{"do": NAME}: prepare or next with a "seed", throw, protective_stop, resume'
 """Valid requests. `prepare` puts the robot into its start pose, `next` leaves it where it is. A protective
 stop is as after a collision, and `resume` ends every halt."""
 
@@ -44,15 +41,10 @@ STATE = Topic(name="/twin/state", type=messages.TEXT)  #: True state of robot an
 DEPTH = 64  #: Length of the queue of commands while the twin is late.
 ROUNDING = 1e-9  #: Times that differ by less are equal [s].
 
-PROFILE = "ur5e_allegro_v4"
-"""Robot profile of the twin; drivers of other robots are like its drivers."""
-
+PROFILE = "ur5e_allegro_v4"  #: Robot profile of the twin; drivers of other robots are like its drivers.
 STATUS_CYCLES = 5  #: Cycles between two messages of the speed scaling: 100 Hz. Source: ours.
 FIRST, SECOND = -10, -5  #: Niceness of the physics with its topics, and of the camera. Source: ours.
-
-LATE = 0.01
-"""Lateness from which a cycle is counted as late [s]. Source: ours, half of what the servo lets joint states
-age."""
+LATE = 0.01  #: Lateness from which a cycle counts as late [s]. Source: ours, half the servo's `position_age`.
 
 
 def twin_profile(workcell: WorkcellSpec) -> Profile:
@@ -98,20 +90,17 @@ class PartTopics:
         self._waiting: deque[bytes] = deque(maxlen=DEPTH)
         self._places = [joint.index_in_command for joint in part.joints.values()]
         self._cycles = max(round(1.0 / (part.rate_hz * CYCLE)), 1)
-        names = [joint.name_in_state for joint in part.joints.values()]
         held = {joint.name_in_state: joint.angle for joint in part.held.values() if joint.name_in_state}
-        self._order = np.argsort([*names, *held])  # a state's order is not a command's
-        self._names = [[*names, *held][i] for i in self._order]
-        self._held = np.array([*held.values()])
-        self.num_refused = 0  #: Commands of a wrong length or type.
+        names = [*(joint.name_in_state for joint in part.joints.values()), *held]
+        self._order = np.argsort(names)  # a state's order is not a command's
+        self._names, self._held = [names[i] for i in self._order], np.array([*held.values()])
 
     def publish(self, number: int, encoders: JointState, stamp: float) -> None:
         """Publish the joint states of a cycle, at the rate of the driver."""
-        if number % self._cycles:
-            return
-        position = np.concatenate((encoders.position[self.ids], self._held))[self._order]
-        velocity = np.concatenate((encoders.velocity[self.ids], np.zeros(len(self._held))))[self._order]
-        self._states.publish(messages.joint_state(self._names, position, stamp, velocity))
+        if number % self._cycles == 0:
+            position = np.concatenate((encoders.position[self.ids], self._held))[self._order]
+            velocity = np.concatenate((encoders.velocity[self.ids], 0.0 * self._held))[self._order]
+            self._states.publish(messages.joint_state(self._names, position, stamp, velocity))
 
     def cycle(self, joints: JointState, num_late: int) -> Float[np.ndarray, " part_joints"]:
         """Return the servo targets of this part until the next cycle [rad].
@@ -126,14 +115,12 @@ class PartTopics:
         return self.driver.cycle(None if newest is None else self._read(newest), own)
 
     def _read(self, data: bytes) -> Float[np.ndarray, " part_joints"] | None:
-        try:
+        with suppress(DeploymentError):
             values = messages.read_float_array(data, self._part.command_topic.type)
-        except DeploymentError:
-            values = np.empty(0)
-        if len(values) != self._part.command_size:
-            self.num_refused += 1
-            return None
-        return values[self._places]
+            if len(values) == self._part.command_size:
+                return values[self._places]
+        self.driver.num_ignored += 1
+        return None
 
 
 class StatusPublisher:
@@ -151,17 +138,15 @@ class StatusPublisher:
 
     def publish(self, number: int, safety_mode: int, is_running: bool) -> None:
         """Publish the status of a cycle."""
-        if number % STATUS_CYCLES == 0:
-            self._send("speed_scaling", messages.number(100.0 if is_running else 0.0))
+        status = {"speed_scaling": messages.number(100.0 * is_running)} if number % STATUS_CYCLES == 0 else {}
         if (safety_mode, is_running) != self._last:
-            self._send("safety_mode", messages.safety_mode(safety_mode))
-            self._send("robot_mode", messages.robot_mode(messages.RUNNING_ROBOT_MODE))
-            self._send("program_running", messages.boolean(is_running))
+            status["safety_mode"] = messages.safety_mode(safety_mode)
+            status["robot_mode"] = messages.robot_mode(messages.RUNNING_ROBOT_MODE)
+            status["program_running"] = messages.boolean(is_running)
+        for name, publisher in self._publishers.items():
+            if name in status:
+                publisher.publish(status[name])
         self._last = (safety_mode, is_running)
-
-    def _send(self, name: str, data: bytes) -> None:
-        if name in self._publishers:
-            self._publishers[name].publish(data)
 
 
 @final
@@ -174,24 +159,20 @@ class LabNode:
         """Create all publishers and subscriptions."""
         self.lab, self.camera = lab, camera
         roles: dict[str, str] = {group.name: group.role for group in lab.workcell.groups}
-        position = lab.joints.position
-        drivers = [
-            ArmDriver(position[part.ids], lab.lag[part.ids])
-            if roles[part.name] == "arm"
-            else HandDriver(position[part.ids])
-            for part in profile.robots
-        ]
         #: Drivers of all arms, which stop together, as behind one safety circuit.
-        self.arms = [driver for driver in drivers if isinstance(driver, ArmDriver)]
-        self._parts = [
-            PartTopics(part, driver, transport) for part, driver in zip(profile.robots, drivers, strict=True)
-        ]
+        self.arms: list[ArmDriver] = []
+        self._parts: list[PartTopics] = []
+        for part in profile.robots:
+            driver: Driver = HandDriver(lab.joints.position[part.ids])
+            if roles[part.name] == "arm":
+                driver = ArmDriver(lab.joints.position[part.ids], lab.lag[part.ids])
+                self.arms.append(driver)
+            self._parts.append(PartTopics(part, driver, transport))
         self._status = StatusPublisher(profile, transport)
         self._image = transport.publisher(profile.camera.image)
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
         self._requests = transport.subscription(COMMAND, DEPTH)
         self._state = transport.publisher(STATE)
-        self._num_joints = len(position)
         self._refused = ""
         self.num_cycles = 0
 
@@ -206,11 +187,9 @@ class LabNode:
         return all(arm.is_running for arm in self.arms)
 
     def cycle(self, start: float, num_late: int = 0) -> None:
-        """Publish, take commands, and simulate until the next cycle.
+        """Publish with stamps from a start [s], take commands, and simulate until the next cycle.
 
-        Args:
-            start: Stamp of the beginning of the twin's time [s].
-            num_late: Number of further cycles that are overdue.
+        `num_late` further cycles are overdue.
         """
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
@@ -222,7 +201,8 @@ class LabNode:
                 self._info.publish(messages.camera_info(self.lab.camera, start + image.stamp))
         for message in self._requests.take():
             self._handle(message.data)
-        joints, targets = self.lab.joints, np.empty(self._num_joints)
+        joints = self.lab.joints
+        targets = np.empty_like(joints.position)
         for part in self._parts:
             targets[part.ids] = part.cycle(joints, num_late)
         end = self.time + CYCLE
@@ -241,7 +221,7 @@ class LabNode:
             "halted": not self.is_running,
             "safety_mode": self.arms[0].safety_mode,
             "halts": sum(arm.num_halts for arm in self.arms),
-            "ignored": sum(part.driver.num_ignored + part.num_refused for part in self._parts),
+            "ignored": sum(part.driver.num_ignored for part in self._parts),
             "late_images": self.camera.num_late,
             "lost_images": self.camera.num_lost,
             "refused": self._refused,
@@ -249,12 +229,10 @@ class LabNode:
 
     def summary(self) -> str:
         """Return one line that changes with every event."""
-        lab = self.lab
-        halted = f"program halted, safety mode {self.arms[0].safety_mode}"
-        robot = "program runs" if self.is_running else halted
+        lab, halted = self.lab, f"program halted, safety mode {self.arms[0].safety_mode}"
         thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
         refused = f", refused: {self._refused}" if self._refused else ""
-        return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
+        return f"throw {lab.num_throws}: {thrown}; {'program runs' if self.is_running else halted}{refused}"
 
     def _handle(self, data: bytes) -> None:
         try:
@@ -287,9 +265,7 @@ _CAMERAS: list[RoomCamera] = []  #: The camera of a drawing process.
 
 @contextmanager
 def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Pixels]"]]:
-    """Yield a function that begins to draw an image in another process.
-
-    The seed is of the room's looks and the sensor's noise.
+    """Yield a function that begins to draw an image of a room, by its seed, in another process.
 
     Raises:
         DeviceUnavailableError: No OpenGL back end works.
@@ -316,9 +292,7 @@ def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode
     """Run the laboratory of a task on this machine's DDS network until `on_cycle` returns false.
 
     Late cycles are made up for. The seed is of room and noise; the rate is that of the clock, at most 1.
-
-    Returns:
-        How many cycles ran, how many of them began more than `LATE` after their time, and the largest delay.
+    Returns a sentence about the cycles that began more than `LATE` after their time.
 
     Raises:
         DeviceUnavailableError: No OpenGL back end works.

@@ -1,7 +1,6 @@
 """A rehearsal: an operator, numbered throws and their report; and twin and deployment as processes.
 
-`run_throws` is the same for both kinds of rehearsal. `rehearse` adds processes and the network, the module
-`stepped` adds simulated time.
+Both kinds of rehearsal use `run_throws`. `rehearse` adds processes and the network, `stepped` simulated time.
 """
 
 import json
@@ -11,7 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ START_TIME = 600.0  #: Largest real time until both processes answer [s]; machin
 END_TIME = 120.0  #: Largest real time until a process has ended [s].
 DOMAIN = "77"  #: DDS domain of a rehearsal where ROS_DOMAIN_ID is not set. Source: ours.
 
+MOVING = ("armed", "ramp", "run")  #: Modes of the servo that follow a policy, or will.
 STATUS, TRUTH = ("mode", "stopped_by", "found", "refused", "message"), ("phase", "throw", "halted", "refused")
 """Entries of the states of deployment and twin that an error shows."""
 
@@ -113,10 +113,7 @@ def run_trial(
     """
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
-        if is_cycle:
-            _start_in_cycle(operator, seed)
-        else:
-            _start_policy(operator, seed)
+        (_start_in_cycle if is_cycle else _start_policy)(operator, seed)
         operator.wait(held)
         operator.request(do="throw")
         operator.wait_until(lambda: operator.truth["throw"] > thrown, "the throw")
@@ -140,13 +137,9 @@ def run_trial(
 
 
 def _start_policy(operator: RehearsalOperator, seed: int) -> None:
-    operator.request(do="prepare", seed=seed)
-    operator.wait_until(lambda: operator.phase == "empty", "the empty room")
-    operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
+    _prepare(operator, do="prepare", seed=seed)
     operator.wait_until(lambda: operator.mode == "idle", "an idle servo")
-    operator.holds = True
-    operator.wait_until(lambda: "dead man" not in operator.status["found"], "a held switch")
-    operator.arm()
+    _arm(operator)
     operator.wait_until(lambda: operator.mode == "armed", "an armed servo")
     operator.point(operator.truth["box"])
     operator.wait_until(lambda: operator.mode == "run", "the policy's run")
@@ -154,19 +147,25 @@ def _start_policy(operator: RehearsalOperator, seed: int) -> None:
 
 def _start_in_cycle(operator: RehearsalOperator, seed: int) -> None:
     """Arm the robot if it is not, wait for the object, and point at it."""
-    operator.holds = True
-    if operator.mode not in ("armed", "ramp", "run"):
-        operator.wait_until(
-            lambda: "dead man" not in operator.status.get("found", ["dead man"]), "the switch"
-        )
-        operator.arm()
+    if operator.mode not in MOVING:
+        _arm(operator)
     operator.wait_until(lambda: operator.mode == "run" and _waits(operator), "the start pose", CYCLE_TIME)
-    operator.request(do="next", seed=seed)
-    operator.wait_until(lambda: operator.phase == "empty", "the empty room")
-    operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
+    _prepare(operator, do="next", seed=seed)
     operator.point(operator.truth["box"])
     operator.wait_until(lambda: operator.status.get("cycle") == "throw", "the policy's run")
     operator.wait(ServoLimits.ramp_time)
+
+
+def _prepare(operator: RehearsalOperator, **request: Any) -> None:
+    operator.request(**request)
+    operator.wait_until(lambda: operator.phase == "empty", "the empty room")
+    operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
+
+
+def _arm(operator: RehearsalOperator) -> None:
+    operator.holds = True
+    operator.wait_until(lambda: "dead man" not in operator.status.get("found", ["dead man"]), "a held switch")
+    operator.arm()
 
 
 def _waits(operator: RehearsalOperator) -> bool:
@@ -174,9 +173,9 @@ def _waits(operator: RehearsalOperator) -> bool:
 
 
 def _stop_robot(operator: RehearsalOperator) -> None:
-    if operator.mode in ("armed", "ramp", "run"):
+    if operator.mode in MOVING:
         operator.stop()
-        operator.wait_until(lambda: operator.mode not in ("armed", "ramp", "run"), "the stop")
+        operator.wait_until(lambda: operator.mode not in MOVING, "the stop")
     operator.holds = False
     operator.wait(STOP_TIME)
 
@@ -186,9 +185,8 @@ OnThrow = Callable[[Outcome], None]  #: Called after every throw.
 
 def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow) -> dict[str, Any]:
     """Run all throws; return rates with their intervals, stops without a request, and every outcome."""
-    outcomes: list[Outcome] = []
+    outcomes, is_cycle = list[Outcome](), cfg.after_catch is not None
     for seed in range(cfg.seed, cfg.seed + cfg.throws):
-        is_cycle = cfg.after_catch is not None
         outcomes.append(run_trial(operator, seed, cfg.held_seconds, is_cycle=is_cycle))
         on_throw(outcomes[-1])
     num, report = len(outcomes), {"num_throws": len(outcomes)}
@@ -205,26 +203,19 @@ def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow
 
 
 def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThrow) -> dict[str, Any]:
-    """Run throws with twin and deployment as processes of their own; return the report.
-
-    The policy is what both commands take. Their output goes into the folder of logs.
+    """Run throws with twin and deployment, two commands that write into a folder of logs; return the report.
 
     Raises:
         DeploymentError: A process did not start, or ended early.
     """
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     clock, begin = RealClock(cfg.clock), time.perf_counter()
-    common = ("--clock", f"{cfg.clock:g}")
-    twin_args = ["--seed", str(cfg.seed), "--objects", *cfg.task.objects]
-    twin_args += ["--policy", policy] if policy else []
-    twin_args += ["--dynamics", str(cfg.task.dynamics)] if cfg.task.dynamics else []
-    deploy_args = ["--json", *([policy] if policy else [])]
-    deploy_args += ["--after-catch", cfg.after_catch] if cfg.after_catch else []
-    deploy_args += ["--record", str(cfg.record)] if cfg.record else []
+    twin = _options(clock=cfg.clock, seed=cfg.seed, policy=policy, dynamics=cfg.task.dynamics)
+    deploy = _options(clock=cfg.clock, after_catch=cfg.after_catch, record=cfg.record)
     with ExitStack() as stack:
         processes = [
-            stack.enter_context(_running_command(logs, "twin", *common, *twin_args)),
-            stack.enter_context(_running_command(logs, "deploy", *common, *deploy_args)),
+            stack.enter_context(_running_command(logs, "twin", *twin, "--objects", *cfg.task.objects)),
+            stack.enter_context(_running_command(logs, "deploy", *filter(None, [policy]), "--json", *deploy)),
         ]
         node = stack.enter_context(make_transport("pixel2catch_operator", LOOPBACK, clock))
         operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
@@ -244,21 +235,25 @@ def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThro
     return report | {"clock": cfg.clock, "seconds": seconds, "deploy": _printed_summary(logs / "deploy.txt")}
 
 
+def _options(**values: Any) -> list[str]:
+    given = {f"--{name.replace('_', '-')}": str(value) for name, value in values.items() if value is not None}
+    return [word for pair in given.items() for word in pair]
+
+
 @contextmanager
 def _running_command(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[bytes]]:
-    with open(logs / f"{command}.txt", "wb") as file:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "pixel2catch", command, *args], stdout=file, stderr=subprocess.STDOUT
-        )
+    words = [sys.executable, "-m", "pixel2catch", command, *args]
+    with (
+        open(logs / f"{command}.txt", "wb") as file,
+        subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT) as process,
+    ):
         try:
             yield process
         finally:
             process.terminate()
-            try:
+            with suppress(subprocess.TimeoutExpired):
                 process.wait(END_TIME)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.kill()
 
 
 def _require_running(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -> None:

@@ -23,16 +23,13 @@ from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
-from pixel2catch.servo.limits import steady_lag
+from pixel2catch.servo.limits import BEYOND_TRAVEL, steady_lag
 from pixel2catch.workcells import find_workcell
 
 EMPTY_TIME = 0.5  #: Time without an object before each throw [s]. Source: ours.
 
-BEYOND_LIMITS = torch.tensor((-0.3, 0.3))
-"""Added to the limits of the arm's joints: commands end at the limits, the joints do not [rad].
-
-Source: ours, as far as the servo accepts a measured position.
-"""
+BEYOND_LIMITS = torch.tensor((-BEYOND_TRAVEL, BEYOND_TRAVEL))
+"""Added to the limits of the arm's joints: commands end at the limits, the joints do not [rad]."""
 
 ENCODER_STEP = {"arm": 9.5e-6, "hand": 8.9e-5}
 """Step of measured positions by the role of a joint group [rad].
@@ -74,18 +71,13 @@ class SimulatedLab:
     Drives and drivers read the same encoders: an offset moves the joint, and no reading.
 
     A throw is scored at the control rate, from its release until it is decided. The time limit of a success
-    includes the control steps for which the object hovers in an episode; waiting of the operator does not
-    count.
+    includes the steps for which the object hovers in an episode, not the time for which the operator waits.
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
-        """Build the scene: a robot in its start pose, and an empty room.
-
-        The seed is of the first start pose and of all noise.
-        """
+        """Build the scene: a robot in its start pose, by the seed of all noise, and an empty room."""
         self.workcell = workcell = find_workcell(task.scene.workcell)
-        num_joints = len(workcell.joints)
-        self._robot = slice(num_joints)
+        self._robot = slice(len(workcell.joints))
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
@@ -97,13 +89,11 @@ class SimulatedLab:
                 self._world.simulation.expand(field)[:, arm] += BEYOND_LIMITS
         self._log: StepExtremes | None = None
         self._steps, self._is_thrown = 0, False
-        self._decimation = task.scene.decimation
-        self.physics_dt = task.scene.physics_dt  #: Time of a physics step [s].
+        self.physics_dt, self._decimation = task.scene.physics_dt, task.scene.decimation  # [s]
         self.num_throws = 0
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
-        self._encoder_step = np.array(
-            [ENCODER_STEP[each.role] for each in workcell.groups for _ in each.joints]
-        )
+        steps = [ENCODER_STEP[each.role] for each in workcell.groups for _ in each.joints]
+        self._encoder_step = np.array(steps)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
         self.lag: Joints = steady_lag(dynamics)  #: Time by which joints lag in a steady motion [s].
@@ -129,7 +119,7 @@ class SimulatedLab:
     def outcome(self) -> str:
         """Outcome of the throw in a word; its phase until it is over."""
         if self.phase is not Phase.OVER:
-            return self.phase.value
+            return self.phase
         reached = "reached, not caught" if self.record.is_tracked else "missed"
         return "caught" if self.record.is_success else reached
 
@@ -151,10 +141,9 @@ class SimulatedLab:
         return JointState(position=step * counts, velocity=velocity)
 
     def prepare(self, seed: int, *, keeps_robot: bool = False) -> None:
-        """Put the robot at the start of the throw of a seed, or keep its pose; the object follows.
+        """Put the robot at the start of a throw, or keep its pose; the object comes after `EMPTY_TIME`.
 
-        It is the throw that `CatchEnv.seed` and `reset` begin in one environment. The object comes after
-        `EMPTY_TIME`.
+        It is the throw that `CatchEnv.seed` and `reset` begin in one environment.
         """
         kept = self._qpos[self._robot].copy(), self._qvel[self._robot].copy()
         generator = torch.Generator().manual_seed(seed)
@@ -180,9 +169,7 @@ class SimulatedLab:
             DeploymentError: The thrower holds no object.
         """
         if self.phase is not Phase.HELD:
-            raise DeploymentError(
-                f"the throw is {self.phase.value}, not {Phase.HELD.value}: prepare one, and wait"
-            )
+            raise DeploymentError(f"the throw is {self.phase}, not {Phase.HELD}: prepare one, and wait")
         self._is_thrown = True
 
     def step(self, joint_pos_target: Joints) -> bool:
@@ -192,26 +179,27 @@ class SimulatedLab:
         log = self._world.run(target[None], num_steps=1)
         self._log = log if self._log is None else self._log.merged(log)
         self._steps += 1
-        is_end = self._steps % self._decimation == 0
-        if is_end:
-            self._end_control_step(self._log)
-            self._log = None
-        return is_end
+        if self._steps % self._decimation:
+            return False
+        self._end_control_step(self._log)
+        self._log = None
+        return True
+
+    @property
+    def _shown_name(self) -> str | None:
+        return None if self.phase is Phase.EMPTY else self.object_name
 
     def exposure(self) -> Exposure:
         """Return what the camera sees now."""
-        return Exposure(
-            moment=Moment(qpos=self._qpos.copy(), qvel=self._qvel.copy(), time=self.time),
-            object_name=None if self.phase is Phase.EMPTY else self.object_name,
-            thrower=self._thrower.joint_pos,
-        )
+        moment = Moment(qpos=self._qpos.copy(), qvel=self._qvel.copy(), time=self.time)
+        return Exposure(moment=moment, object_name=self._shown_name, thrower=self._thrower.joint_pos)
 
     def truth(self) -> dict[str, Any]:
         """Return the true state of the throw, for the operator and the report, not for the robot."""
         return {
-            "phase": self.phase.value,
+            "phase": self.phase,
             "throw": self.num_throws,
-            "object": None if self.phase is Phase.EMPTY else self.object_name,
+            "object": self._shown_name,
             "box": self._visible_box(),
             "is_tracked": bool(self.record.is_tracked),
             "is_success": bool(self.record.is_success),
