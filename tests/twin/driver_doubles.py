@@ -9,9 +9,9 @@ Sources:
 `AllegroClassic`: taewookim0812/allegro_hand_linux_v4, allegro_node.cpp, allegro_node_pd.cpp.
 `Leap`: leap-hand/LEAP_Hand_API, ros2_module/scripts/leaphand_node.py.
 `Fr3`: frankarobotics/franka_ros2, June 2026; libfranka, rate_limiting.h, joint_velocity_limits.h.
+`RealSense`: IntelRealSense/realsense-ros 4.55.1, base_realsense_node.cpp, rs_node_setup.cpp, constants.h.
 """
 
-from collections.abc import Sequence
 from math import sqrt
 
 import numpy as np
@@ -19,61 +19,59 @@ import numpy as np
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.transport import Clock, Publisher, Topic
+from pixel2catch.scene.constants import RGB_CAMERA
 
 UR_JOINTS = [
     f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 ]
+Sides = tuple[str, ...]
 
 
 class Double:
     """One process of drivers: joint states at a rate, and commands, followed with a lag of 50 ms."""
 
     rate, state, order_of_state = 500.0, "/joint_states", slice(None, None, -1)
+    manager, controllers = "/controller_manager", Sides()  #: Active controllers beside those of commands.
+    kind, depth = messages.FLOAT_ARRAY, 50
 
-    def __init__(self, broker: Broker, clock: Clock, commands: dict[str, list[str]], kind: str) -> None:
+    def __init__(self, broker: Broker, clock: Clock, distribution: str, sides: Sides = ("",)) -> None:
         """Subscribe to topics, each with commands of the driver's joints in order."""
         self.node, self.clock = broker.node(clock), clock
-        self.names = [name for joints in commands.values() for name in joints]
+        topics = {name: joints for side in sides for name, joints in self.commands(side).items()}
+        self.names = [name for joints in topics.values() for name in joints]
         self.pos, self.goal = np.zeros(len(self.names)), np.full(len(self.names), np.nan)
-        self.num_commands = self.num_refused = 0
-        self._states = self.node.publisher(Topic(name=self.state, type=messages.JOINT_STATE))
-        self._kind, self._due, self._first = kind, 0.0, True
+        self.num_refused, self._due = 0, 0.0
+        self._states = self.publisher(self.state, messages.JOINT_STATE)
         self._takes = [
-            (
-                self.node.subscription(Topic(name=name, type=kind), 50),
-                [self.names.index(each) for each in joints],
-            )
-            for name, joints in commands.items()
+            (self.node.subscription(Topic(name=name, type=self.kind), self.depth), joints)
+            for name, joints in topics.items()
         ]
+        if self.kind == messages.FLOAT_ARRAY and distribution != "humble":
+            self._activity = self.publisher(f"{self.manager}/activity", messages.ACTIVITY, is_latched=True)
+            self.activate("joint_state_broadcaster", *(name.split("/")[1] for name in topics))
 
-    def latched(self, name: str, kind: str, data: bytes) -> Publisher:
-        publisher = self.node.publisher(Topic(name=name, type=kind, is_latched=True))
-        publisher.publish(data)
-        return publisher
+    def commands(self, side: str) -> dict[str, list[str]]:
+        """The joints of a command by its topic."""
+        raise NotImplementedError
 
-    def announce(self, manager: str, active: Sequence[str]) -> None:
-        """Publish the active controllers of a controller manager."""
-        states = messages.activity(dict.fromkeys(active, messages.ACTIVE), 0.0)
-        self._activity = self.latched(f"{manager}/activity", messages.ACTIVITY, states)
+    def publisher(self, name: str, kind: str, *, is_latched: bool = False) -> Publisher:
+        return self.node.publisher(Topic(name=name, type=kind, is_latched=is_latched))
 
-    def set_activity(self, active: Sequence[str]) -> None:
-        self._activity.publish(messages.activity(dict.fromkeys(active, messages.ACTIVE), 0.0))
+    def activate(self, *controllers: str) -> None:
+        self._activity.publish(messages.activity(dict.fromkeys(controllers, messages.ACTIVE), 0.0))
 
     def step(self) -> None:
         """Run a cycle, if one is due."""
         if self.clock.now() < self._due - 1e-9:
             return
         self._due = max(self._due, self.clock.now() - 1e-9) + 1.0 / self.rate
-        for subscription, places in self._takes:
+        for subscription, joints in self._takes:
             for message in subscription.take()[-1:]:  # a cycle has one command: the newest
-                is_array = self._kind == messages.FLOAT_ARRAY
-                values = messages.decode(message.data, self._kind)
-                given = np.array(values.data if is_array else values.position)
-                self.num_commands += 1
-                if len(given) == len(places) and self.accepts(given, places):
-                    self.goal[places] = given
-                else:
-                    self.num_refused += 1
+                places = [self.names.index(joint) for joint in joints]
+                given = messages.read_float_array(message.data, self.kind)
+                is_taken = len(given) == len(places) and self.accepts(given, places)
+                self.goal[places] = given if is_taken else self.goal[places]
+                self.num_refused += not is_taken
         self.pos += np.nan_to_num((self.goal - self.pos) * min(1.0 / (0.05 * self.rate), 1.0))
         names, measured = self.names[self.order_of_state], self.measured()[self.order_of_state]
         self._states.publish(messages.joint_state(names, measured, self.clock.stamp()))
@@ -88,25 +86,22 @@ class Double:
 class UrArms(Double):
     """Arms under one controller manager: 500 Hz; the program ignores steps above 0.04 rad."""
 
-    def __init__(
-        self, broker: Broker, clock: Clock, distribution: str, prefixes: Sequence[str] = ("",)
-    ) -> None:
-        topics = {
-            f"/{prefix}forward_position_controller/commands": [f"{prefix}{joint}" for joint in UR_JOINTS]
-            for prefix in prefixes
-        }
-        super().__init__(broker, clock, topics, messages.FLOAT_ARRAY)
+    def __init__(self, broker: Broker, clock: Clock, distribution: str, sides: Sides = ("",)) -> None:
+        super().__init__(broker, clock, distribution, sides)
         self._scaling = []
-        for prefix in prefixes:
-            status = f"/{prefix}io_and_status_controller"
-            self.latched(f"{status}/safety_mode", messages.SAFETY_MODE, messages.safety_mode(1))
-            self.latched(f"{status}/robot_mode", messages.ROBOT_MODE, messages.robot_mode(7))
-            self.latched(f"{status}/robot_program_running", messages.BOOLEAN, messages.boolean(True))
-            topic = f"/{prefix}speed_scaling_state_broadcaster/speed_scaling"
-            self._scaling.append(self.node.publisher(Topic(name=topic, type=messages.NUMBER)))
-        if distribution != "humble":
-            controllers = [topic.split("/")[1] for topic in topics]
-            self.announce("/controller_manager", ["joint_state_broadcaster", *controllers])
+        for side in sides:
+            io = f"/{side}io_and_status_controller"
+            for name, kind, data in (
+                ("safety_mode", messages.SAFETY_MODE, messages.safety_mode(1)),
+                ("robot_mode", messages.ROBOT_MODE, messages.robot_mode(7)),
+                ("robot_program_running", messages.BOOLEAN, messages.boolean(True)),
+            ):
+                self.publisher(f"{io}/{name}", kind, is_latched=True).publish(data)
+            topic = f"/{side}speed_scaling_state_broadcaster/speed_scaling"
+            self._scaling.append(self.publisher(topic, messages.NUMBER))
+
+    def commands(self, side: str) -> dict[str, list[str]]:
+        return {f"/{side}forward_position_controller/commands": [f"{side}{joint}" for joint in UR_JOINTS]}
 
     def step(self) -> None:
         for publisher in self._scaling:
@@ -121,36 +116,34 @@ class UrArms(Double):
 class AllegroV4(Double):
     """Hands under one controller manager in a namespace: 100 Hz, thumb first; they move at activation."""
 
-    rate = 100.0
+    rate, manager = 100.0, "/allegro_hand/controller_manager"
 
-    def __init__(self, broker: Broker, clock: Clock, distribution: str, hands: Sequence[str] = ("",)) -> None:
-        topics = {
-            f"/allegro_hand_position_controller{hand and f'_{hand}'}/commands": [
-                f"ah{hand}_joint{finger}{joint}" for finger in range(4) for joint in range(4)
-            ]
-            for hand in hands
-        }
-        super().__init__(broker, clock, topics, messages.FLOAT_ARRAY)
+    def __init__(self, broker: Broker, clock: Clock, distribution: str, sides: Sides = ("",)) -> None:
+        super().__init__(broker, clock, distribution, tuple(side[:1] for side in sides))
         self.goal[:] = 0.0  # initial_positions, by on_activate
-        if distribution != "humble":
-            self.announce("/allegro_hand/controller_manager", [topic.split("/")[1] for topic in topics])
+
+    def commands(self, side: str) -> dict[str, list[str]]:
+        joints = [f"ah{side}_joint{finger}{joint}" for finger in range(4) for joint in range(4)]
+        return {f"/allegro_hand_position_controller{side and f'_{side}'}/commands": joints}
 
 
 class AllegroV5(Double):
     """333 Hz, index finger first; base node and derived node both subscribe; limp until the first command."""
 
-    rate, state, command, separator = (
-        1000.0 / 3.0,
+    rate, state, order_of_state, kind = (
+        1e3 / 3.0,
         "/allegroHand_0/joint_states",
-        "/allegroHand/joint_cmd",
-        "_",
+        slice(None),
+        messages.JOINT_STATE,
     )
-    order_of_state = slice(None)
+    command, separator = "/allegroHand/joint_cmd", "_"
 
-    def __init__(self, broker: Broker, clock: Clock) -> None:
-        names = [f"joint_{number}{self.separator}0" for number in range(16)]
-        super().__init__(broker, clock, {self.command: names}, messages.JOINT_STATE)
-        self.node.subscription(Topic(name=self.command, type=messages.JOINT_STATE), 3)
+    def __init__(self, broker: Broker, clock: Clock, distribution: str, sides: Sides = ("",)) -> None:
+        super().__init__(broker, clock, distribution, sides)
+        self.node.subscription(Topic(name=self.command, type=self.kind), 3)
+
+    def commands(self, side: str) -> dict[str, list[str]]:
+        return {self.command: [f"joint_{number}{self.separator}0" for number in range(16)]}
 
 
 class AllegroClassic(AllegroV5):
@@ -168,12 +161,10 @@ class AllegroClassic(AllegroV5):
 class Leap(Double):
     """The node takes commands only; a node of the laboratory publishes the positions, 80 times a second."""
 
-    rate, state, order_of_state = 80.0, "/leap_hand/joint_states", slice(None)
+    rate, state, order_of_state, kind = 80.0, "/leap_hand/joint_states", slice(None), messages.JOINT_STATE
 
-    def __init__(self, broker: Broker, clock: Clock) -> None:
-        super().__init__(
-            broker, clock, {"/cmd_allegro": [str(number) for number in range(16)]}, messages.JOINT_STATE
-        )
+    def commands(self, side: str) -> dict[str, list[str]]:
+        return {"/cmd_allegro": [str(number) for number in range(16)]}
 
 
 class Fr3(Double):
@@ -190,31 +181,53 @@ class Fr3(Double):
         (4.18, 0.35, 11.0, 0.5401, 4.5205),
         (5.26, 0.35, 34.0, -3.0196, 3.0196),
     )
+    _last = (np.zeros(7),) * 3  #: Position, speed and acceleration of the last command.
+    reached = np.zeros(3)  #: Largest speed, acceleration and jerk, in their limits.
 
-    def __init__(self, broker: Broker, clock: Clock) -> None:
-        names = [f"fr3_joint{number}" for number in range(1, 8)]
-        super().__init__(
-            broker, clock, {"/forward_position_controller/commands": names}, messages.FLOAT_ARRAY
-        )
-        self.announce("/controller_manager", ["joint_state_broadcaster", "forward_position_controller"])
-        self._last = [np.zeros(7)] * 3  #: Position, speed and acceleration of the last command.
-        self.reached = np.zeros(3)  #: Largest speed, acceleration and jerk, in their limits.
+    def commands(self, side: str) -> dict[str, list[str]]:
+        return {"/forward_position_controller/commands": [f"fr3_joint{number}" for number in range(1, 8)]}
 
     def accepts(self, given: np.ndarray, places: list[int]) -> bool:
-        if np.isnan(self.goal).any():
-            self._last[0] = given
-        speed = (given - self._last[0]) * 1e3
+        speed = (given - (given if np.isnan(self.goal).any() else self._last[0])) * 1e3
         acceleration = (speed - self._last[1]) * 1e3
         jerk = (acceleration - self._last[2]) * 1e3
-        most = np.array(
-            [
-                min(fastest, sqrt(slope * max(end - pos if v > 0.0 else pos - begin, 0.0)) - offset)
-                for v, pos, (fastest, offset, slope, begin, end) in zip(
-                    speed, given, self.LIMITS, strict=True
-                )
-            ]
-        )
+        most = [
+            min(fastest, sqrt(slope * max(end - pos if v > 0.0 else pos - begin, 0.0)) - offset)
+            for v, pos, (fastest, offset, slope, begin, end) in zip(speed, given, self.LIMITS, strict=True)
+        ]
         shares = [np.abs(speed) / most, np.abs(acceleration) / 10.0, np.abs(jerk) / 5000.0]
         self.reached = np.maximum(self.reached, [share.max() for share in shares])
-        self._last = [given, speed, acceleration]
+        self._last = (given, speed, acceleration)
         return bool((self.reached <= 1.0 + 1e-6).all())
+
+
+class RealSense:
+    """The colour stream: rgb8 at 30 Hz, reliable and volatile; image, then lens, with one stamp.
+
+    The stamp is the frame's time in the clock of this machine (global time), or its arrival without kernel
+    metadata: both are `late` after the middle of the exposure. Each topic is sent only to subscribers.
+    """
+
+    period, transfer = 1.0 / 30.0, 0.02  #: The image is sent so long after the middle of its exposure [s].
+
+    def __init__(self, broker: Broker, clock: Clock, late: float = 0.012) -> None:
+        """Start with noise that differs from image to image; stamps are `late` [s]."""
+        node, self.clock, self.late = broker.node(clock), clock, late
+        self._image, self._info = (
+            node.publisher(Topic(name=f"/camera/camera/color/{name}", type=kind))
+            for name, kind in (("image_raw", messages.IMAGE), ("camera_info", messages.CAMERA_INFO))
+        )
+        self.exposure = clock.now()  #: Middle of the newest exposure that was sent [s].
+        self._rng, self._shape = np.random.default_rng(0), (RGB_CAMERA.height, RGB_CAMERA.width, 3)
+
+    def step(self) -> None:
+        """Send the image that is due."""
+        if self.clock.now() < self.exposure + self.period + self.transfer - 1e-9:
+            return
+        self.exposure += self.period
+        stamp = self.clock.stamp() - (self.clock.now() - self.exposure) + self.late
+        if self._image.num_subscribers():
+            pixels = np.full(self._shape, self._rng.integers(256), dtype=np.uint8)
+            self._image.publish(messages.image(pixels, stamp))
+        if self._info.num_subscribers():
+            self._info.publish(messages.camera_info(RGB_CAMERA, stamp))

@@ -4,48 +4,30 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 
+import driver_doubles as doubles
 import numpy as np
 import pytest
-from driver_doubles import AllegroClassic, AllegroV4, AllegroV5, Double, Fr3, Leap, UrArms
+from driver_doubles import AllegroV4, Double, Fr3, RealSense, UrArms
 
 from pixel2catch.deployment.control_loop import StepClock, SteppedServo
-from pixel2catch.deployment.laboratory import Survey, commands, joint_states
+from pixel2catch.deployment.laboratory import Survey, commands, images, joint_states
+from pixel2catch.deployment.perception import ImageSubscriber
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Command, Fault, JointTargets, Mode
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
-MakeDoubles = Callable[[Broker, StepClock], list[Double]]
-CELLS: dict[str, tuple[str, MakeDoubles]] = {
-    "humble": (
-        "ur5e_allegro_v4",
-        lambda net, clock: [UrArms(net, clock, "humble"), AllegroV4(net, clock, "humble")],
-    ),
-    "jazzy": (
-        "ur5e_allegro_v4",
-        lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroV4(net, clock, "jazzy")],
-    ),
-    "lyrical": (
-        "ur5e_allegro_v4",
-        lambda net, clock: [UrArms(net, clock, "lyrical"), AllegroV4(net, clock, "lyrical")],
-    ),
-    "v5": ("ur5e_allegro_v5", lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroV5(net, clock)]),
-    "classic": (
-        "ur5e_allegro_classic",
-        lambda net, clock: [UrArms(net, clock, "jazzy"), AllegroClassic(net, clock)],
-    ),
-    "leap": ("ur5e_leap", lambda net, clock: [UrArms(net, clock, "jazzy"), Leap(net, clock)]),
-    "fr3": ("fr3_allegro", lambda net, clock: [Fr3(net, clock), AllegroV4(net, clock, "jazzy")]),
-    "two": (
-        "two_ur5e_allegro",
-        lambda net, clock: [
-            UrArms(net, clock, "jazzy", ("left_", "right_")),
-            AllegroV4(net, clock, "jazzy", ("l", "r")),
-        ],
-    ),
+CELLS: dict[str, tuple[str, type[Double], type[Double]]] = {
+    **dict.fromkeys(("humble", "jazzy", "lyrical"), ("ur5e_allegro_v4", UrArms, AllegroV4)),
+    "v5": ("ur5e_allegro_v5", UrArms, doubles.AllegroV5),
+    "classic": ("ur5e_allegro_classic", UrArms, doubles.AllegroClassic),
+    "leap": ("ur5e_leap", UrArms, doubles.Leap),
+    "fr3": ("fr3_allegro", Fr3, AllegroV4),
+    "two": ("two_ur5e_allegro", UrArms, AllegroV4),
 }
 THUMB_FIRST, INDEX_FIRST = ("thumb", "index", "middle", "ring"), ("index", "middle", "ring", "thumb")
 LEAP_JOINTS = (("rot", "mcp", "pip", "dip"), ("cmc", "axl", "mcp", "ipl"))
@@ -69,7 +51,7 @@ class Cell:
     """A servo with the limits of a profile, its drivers, an operator, and a policy that waves all joints."""
 
     def __init__(self, name: str) -> None:
-        profile, make = CELLS[name]
+        profile, *kinds = CELLS[name]
         self.broker, self.clock = Broker(), StepClock(lambda _: None)
         self.clock.time, self.profile = 1000.0, Profile.load(profile)
         if name == "humble":  # it does not publish the activity of controllers
@@ -77,48 +59,46 @@ class Cell:
             self.profile = replace(self.profile, robots=parts)
         workcell, parts = find_workcell(self.profile.workcell), self.profile.robots
         self.limits = ServoLimits.of(workcell, JointLimits.of(workcell, parts=parts), parts)
-        self.home, self.names = np.array([joint.home for joint in workcell.joints]), workcell.joint_names
-        self.doubles = make(self.broker, self.clock)
-        home = {driver_name(joint, name): pos for joint, pos in zip(self.names, self.home, strict=True)}
-        for double in self.doubles:
+        self.home = np.array([joint.home for joint in workcell.joints])
+        sides = ("left_", "right_") if name == "two" else ("",)
+        self.arm_driver, self.hand = (kind(self.broker, self.clock, name, sides) for kind in kinds)
+        self.camera, names = (
+            RealSense(self.broker, self.clock),
+            [driver_name(j, name) for j in workcell.joint_names],
+        )
+        home = dict(zip(names, self.home, strict=True))
+        for double in (self.arm_driver, self.hand):
             double.pos[:] = [home.get(each, 0.0) for each in double.names]
             if isinstance(double, AllegroV4):  # the start pose of the guide, after it moved to its own
                 double.goal[:] = double.pos
-        self.of_joint = [
-            next((double, double.names.index(each)) for double in self.doubles if each in double.names)
-            for each in (driver_name(joint, name) for joint in self.names)
-        ]
-        node = self.broker.node(self.clock)
-        self.servo = SteppedServo(
-            ServoSetup(profile=self.profile, limits=self.limits), (node, node), self.clock, None
-        )
-        self.operator = self.broker.node(self.clock)
-        operator = self.profile.operator
-        self._switch, self._arm = (
-            self.operator.publisher(operator.dead_man),
-            self.operator.publisher(operator.arm),
-        )
+        self._places = [[*self.arm_driver.names, *self.hand.names].index(each) for each in names]
+        node, self.operator = self.broker.node(self.clock), self.broker.node(self.clock)
+        setup = ServoSetup(profile=self.profile, limits=self.limits)
+        self.servo = SteppedServo(setup, (node, node), self.clock, None)
+        topics = self.profile.operator
+        self._switch, self._arm = map(self.operator.publisher, (topics.dead_man, topics.arm))
         self.last, self._ticks = list[Command](), 0
 
     @property
     def joint_pos(self) -> np.ndarray:
-        return np.array([double.pos[place] for double, place in self.of_joint])
+        return np.concatenate((self.arm_driver.pos, self.hand.pos))[self._places]
 
     def run(self, seconds: float, target: Callable[[float], np.ndarray] | None = None) -> Command:
         begin, ticks = self.clock.time, round(1000 * self.limits.dt)
         for _ in range(round(seconds * 1000)):
             self._ticks += 1
             self.clock.time += 0.001
-            for double in self.doubles:
-                double.step()
+            for driver in (self.arm_driver, self.hand, self.camera):
+                driver.step()
             if self._ticks % 50 == 0:
                 self._switch.publish(messages.boolean(True))
             if self._ticks % 33 == 0:
                 now = self.clock.time
-                goal = target(now - begin) if target else self.home
-                targets = JointTargets(
-                    joint_pos_target=goal, target_stamp=now, image_stamp=now, box_stamp=now
+                goal, stamps = (
+                    target(now - begin) if target else self.home,
+                    {"image_stamp": now, "box_stamp": now},
                 )
+                targets = JointTargets(joint_pos_target=goal, target_stamp=now, **stamps)
                 self.servo.connection.servo.send(targets)
             if self._ticks % ticks == 0:
                 self.servo.tick()
@@ -132,11 +112,7 @@ class Cell:
         assert self.run(0.5).mode == Mode.IDLE
         self._arm.publish(messages.boolean(True))
         command = self.run(1.3)
-        assert (command.mode, Fault(command.refused), Fault(command.stopped_by)) == (
-            Mode.RUN,
-            Fault(0),
-            Fault(0),
-        )
+        assert (command.mode, command.refused, command.stopped_by) == (Mode.RUN, 0, 0), Fault(command.refused)
 
 
 @pytest.fixture
@@ -161,14 +137,14 @@ def test_a_profile_is_armed_moves_all_joints_and_stops_for_a_second_program(cell
         command = cell.run(1.4, wave)
         assert (command.mode, Fault(command.stopped_by)) == (Mode.RUN, Fault(0))
         assert cell.joint_pos == pytest.approx(end, abs=0.02)
-    assert [double.num_refused for double in cell.doubles] == [0] * len(cell.doubles)
+    assert (cell.arm_driver.num_refused, cell.hand.num_refused) == (0, 0)
     cell.broker.node(cell.clock).subscription(cell.profile.robots[-1].command_topic)
     assert Fault(cell.run(0.3).stopped_by) & Fault.OTHER_SUBSCRIBER
 
 
 @of(*CELLS)
 def test_the_survey_finds_the_drivers_as_the_profile_says(cell: Cell):
-    """Rate, names, stamps, and one program that receives the commands of each part."""
+    """Rate, names, stamps, images, and one program that receives the commands of each part."""
     survey = Survey(cell.broker.node(cell.clock), cell.profile, cell.clock)
     for _ in range(40):
         cell.run(0.025)
@@ -181,26 +157,42 @@ def test_the_survey_finds_the_drivers_as_the_profile_says(cell: Cell):
         age = float(cell.limits.joints.position_age[part.ids].min())
         assert "Hz" in joint_states(survey, part, age)
         assert "one driver" in commands(survey, part)
+    assert images(survey, cell.profile, cell.limits.image_age).startswith("640 x 480 rgb8, 30.0 Hz")
+
+
+@pytest.mark.parametrize("late", [0.004, 0.015])
+def test_the_stated_offset_of_a_cameras_stamps_gives_the_middle_of_the_exposure(late: float):
+    clock, broker, profile = StepClock(lambda _: None), Broker(), Profile.load("ur5e_allegro_v4").camera
+    clock.time, camera = 1000.0, RealSense(broker, clock, late)
+    right, uncorrected = (
+        ImageSubscriber(broker.node(clock), replace(profile, stamp_offset=offset), RGB_CAMERA, clock)
+        for offset in (late, 0.0)
+    )
+    for _ in range(5):
+        clock.time += camera.period
+        camera.step()
+        assert (right.newest() is None, right.problem) == (False, "")
+        assert uncorrected.newest()
+        assert right.stamp == pytest.approx(camera.exposure, abs=1e-6)
+        assert uncorrected.stamp == pytest.approx(camera.exposure + late, abs=1e-6)
 
 
 @of("jazzy", "two")
 def test_an_inactive_controller_of_a_hand_stops_the_robot(cell: Cell):
     cell.arm()
-    cell.doubles[1].set_activity([])
+    cell.hand.activate()
     assert Fault(cell.run(0.3).stopped_by) == Fault.CONTROLLER
 
 
 @of("fr3")
 def test_an_fr3_is_stopped_within_the_limits_of_its_interface(cell: Cell):
     """In the middle of motions to targets that jump."""
-    rng = np.random.default_rng(0)
+    rng, fr3 = np.random.default_rng(0), cell.arm_driver
     cell.arm()
-    (fr3,) = (double for double in cell.doubles if isinstance(double, Fr3))
+    assert isinstance(fr3, Fr3)
     for _ in range(6):
-        goal = cell.home + np.where(
-            np.arange(len(cell.home)) < 7, rng.uniform(-0.4, 0.4, len(cell.home)), 0.0
-        )
-        cell.run(0.25, lambda _, goal=goal: goal)
+        way = np.where(np.arange(len(cell.home)) < 7, rng.uniform(-0.4, 0.4, len(cell.home)), 0.0)
+        cell.run(0.25, lambda _, goal=cell.home + way: goal)
     cell.operator.publisher(cell.profile.operator.stop).publish(messages.boolean(True))
     command = cell.run(0.305)
     assert command.mode == Mode.STOPPED
