@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
+from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -81,8 +82,10 @@ class Node:
         self.memory = self.network.broker.node(RealClock())
         self.endpoints: list[Subscription] = []
 
-    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Subscription:
-        self.endpoints.append(Subscription(self, msg_type, topic, qos_profile))
+    def create_publisher(
+        self, msg_type: type, topic: str, qos_profile: QoSProfile, callback: Any = None
+    ) -> Any:
+        self.endpoints.append(Subscription(self, msg_type, topic, qos_profile, callback))
         return self.endpoints[-1]
 
     def create_subscription(
@@ -90,17 +93,16 @@ class Node:
     ) -> Subscription:
         assert raw, "else the callback gets no bytes"
         inspect.signature(callback).bind(object(), object())  # else rclpy gives no info of the message
-        self.endpoints.append(Subscription(self, msg_type, topic, qos_profile, callback))
-        return self.endpoints[-1]
+        return self.create_publisher(msg_type, topic, qos_profile, callback)
 
     def get_name(self) -> str:
         return self._name
 
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
-        found = {each.topic for node in self.network.nodes for each in node.endpoints}
-        return [(name, [kind]) for name, kind in {(topic.name, topic.type) for topic in found}]
+        found = {(e.topic.name, e.topic.type) for node in self.network.nodes for e in node.endpoints}
+        return [(name, [kind]) for name, kind in found]
 
-    def _infos(self, topic_name: str, *, publish: bool) -> list[SimpleNamespace]:
+    def get_publishers_info_by_topic(self, topic_name: str, *, publish: bool = True) -> list[SimpleNamespace]:
         return [
             SimpleNamespace(
                 node_name=node.get_name(),
@@ -113,11 +115,7 @@ class Node:
             if each.topic.name == topic_name and publish == (each.callback is None)
         ]
 
-    def get_publishers_info_by_topic(self, topic_name: str) -> list[SimpleNamespace]:
-        return self._infos(topic_name, publish=True)
-
-    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[SimpleNamespace]:
-        return self._infos(topic_name, publish=False)
+    get_subscriptions_info_by_topic = partialmethod(get_publishers_info_by_topic, publish=False)
 
     def destroy_node(self) -> None:
         self.network.nodes.remove(self)

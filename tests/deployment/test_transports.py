@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from importlib.util import find_spec
 from typing import Any
@@ -15,16 +16,8 @@ from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import (
-    ANY,
-    LOOPBACK,
-    ROS,
-    RealClock,
-    Subscription,
-    Topic,
-    Transport,
-    make_transport,
-)
+from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, Message, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import make_transport as join
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 MODE = Topic(name="/mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -44,7 +37,7 @@ def make(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
         rclpy_stand_in.install(monkeypatch)
     with ExitStack() as stack:
         yield lambda node: stack.enter_context(
-            broker.node(RealClock()) if name == "memory" else make_transport(node, name, RealClock())
+            broker.node(RealClock()) if name == "memory" else join(node, name, RealClock())
         )
 
 
@@ -52,17 +45,25 @@ def numbers(subscription: Subscription) -> list[float]:
     return [messages.read_number(message.data) for message in subscription.take()]
 
 
-def wait_for(node: Transport, subscription: Subscription) -> bytes:
+def wait_for(node: Transport, subscription: Subscription) -> Message:
     assert node.wait(PATIENCE)
     (message,) = subscription.take()
-    return message.data
+    return message
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    """Wait until the network has found an endpoint or its end."""
+    end = time.monotonic() + PATIENCE
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.001)
 
 
 def test_a_watching_subscription_does_not_end_a_wait(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
     sender.publisher(NUMBER).publish(messages.number(1.5))
-    assert messages.read_number(wait_for(receiver, awaited)) == 1.5
+    assert messages.read_number(wait_for(receiver, awaited).data) == 1.5
     assert not receiver.wait(0.05)
     assert numbers(recorded) == [1.5]
 
@@ -75,19 +76,9 @@ def test_the_newest_messages_are_kept_in_order(make: MakeNode):
     for value in range(7):
         publisher.publish(messages.number(value))
     sender.publisher(END).publish(messages.boolean(True))
-    begin = time.monotonic()
-    while not end.take():
-        assert time.monotonic() < begin + PATIENCE
+    wait_until(lambda: bool(end.take()))
     assert numbers(last) == [6.0]
     assert numbers(three) == [4.0, 5.0, 6.0]
-
-
-def wait_until(is_so: Callable[[], bool]) -> None:
-    """Wait until the network has found an endpoint or its end."""
-    end = time.monotonic() + PATIENCE
-    while not is_so():
-        assert time.monotonic() < end
-        time.sleep(0.001)
 
 
 def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
@@ -98,7 +89,7 @@ def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
         fleeting.publish(messages.number(mode))
     receiver = make("receiver")
     late, missed = receiver.subscription(MODE, depth=5), receiver.subscription(NUMBER, depth=5)
-    assert messages.read_safety_mode(wait_for(receiver, late)) == 3
+    assert messages.read_safety_mode(wait_for(receiver, late).data) == 3
     assert numbers(missed) == []
 
 
@@ -116,9 +107,7 @@ def test_other_publishers_are_counted_and_named_and_messages_have_their_sender(m
     assert len({*names.values()}) == 2
     for sender in senders:
         sender.publish(messages.number(1.0))
-        assert mine.wait(PATIENCE)
-        (message,) = heard.take()
-        found.add(message.sender)
+        found.add(wait_for(mine, heard).sender)
     assert found == ({0} if "Ros" in type(mine).__name__ else {*names})
     third.close()
     wait_until(lambda: len(mine.other_publishers(NUMBER)) == 1)
@@ -192,12 +181,10 @@ def test_nodes_in_several_threads_lose_nothing():
             for value in range(start, start + 500):
                 publisher.publish(messages.number(value))
 
-    threads = [threading.Thread(target=send, args=[500 * i]) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    received = []
-    while any(thread.is_alive() for thread in threads) or receiver.wait(0.0):
-        if receiver.wait(0.1):
+    with ThreadPoolExecutor() as threads:
+        sent = [threads.submit(send, 500 * i) for i in range(4)]
+        received = list[float]()
+        while len(received) < 2000 and (receiver.wait(0.1) or not all(each.done() for each in sent)):
             received += numbers(subscription)
     assert sorted(received) == list(range(2000))
 
@@ -210,24 +197,23 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Network:
 def test_the_age_of_a_message_is_that_of_its_stamp(network: Network):
     rate = 0.5
     network.delay = 3 * 10**9
-    with make_transport("node", ROS, RealClock(rate)) as node:
+    with join("node", ROS, RealClock(rate)) as node:
         heard = node.subscription(NUMBER)
         node.publisher(NUMBER).publish(messages.number(1.0))
-        assert node.wait(PATIENCE)
-        (message,) = heard.take()
-    assert 3.0 * rate <= message.age < 3.0 * rate + PATIENCE
+        age = wait_for(node, heard).age
+    assert 3.0 * rate <= age < 3.0 * rate + PATIENCE
 
 
 def test_an_rclpy_without_stamps_of_messages_is_refused(network: Network, monkeypatch):
     monkeypatch.delattr(rclpy_stand_in.Subscription, "CallbackType")
     with pytest.raises(DeploymentError, match="ROS 2 Iron"):
-        make_transport("node", ROS, RealClock())
+        join("node", ROS, RealClock())
 
 
 def test_a_type_that_ros_2_does_not_have_is_refused(network: Network):
     topic = Topic(name="/number", type="lab_msgs/msg/Number")
     with (
-        make_transport("node", ROS, RealClock()) as node,
+        join("node", ROS, RealClock()) as node,
         pytest.raises(DeploymentError, match=r"/number: ROS 2 has no .* install lab_msgs"),
     ):
         node.subscription(topic)
@@ -240,7 +226,7 @@ def test_an_error_of_rclpy_is_reported(network: Network, monkeypatch):
     for name in ("create_node", "init"):
         monkeypatch.setattr(rclpy_stand_in, name, refuse)
         with pytest.raises(DeploymentError, match=r"cannot join .*not an integral number"):
-            make_transport("node", ROS, RealClock())
+            join("node", ROS, RealClock())
 
 
 def test_a_node_starts_in_the_security_enclave_of_the_environment(network: Network, monkeypatch, tmp_path):
@@ -248,10 +234,10 @@ def test_a_node_starts_in_the_security_enclave_of_the_environment(network: Netwo
         monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
     monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/pixel2catch")
     with pytest.raises(DeploymentError, match=r"enclaves/pixel2catch.*ROS_SECURITY_ENCLAVE_OVERRIDE"):
-        make_transport("node", ROS, RealClock())
+        join("node", ROS, RealClock())
     enclave = tmp_path / "enclaves" / "pixel2catch"
     enclave.mkdir(parents=True)
-    with make_transport("node", ROS, RealClock()):
+    with join("node", ROS, RealClock()):
         assert network.enclave == enclave
     with pytest.raises(DeploymentError, match="neither signed nor encrypted: give --network ros"):
-        make_transport("node", ANY, RealClock())
+        join("node", ANY, RealClock())

@@ -1,9 +1,8 @@
 """Drivers, operator and control loop as messages in memory, and a servo with a stepped clock."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from servo_rows import HOME, LIMITS
@@ -11,7 +10,6 @@ from servo_rows import HOME, LIMITS
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import Profile, RobotPart
 from pixel2catch.ros2.transport import Clock, Topic, Transport
 from pixel2catch.scene.constants import CONTROL_DT
@@ -35,19 +33,12 @@ class WireLab:
         self.image_age, self.speed, self.is_held = 0.03, 100.0, True
         self._tick = 0
         self._controllers = [part.controller for part in profile.robots if part.controller]
-        self.topics = [*self._topics()]
+        operator = profile.operator
+        self.topics = [*profile.driver_topics, operator.arm, operator.dead_man, operator.stop]
         self._publishers = {topic.name: transport.publisher(topic) for topic in self.topics}
         self._commanded = {
-            part.name: transport.subscription(part.command_topic, 50) for part in profile.robots
+            each.name: transport.subscription(each.command_topic, 50) for each in profile.robots
         }
-
-    def _topics(self) -> Iterator[Topic]:
-        status, operator = self.profile.status, self.profile.operator
-        watched = (status.safety_mode, status.robot_mode, status.program_running, status.speed_scaling)
-        yield from {each.activity.name: each.activity for each in self._controllers}.values()
-        yield from {part.state_topic.name: part.state_topic for part in self.profile.robots}.values()
-        yield from (topic for topic in watched if topic)
-        yield from (operator.arm, operator.dead_man, operator.stop)
 
     def send(self, topic: Topic | None, data: bytes) -> None:
         """Publish a message of a topic, if the profile has it."""
@@ -83,28 +74,23 @@ class WireLab:
 
     def _decide(self, loop: LoopEnd) -> None:
         if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "control loop" not in self.silent:
-            now = self.clock.now()
-            seen = now - self.image_age
-            loop.send(
-                JointTargets(joint_pos_target=self.target, target_stamp=now, image_stamp=seen, box_stamp=seen)
-            )
+            now, seen = self.clock.now(), self.clock.now() - self.image_age
+            stamps = {"target_stamp": now, "image_stamp": seen, "box_stamp": seen}
+            loop.send(JointTargets(joint_pos_target=self.target, **stamps))
         self.ticks += loop.receive()
 
     def _send_joints(self, part: RobotPart) -> None:
-        names = [theirs.name_in_state for theirs in part.joints.values()]
-        reading = messages.JointReading(
-            names=tuple(names), position=self.joint_pos[part.ids], stamp=self.clock.stamp()
-        )
-        reading = self.change(reading)
+        names = tuple(theirs.name_in_state for theirs in part.joints.values())
+        position, stamp = self.joint_pos[part.ids], self.clock.stamp()
+        reading = self.change(messages.JointReading(names=names, position=position, stamp=stamp))
         self.send(part.state_topic, messages.joint_state(reading.names, reading.position, reading.stamp))
 
     def _move(self) -> None:
         """Move the joints towards the newest commands, which have the order of the driver."""
         for part in self.profile.robots:
             for message in self._commanded[part.name].take():
-                content: Any = decode(message.data, part.command_topic.type)
-                is_array = part.command_topic.type == messages.FLOAT_ARRAY
-                self.commands[part.name].append(np.array(content.data if is_array else content.position))
+                command = messages.read_float_array(message.data, part.command_topic.type)
+                self.commands[part.name].append(command)
             if self.commands[part.name]:
                 places = [theirs.index_in_command for theirs in part.joints.values()]
                 goal = self.commands[part.name][-1][places]
@@ -126,9 +112,8 @@ class Stage:
         self.clock.time = 1000.0
         self.loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
-        self.node = self.broker.node(self.clock)
+        self.node, self.laboratory = self.broker.node(self.clock), self.broker.node(self.clock)
         self.servo = Servo(end, self.node, setup, self.clock)
-        self.laboratory = self.broker.node(self.clock)
         self.lab = WireLab(self.laboratory, self.loop, profile, self.clock)
         self.each_tick: Callable[[], object] = lambda: None
 
@@ -159,6 +144,5 @@ class Stage:
     @property
     def stopped_by(self) -> tuple[str, ...]:
         """Return the faults of the first stop."""
-        return next(
-            tuple(flag_names(Fault, each.stopped_by)) for each in self.lab.ticks if each.mode == Mode.STOPPED
-        )
+        found = next(each.stopped_by for each in self.lab.ticks if each.mode == Mode.STOPPED)
+        return tuple(flag_names(Fault, found))
