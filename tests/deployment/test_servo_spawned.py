@@ -20,8 +20,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Fault, Mode, flag_names
-from pixel2catch.servo.process import ServoSetup
-from pixel2catch.servo.spawn import start_servo
+from pixel2catch.servo.process import ServoSetup, start_servo
 
 RATE = 0.25
 """Rate of the clock: the servo runs slower than real time on a busy machine."""

@@ -114,8 +114,7 @@ class Link(Network):
         """
         from pixel2catch.deployment.control_loop import Connection
         from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
-        from pixel2catch.servo.process import ServoSetup
-        from pixel2catch.servo.spawn import start_servo
+        from pixel2catch.servo.process import ServoSetup, start_servo
 
         limits = limits or self.limits(profile)
         speeds = (f"{part.name} {limits.joint_speed(part.ids):.3g} rad/s" for part in profile.robots)

@@ -15,13 +15,14 @@ hash of all sources, beside these or in the user's cache. Without a writable fol
 
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import IntFlag
 from hashlib import sha256
 from math import copysign
 from pathlib import Path
-from typing import Any, TypeVar, final
+from types import FunctionType
+from typing import Any, final
 
 import numpy as np
 
@@ -30,10 +31,8 @@ from pixel2catch.servo.link import Fault, Mode
 Record = Any  #: An entry of a structured array; numba checks its fields when it compiles.
 Records = Any  #: A structured array, with an entry for each robot or joint.
 
-F = TypeVar("F", bound=Callable[..., object])
-
+_COMPILED: set[FunctionType] = set()  #: Functions that entries may call when they compile.
 USER_CACHE = Path("~/.cache/pixel2catch")  #: Where compiled code is kept if the package is read-only.
-_LAWS: list[Callable[..., object]] = []
 
 STOP_TIME = 0.3  #: Duration of a stop, after which the commands are constant [s]. Source: ours.
 RETURN_TIME = 0.2  #: First part of a stop: commands return to the joints; then they brake [s]. Source: ours.
@@ -42,44 +41,29 @@ JITTER = 0.015  #: A measured position may arrive later than usual by this time 
 SMOOTHING = 0.04  #: Time constant of the estimated joint speed [s]. Source: ours.
 SLACK_LAGS = 3.0  #: Decay time of the distance allowed after a motion [lags]. Source: ours.
 FROZEN_ANGLE = 0.01  #: Motion of a command in which the measurement must change [rad]. Source: ours.
-#: Longest time without such a change, once the command moved by `FROZEN_ANGLE` [s]. Source: ours, more than
-#: the lag of any servo.
-FROZEN_TIME = 0.15
+FROZEN_TIME = 0.15  #: Longest time without such a change [s]. Source: ours, more than the lag of any servo.
 LAG_MARGIN = 1.05  #: Factor on the estimated lag. Source: ours, half of the margin of the speed.
 LEAST_LAG = 0.002  #: Smallest lag [s]. Source: ours, a tick.
 
+#: Motion v² t from which a joint's lag is estimated, and over which it is averaged [rad²/s]. Source: ours;
+#: 0.03 s after the beginning of a swing, and 0.02 s of the fastest.
 LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
-"""Motion v² t from which a joint's lag is estimated, and that over which it is averaged [rad²/s].
-
-Source: ours; 0.03 s after the beginning of a swing, and 0.02 s of the fastest.
-"""
-
+#: Lead of a command over its joint [rad], and share of it that the joint's motion explains if it follows. If
+#: several joints lag behind and none follows, the driver ignores commands. Source: ours; UR's from 0.04 rad.
 LEAST_AHEAD, LEAST_FOLLOWING = 0.04, 0.5
-"""Lead of a command over its joint [rad], and share of it that the joint's motion explains if it follows.
-
-Where several joints lag behind and none follows, the driver ignores commands. Source: ours; UR's does so from
-steps of 0.04 rad on.
-"""
-
 CLOCK_ERROR = 1e-3  #: Time by which a stamp may be in the future [s]. Source: ours; processes read the clock.
 
 
-def compiled(function: F) -> F:
-    """Mark a function that entries call: they compile it; all other callers run it in Python.
+@final
+@dataclass(eq=False)
+class entry:  # noqa: N801
+    """Compile a function, and all that it calls, for the types of its first call.
 
     Results equal those of Python and NumPy to the last bit, NaN included: no `fastmath`.
     """
-    _LAWS.append(function)
-    return function
 
-
-@final
-class entry:  # noqa: N801
-    """Compile a function, and all that it calls, for the types of its first call."""
-
-    def __init__(self, function: Callable[..., object]) -> None:
-        """Compile nothing yet."""
-        self.python, self.dispatcher = function, None
+    python: FunctionType  #: The function.
+    dispatcher: Any = None  #: The compiled function, from the first call on.
 
     def __call__(self, *arguments: object) -> Any:
         """Run the compiled function.
@@ -92,13 +76,19 @@ class entry:  # noqa: N801
         return self.dispatcher(*arguments)
 
 
-def _compile(function: Callable[..., object], arguments: tuple[object, ...]) -> Any:
+def _compile(function: FunctionType, arguments: tuple[object, ...]) -> Any:
     import numba
     import numba.extending
 
     config: Any = vars(numba)["config"]
-    while _LAWS:
-        numba.extending.register_jitable(error_model="numpy", no_cfunc_wrapper=True)(_LAWS.pop())
+    callers = [function]
+    for caller in callers:
+        named = (caller.__globals__.get(name) for name in caller.__code__.co_names)
+        callees = [each for each in named if isinstance(each, FunctionType) and each not in callers]
+        callers += callees
+        for law in {*callees} - _COMPILED:
+            numba.extending.register_jitable(error_model="numpy", no_cfunc_wrapper=True)(law)
+            _COMPILED.add(law)
     types = [tuple(numba.typeof(argument) for argument in arguments)]
     if folder := _cache_folder(Path(function.__code__.co_filename)):
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
@@ -124,19 +114,16 @@ def _cache_folder(source: Path) -> Path | None:
     return None
 
 
-@compiled
 def clipped(value: float, lower: float, upper: float) -> float:
     """Clip a value to bounds; return NaN if one of the three is NaN."""
     return np.minimum(np.maximum(value, lower), upper)
 
 
-@compiled
 def interpolated(start: float, end: float, elapsed: float, duration: float) -> float:
     """Return the position of a uniform motion after a part of its duration [rad]; then its end."""
     return start + clipped(elapsed / duration, 0.0, 1.0) * (end - start)
 
 
-@compiled
 def stopping_speed(distance: float, limits: Record) -> float:
     """Return the largest speed [rad/s] after which braking ends within a distance [rad], 0 or more.
 
@@ -147,14 +134,12 @@ def stopping_speed(distance: float, limits: Record) -> float:
     return (share / (whole + 1.0) + 0.5 * whole) * limits.change
 
 
-@compiled
 def speed_to(position: float, goal: float, limits: Record) -> float:
     """Return the speed [rad/s] that leads to a goal [rad] without overshoot, without other limits."""
     distance = goal - position
     return copysign(stopping_speed(abs(distance), limits), distance)
 
 
-@compiled
 def limited_speed(position: float, velocity: float, requested: float, limits: Record) -> float:
     """Return the speed nearest to the requested one that keeps all limits [rad, rad/s]."""
     below = np.minimum(stopping_speed(np.maximum(position - limits.lower, 0.0), limits), limits.speed)
@@ -163,7 +148,6 @@ def limited_speed(position: float, velocity: float, requested: float, limits: Re
     return clipped(requested, slowest, np.minimum(velocity + limits.change, above))
 
 
-@compiled
 def braked_position(position: float, velocity: float, num_ticks: int, limits: Record) -> float:
     """Return the position after a number of ticks of braking [rad]."""
     speed = abs(velocity)
@@ -172,13 +156,11 @@ def braked_position(position: float, velocity: float, num_ticks: int, limits: Re
     return position + copysign(limits.dt, velocity) * covered
 
 
-@compiled
 def braked_speed(velocity: float, limits: Record) -> float:
     """Return the speed after one tick of braking [rad/s]."""
     return copysign(np.maximum(abs(velocity) - limits.change, 0.0), velocity)
 
 
-@compiled
 def moving_mean(recent: np.ndarray, position: float, limits: Record) -> float:
     """Append a position to the newest ones, oldest first, and return their mean: the command [rad]."""
     command, last = 0.0, len(recent) - 1
@@ -189,20 +171,17 @@ def moving_mean(recent: np.ndarray, position: float, limits: Record) -> float:
     return command
 
 
-@compiled
 def is_recent(now: float, stamp: float, age: float) -> bool:
     """Return whether a stamp is at most so old [s]."""
     elapsed = now - stamp
     return (elapsed >= -CLOCK_ERROR) and (elapsed <= age)
 
 
-@compiled
 def bit(fault: IntFlag, holds: bool) -> int:
     """Return the number of a flag if it holds, else 0."""
     return fault.value if holds else 0
 
 
-@compiled
 def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: bool, limits: Records) -> int:
     """Update the estimates of all joints, and return the faults of their measurements.
 
@@ -236,7 +215,6 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
     return found | of_commands if is_commanded else found
 
 
-@compiled
 def update_estimates(
     joint: Record, position: float, stamp: float, is_commanded: bool, limits: Record
 ) -> bool:
@@ -254,10 +232,11 @@ def update_estimates(
     joint.speed *= 1.0 - share
     joint.speed += 0.0 if is_jump else moved / np.maximum(elapsed, SMOOTHING)
     if np.isfinite(position):
-        joint.explained = explained_position(joint, position) if is_commanded else position
-    joint.slack = np.maximum(
-        abs(command - expected), joint.slack * (1.0 - limits.dt / (SLACK_LAGS * limits.lag))
-    )
+        least = np.minimum(np.minimum(command, expected), joint.explained) if is_commanded else position
+        most = np.maximum(np.maximum(command, expected), joint.explained) if is_commanded else position
+        joint.explained = np.maximum(least, np.minimum(position, most))
+    decayed = joint.slack * (1.0 - limits.dt / (SLACK_LAGS * limits.lag))
+    joint.slack = np.maximum(abs(command - expected), decayed)
     if not (is_commanded and moved == 0.0):
         joint.anchor = command
     is_still = abs(command - joint.anchor) > FROZEN_ANGLE
@@ -270,15 +249,6 @@ def update_estimates(
     return is_jump
 
 
-@compiled
-def explained_position(joint: Record, position: float) -> float:
-    """Return the measured position, clipped to the range that recent commands can explain [rad]."""
-    least = np.minimum(np.minimum(joint.command, joint.expected), joint.explained)
-    most = np.maximum(np.maximum(joint.command, joint.expected), joint.explained)
-    return np.maximum(least, np.minimum(position, most))
-
-
-@compiled
 def estimate_lag(joint: Record, way: float, limits: Record) -> None:
     """Update the lag of a joint by a distance that it moved [rad].
 
@@ -294,19 +264,16 @@ def estimate_lag(joint: Record, way: float, limits: Record) -> None:
         joint.lag = np.minimum(np.maximum(LAG_MARGIN * joint.estimated_lag, LEAST_LAG), most)
 
 
-@compiled
 def update_expected(joint: Record, limits: Record) -> None:
     """Predict where the joint is a tick later, by its lag behind the command."""
     joint.expected += np.minimum(limits.dt / joint.lag, 1.0) * (joint.command - joint.expected)
 
 
-@compiled
 def is_driven(robot: Record) -> bool:
     """Return whether the policy moves the robot, in the ramp or in the run."""
     return Mode.RAMP <= robot.mode <= Mode.RUN
 
 
-@compiled
 def is_active(robot: Record) -> bool:
     """Return whether a fault would stop the robot."""
     return Mode.ARMED <= robot.mode <= Mode.RUN

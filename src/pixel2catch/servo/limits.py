@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import partial
-from math import isclose, pi
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,7 @@ from pixel2catch.servo.workspace import Workspace
 
 LOSS_TIME = 3.0  #: Age of the newest box after which the object is lost [s]. Source: ours; over a throw.
 BEYOND_TRAVEL = 0.3  #: Possible motion of a joint beyond its travel [rad]. Source: ours, for soft fingers.
-BRAKING_MARGIN = (
-    0.01  #: Part of the stop time that braking from full speed leaves [s]. Source: ours; five ticks.
-)
+BRAKING_MARGIN = 0.01  #: Part of the stop time that braking leaves [s]. Source: ours; five ticks.
 ROUNDING = 1e-6  #: Share of a driver's largest step that is kept for rounding.
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
@@ -59,49 +57,46 @@ class JointLimits:
 
     Speed and acceleration are those of the commands. A joint follows its command through its servo, with the
     lag at a steady speed. The speed of the joint itself is therefore limited by `lead`.
-
-    Sources:
-        lower, upper: the spec. Where an arm joint turns by whole half turns, that is the end of its travel
-            (UR), and `TRAVEL_MARGIN` is kept from it.
-        speed, acceleration: ours, proportional to the share of the speed; lower for arms that are not
-            identified (experiments/LOG.md), and so low that braking ends within the stop time.
-        jerk: ours. The acceleration of an arm may reverse in 10 ms, which delays commands by 4 ms; that of a
-            finger in a tick, as the slowest driver of a hand takes every fifth command.
-        deceleration: ours. For an arm five times that of UR's driver after the last command; at full speed
-            it stops in 0.13 s and 0.16 rad. Joints that would take too long have more.
-        step: ours. UR's control program ignores steps of an arm joint above 0.04 rad in 2 ms.
-        lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
-        joint_speed, jump_speed: ours; with a margin for the error of the estimate.
-        tracking_error: ours. An arm that is held fast exceeds it; one whose positions have the largest
-            allowed age does not. Objects may hold fingers.
-        lag_error: ours; a joint that is not identified may follow without lag.
-        escape: ours, twice the distance by which objects push fingers in simulated catches.
-        moved_error: ours, three times `start_error`.
-        start_error, start_distance: ours. An arm's action moves its target by 0.48 rad at most; a finger's
-            target may be anywhere.
-        position_age: ours, ten cycles of the UR driver, five of the slowest Allegro driver.
+    Sources: ours where none is given.
     """
 
-    lower: Joints  #: Lowest command [rad].
-    upper: Joints  #: Highest command [rad].
-    speed: Joints  #: Largest speed of a command [rad/s].
-    acceleration: Joints  #: Largest acceleration of a command [rad/s²].
-    jerk: Joints  #: Largest jerk of a command [rad/s³].
-    deceleration: Joints  #: Deceleration in a stop from full speed [rad/s²].
-    step: Joints  #: Largest change of a command in a tick [rad].
+    #: Lowest and highest command [rad]. Source: the spec. Where an arm joint turns by whole half turns, that
+    #: is the end of its travel (UR), and `TRAVEL_MARGIN` is kept from it.
+    lower: Joints
+    upper: Joints
+    #: Largest speed [rad/s] and acceleration [rad/s²] of a command, proportional to the share of the speed;
+    #: lower for arms that are not identified (experiments/LOG.md). Braking must end within the stop time.
+    speed: Joints
+    acceleration: Joints
+    #: Largest jerk of a command [rad/s³]. The acceleration of an arm may reverse in 10 ms, which delays
+    #: commands by 4 ms; that of a finger in a tick, as the slowest hand takes every fifth.
+    jerk: Joints
+    #: Deceleration in a stop from full speed [rad/s²]; more where that takes too long. For an arm five
+    #: times that of UR's driver after the last command: at full speed it stops in 0.13 s and 0.16 rad.
+    deceleration: Joints
+    step: Joints  #: Largest change in a tick [rad]. UR's control program ignores more than 0.04 rad in 2 ms.
     lag: Joints  #: Lag of a joint behind its command [s].
-    lead: Joints  #: Largest distance of a command ahead of its joint [rad].
-    tracking_error: Joints  #: Distance of an arm joint from its expected position that is a fault [rad].
-    lag_error: float  #: Relative error of the lag that is allowed.
-    escape: Joints  #: Distance of a finger joint from the explained position that is a fault [rad].
+    #: Largest distance of a command ahead of its joint [rad]. As in training, a servo moves at 0.9 of the
+    #: joint's speed limit at this distance.
+    lead: Joints
+    #: Distance of an arm joint from its expected position that is a fault [rad]. An arm that is held fast
+    #: exceeds it; one whose positions have the largest allowed age does not. Objects may hold fingers.
+    tracking_error: Joints
+    lag_error: float  #: Allowed relative error of the lag; a joint that is not identified may have none.
+    #: Distance of a finger joint from the explained position that is a fault [rad]: twice the distance
+    #: by which objects push fingers in simulated catches.
+    escape: Joints
     moved_error: Joints  #: Distance from a stopped command that means that somebody moved the joint [rad].
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
-    joint_speed: Joints  #: Speed of a joint that is a fault [rad/s].
+    joint_speed: Joints  #: Speed of a joint that is a fault, with a margin for its estimate [rad/s].
     jump_speed: Joints  #: Speed that a joint cannot reach [rad/s].
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
-    start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
-    position_age: Joints  #: Age of a measured position that is a fault [s].
+    #: Largest distance of the policy's first target from the first command [rad]. An action moves an arm's
+    #: target by 0.48 rad at most; a finger's target may be anywhere.
+    start_distance: Joints
+    #: Age of a measured position that is a fault [s]: ten cycles of UR's driver, five of the slowest hand's.
+    position_age: Joints
 
     @classmethod
     def of(
@@ -127,20 +122,29 @@ class JointLimits:
         """
         if not 0.0 < share <= 1.0:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
-        each = partial(_by_role, workcell)
+        each = partial(np.where, [group.role == "arm" for group in workcell.groups for _ in group.joints])
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
         full_speed = np.array([joint.velocity_limit for joint in workcell.joints])
-        most = _allowed(workcell, parts)
+        budgets = {joint: part.limits for part in parts for joint in part.joints}
+        of_joints = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
+        most = {
+            kind.name: np.array([getattr(each, kind.name) for each in of_joints])
+            for kind in fields(MotionBudget)
+        }
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed
         own_acceleration = part * each(1000.0 if is_identified else 300.0, 2000.0)
         acceleration = np.minimum(own_acceleration, most["acceleration"])
         jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
-        fastest = np.minimum(_accepted_speed(most), _stoppable_speed(acceleration, jerk))
+        accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
+        stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
+        fastest = np.minimum(np.minimum(most["command_speed"], accepted), stoppable)
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
-        margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
+        half_turns = np.rint(ends / pi)
+        is_end_of_travel = (half_turns != 0.0) & (np.abs(ends - half_turns * pi) <= 1e-6)
+        margin = each(TRAVEL_MARGIN, 0.0) * is_end_of_travel
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
@@ -171,38 +175,6 @@ class JointLimits:
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
-
-
-def _accepted_speed(most: dict[str, Joints]) -> Joints:
-    """Return the largest speed of commands that drivers accept, missed cycles included [rad/s]."""
-    steps = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
-    return np.minimum(most["command_speed"], steps)
-
-
-def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
-    """Return the speed from which braking ends within `STOP_TIME` [rad/s]."""
-    return acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
-
-
-def _by_role(workcell: WorkcellSpec, arm: float, hand: float) -> Joints:
-    """Repeat one number for arm joints, and one for hand joints."""
-    return np.array([arm if group.role == "arm" else hand for group in workcell.groups for _ in group.joints])
-
-
-def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Joints]:
-    """Return a laboratory's limits of each joint, by kind; infinite where there are none."""
-    budgets = {joint: part.limits for part in parts for joint in part.joints}
-    of_joints = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
-    return {
-        entry.name: np.array([getattr(budget, entry.name) for budget in of_joints])
-        for entry in fields(MotionBudget)
-    }
-
-
-def _is_end_of_travel(limit: float) -> bool:
-    """Return whether a limit [rad] is a whole number of half turns."""
-    half_turns = round(limit / pi)
-    return half_turns != 0 and isclose(limit, half_turns * pi, abs_tol=1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,14 +240,7 @@ class ServoLimits:
 
     @property
     def joint_records(self) -> np.ndarray:
-        """Limits of each joint for the compiled laws.
-
-        `is_arm` are joints that must stay near their expected position, `is_finger` those that an object may
-        hold. `stop_time` is the time in which a stop brings the joint to rest [s]. `even_speed` is the speed
-        of a command at which the joint is not too fast, whatever its lag, and `unseen_speed` limits an arm to
-        it until the lag is estimated [rad/s]. `time_ahead` is the time that a tick looks ahead [s];
-        `stop_reach` limits the return of a stop [rad].
-        """
+        """Limits of each joint for the compiled laws."""
         joints, even_speed = self.joints, self.joints.lead / self.joints.lag
         motion = motion_columns(joints.acceleration, joints.jerk, self.dt)
         is_arm, stop_time = (
@@ -287,11 +252,11 @@ class ServoLimits:
             **motion,
             ramp_time=self.ramp_time,
             control_dt=CONTROL_DT,
-            is_arm=is_arm,
-            is_finger=np.isfinite(joints.escape),
-            stop_time=stop_time,
-            even_speed=even_speed,
-            unseen_speed=np.where(is_arm, even_speed, np.inf),
-            time_ahead=self.dt + motion["delay"],
-            stop_reach=joints.lead + 0.5 * even_speed * stop_time,
+            is_arm=is_arm,  # it must stay near its expected position
+            is_finger=np.isfinite(joints.escape),  # an object may hold it
+            stop_time=stop_time,  # in which a stop brings the joint to rest [s]
+            even_speed=even_speed,  # at which the joint is not too fast, whatever its lag [rad/s]
+            unseen_speed=np.where(is_arm, even_speed, np.inf),  # until the lag is estimated [rad/s]
+            time_ahead=self.dt + motion["delay"],  # that a tick looks ahead [s]
+            stop_reach=joints.lead + 0.5 * even_speed * stop_time,  # limits the return of a stop [rad]
         )

@@ -20,12 +20,8 @@ _LONGEST = 4096  #: Larger than any packet [bytes].
 _FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 
 SERVO, CONTROL_LOOP = -10, -8  #: Niceness of servo, and of perception and policy. Source: ours.
-
+#: Real-time priorities of servo, of perception and policy, and of the recorder. Source: ours, below drivers'.
 SERVO_PRIORITY, LOOP_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
-"""Real-time priorities of the servo, of perception and policy, and of the recorder.
-
-Source: ours, below those of drivers.
-"""
 
 Joints = Float64[np.ndarray, " joints"]
 
@@ -172,16 +168,14 @@ class LinkEnd(Generic[Sent, Received]):
     def receive(self) -> list[Received]:
         """Return what arrived since the last call, oldest first."""
         messages: list[Received] = []
-        while not self.is_closed:
-            try:
-                data = self._socket.recv(_LONGEST, _FLAGS)
-            except BlockingIOError:
-                break
-            except ConnectionResetError:
+        with suppress(BlockingIOError):
+            while not self.is_closed:
                 data = b""
-            if data:
-                messages.append(self._received.of(np.frombuffer(data)))
-            self.is_closed = not data
+                with suppress(ConnectionResetError):
+                    data = self._socket.recv(_LONGEST, _FLAGS)
+                self.is_closed = not data
+                if data:
+                    messages.append(self._received.of(np.frombuffer(data)))
         return messages
 
     def close(self) -> None:

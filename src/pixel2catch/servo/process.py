@@ -1,13 +1,18 @@
 """The loop of the servo: 500 times a second it reads its inputs, ticks, and sends commands.
 
-It ends on request, or with the control loop, after it has stopped the robot. Messages that cannot be read are
-ignored: their sender counts as silent, which stops the robot.
+It is a process of its own, which ends on request, on SIGTERM, or with the control loop, after it has stopped
+the robot. Messages that cannot be read are ignored: their sender counts as silent, which stops the robot.
 """
 
+import gc
+import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from math import ceil
 from time import perf_counter
 from typing import Any, Generic, TypeVar
@@ -15,16 +20,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from pixel2catch.errors import DeploymentError
+from pixel2catch.installation import install_command
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Columns, Profile
-from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, Topic, Transport
+from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, RealClock, Topic, Transport
+from pixel2catch.servo import link
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.link import (
-    Command,
-    JointTargets,
-    Mode,
-    ServoEnd,
-)
+from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, ServoEnd
 from pixel2catch.servo.state import ServoInputs
 from pixel2catch.servo.tick import ServoCore, ServoState
 
@@ -34,6 +36,7 @@ MOST_BYTES = 2**14  #: Largest message that is read [bytes]. Source: ours; robot
 ARM_PAUSE = 0.5  #: Pause after which a request to arm counts, and not as a repetition [s]. Source: ours.
 ORDER_TIME = 0.1  #: Silence of a joint after which older stamps count: a clock was set [s]. Source: ours.
 SCALING_DIGITS = 3  #: Digits of the speed scaling: the driver multiplies two fractions. Source: ours.
+PATIENCE = 10.0  #: Real time that a servo process has to end after its link was closed [s]. Source: ours.
 SCALING_AGE = 0.1  #: Age up to which a speed scaling holds [s]. Source: ours, ten periods of the UR driver.
 
 T = TypeVar("T")
@@ -170,8 +173,7 @@ class ServoSubscriptions:
             for latest in self._status:
                 latest.count_senders()
 
-    def _read_operator(self) -> None:
-        """Read switch and requests; a message that is older than the switch may be silent does not count."""
+    def _read_operator(self) -> None:  # a message that is older than the switch may be silent does not count
         for is_held, arrival in _decoded(self._dead_man.take(), messages.read_boolean, self._operator_age):
             if is_held and arrival - self._dead_man_stamp > self._operator_age:
                 self._pressed_stamp = arrival
@@ -188,12 +190,9 @@ class ServoSubscriptions:
     def inputs(self, now: float, targets: JointTargets) -> ServoInputs:
         """Return the inputs of a tick."""
         percent = next((each.value for each in self._scaling if each.value is not None), 100.0)
-        values = {
+        passed_on = ("target_stamp", "image_stamp", "box_stamp", "is_perception_sound")
+        values = {name: getattr(targets, name) for name in passed_on} | {
             "now": now,
-            "target_stamp": targets.target_stamp,
-            "image_stamp": targets.image_stamp,
-            "box_stamp": targets.box_stamp,
-            "is_perception_sound": targets.is_perception_sound,
             "dead_man_stamp": self._dead_man_stamp,
             "pressed_stamp": self._pressed_stamp,
             "arm_stamp": self._arm_stamp,
@@ -329,3 +328,53 @@ class Servo:
         except Exception as error:
             self.unforeseen = self.unforeseen or error
             self.end()
+
+
+@contextmanager
+def start_servo(
+    setup: ServoSetup, make_transport: Callable[[RealClock], Transport], clock_rate: float = 1.0
+) -> Iterator[LoopEnd]:
+    """Start a servo process, which joins a network, and yield the other end of its link.
+
+    At the end of the context, it stops the robot and ends, or is killed.
+
+    Raises:
+        DeploymentError: numba is missing.
+    """
+    if not find_spec("numba"):  # importing it takes long, and only the servo process needs it
+        raise DeploymentError(f"numba is not installed: {install_command('deployment')}.")
+    loop, servo = link.link()
+    with closing(servo):
+        process = multiprocessing.get_context("spawn").Process(
+            target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
+        )
+        with link.scheduled(os.SCHED_OTHER, 0):  # starting takes seconds
+            process.start()
+    try:
+        yield loop
+    finally:
+        loop.close()
+        process.join(PATIENCE)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def run_servo(
+    end: ServoEnd, setup: ServoSetup, make_transport: Callable[[RealClock], Transport], clock_rate: float
+) -> None:
+    """Run the servo process until its link is closed, or SIGTERM or SIGHUP; Ctrl-C and Ctrl-Z are ignored."""
+    for number in (signal.SIGINT, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_IGN)
+    ServoCore(setup.limits)  # compile it before this is a real-time process
+    link.set_niceness(link.SERVO)
+    link.set_real_time(link.SERVO_PRIORITY)
+    clock = RealClock(clock_rate)
+    with make_transport(clock) as transport:
+        servo = Servo(end, transport, setup, clock)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, lambda *_: servo.end())
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        servo.run()

@@ -45,7 +45,7 @@ JOINT_STATE = np.dtype(
         ("measured", np.float64),  # newest finite measured position [rad]
         ("stamp", np.float64),  # its stamp [s]
         ("speed", np.float64),  # estimated speed [rad/s]
-        ("explained", np.float64),  # `explained_position` [rad]
+        ("explained", np.float64),  # measured position, clipped to what recent commands can explain [rad]
         ("slack", np.float64),  # distance behind the command that recent motion allows [rad]
         ("anchor", np.float64),  # command when the measurement last changed [rad]
         ("still_time", np.float64),  # time without a change while the command moved [s]

@@ -1,96 +1,57 @@
 """States, faults and verdicts in words, for operators: commands, pages and reports use this one file."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 Tone = Literal["absent", "waiting", "armed", "moving", "stopped"]  #: Colour class of a state on a page.
 
+_FAULTS = """
+clock: the servo process was delayed by 20 ms | End other programs, or give the servo its own core.
+joints stale: no new position of a joint has arrived in time | Check drivers, cables and joint names.
+joints not finite: a joint position is missing or not a number | Check drivers and joint names.
+image stale: no image for 0.1 s | Check the camera, its cable and its clock.
+policy late: no decision of the policy for 67 ms
+    | Point at the object. If that does not help, end other programs: perception is too slow.
+target not finite: the policy gives a target that is not a number | Use another policy.
+target far: the first target of the policy is far from the robot | Move the robot to its start pose.
+tracking error: a joint does not follow its command
+    | Check whether something blocks the robot. If not, identify its dynamics.
+safety mode: the robot is not in its normal safety mode, or its program does not run
+    | Correct this on the robot's pendant.
+speed scaling: the robot runs below its full speed | Set the speed slider of the pendant to 100 %.
+other publisher: another program sends commands to the robot; this one is silent | End the other one.
+dead man: the dead-man's switch is not held | Hold the switch.
+stop request: a stop was requested
+start pose: the robot is not at the start of its commands | Move the robot to its start pose.
+workspace: hand or elbow are outside the workspace | Move the robot to its start pose.
+still stopping: the robot is still stopping | Wait until it stands.
+joints implausible: a measured joint position is beyond the joint's range, or jumped too far
+    | Check encoders, cables and the joint names in the profile.
+joint speed: a joint was faster than its limit
+    | Check whether something else moves the robot, and its payload setting; or lower the speed.
+other operator: two programs hold the switch or request arming
+    | End one of them; a program that was killed counts for 10 s.
+switch not pressed: the switch was not pressed again since the last stop | Let go of it, press it again.
+object lost: the object was not seen for 3 s | Show it to the camera, and point at it after arming.
+perception unsound: the images cannot come from one working camera
+    | Restart the camera's driver, or end the other camera or recording.
+status unknown: the state of the robot is published by no driver, or by several
+    | Check that the robot's driver runs, and that no recording is played.
+no subscriber: no driver receives the commands | Start it; check the command topics in the profile.
+other subscriber: several programs receive the commands | End all except the driver.
+controller: the controller that receives the commands is not active | Activate it with 'ros2 control'.
+joints frozen: measured joint positions do not change while the joints are commanded to move
+    | Check the encoders and the driver: positions must not be repeated.
+commands ignored: the driver of the arm ignores the commands
+    | Its cycles slip: give driver and servo cores of their own, or raise missed_cycles in the profile.
+"""
+"""Names of `Fault`: what is wrong, which ends a sentence "stopped: ..." | what to do, in sentences."""
 
 FAULT_WORDS = {
-    "clock": (
-        "the servo process was delayed by 20 ms",
-        "End other programs, or give the servo its own core.",
-    ),
-    "joints stale": (
-        "no new position of a joint has arrived in time",
-        "Check drivers, cables and joint names.",
-    ),
-    "joints not finite": ("a joint position is missing or not a number", "Check drivers and joint names."),
-    "image stale": ("no image for 0.1 s", "Check the camera, its cable and its clock."),
-    "policy late": (
-        "no decision of the policy for 67 ms",
-        "Point at the object. If that does not help, end other programs: perception is too slow.",
-    ),
-    "target not finite": ("the policy gives a target that is not a number", "Use another policy."),
-    "target far": (
-        "the first target of the policy is far from the robot",
-        "Move the robot to its start pose.",
-    ),
-    "tracking error": (
-        "a joint does not follow its command",
-        "Check whether something blocks the robot. If not, identify its dynamics.",
-    ),
-    "safety mode": (
-        "the robot is not in its normal safety mode, or its program does not run",
-        "Correct this on the robot's pendant.",
-    ),
-    "speed scaling": ("the robot runs below its full speed", "Set the speed slider of the pendant to 100 %."),
-    "other publisher": (
-        "another program sends commands to the robot; this one is silent",
-        "End the other one.",
-    ),
-    "dead man": ("the dead-man's switch is not held", "Hold the switch."),
-    "stop request": ("a stop was requested", ""),
-    "start pose": ("the robot is not at the start of its commands", "Move the robot to its start pose."),
-    "workspace": ("hand or elbow are outside the workspace", "Move the robot to its start pose."),
-    "still stopping": ("the robot is still stopping", "Wait until it stands."),
-    "joints implausible": (
-        "a measured joint position is beyond the joint's range, or jumped too far",
-        "Check encoders, cables and the joint names in the profile.",
-    ),
-    "joint speed": (
-        "a joint was faster than its limit",
-        "Check whether something else moves the robot, and its payload setting; or lower the speed.",
-    ),
-    "other operator": (
-        "two programs hold the switch or request arming",
-        "End one of them; a program that was killed counts for 10 s.",
-    ),
-    "switch not pressed": (
-        "the switch was not pressed again since the last stop",
-        "Let go of it, press it again.",
-    ),
-    "object lost": (
-        "the object was not seen for 3 s",
-        "Show it to the camera, and point at it after arming.",
-    ),
-    "perception unsound": (
-        "the images cannot come from one working camera",
-        "Restart the camera's driver, or end the other camera or recording.",
-    ),
-    "status unknown": (
-        "the state of the robot is published by no driver, or by several",
-        "Check that the robot's driver runs, and that no recording is played.",
-    ),
-    "no subscriber": (
-        "no driver receives the commands",
-        "Start it; check the command topics in the profile.",
-    ),
-    "other subscriber": ("several programs receive the commands", "End all except the driver."),
-    "controller": (
-        "the controller that receives the commands is not active",
-        "Activate it with 'ros2 control'.",
-    ),
-    "joints frozen": (
-        "measured joint positions do not change while the joints are commanded to move",
-        "Check the encoders and the driver: positions must not be repeated.",
-    ),
-    "commands ignored": (
-        "the driver of the arm ignores the commands",
-        "Its cycles slip: give driver and servo cores of their own, or raise missed_cycles in the profile.",
-    ),
+    name: (wrong, fix)
+    for name, wrong, fix in re.findall(r"^(\w[\w ]*): (.+?)(?:\s+\| (.+))?$", _FAULTS, re.MULTILINE)
 }
-"""What is wrong, which ends a sentence "stopped: ...", and what to do, in sentences; by names of `Fault`."""
 
 EXPECTED_WHEN_IDLE = {
     *("dead man", "image stale", "policy late", "target not finite", "target far"),
@@ -124,13 +85,11 @@ class StatusWords(NamedTuple):
     advice: tuple[str, ...] = ()  #: What to do, in sentences.
 
 
+_KILLED = "End all but one; a program that was killed counts for 10 s."
+
 MODES = {
     "": StatusWords("absent", "no status of a deployment is received", ("Start 'pixel2catch deploy'.",)),
-    "several": StatusWords(
-        "stopped",
-        "several programs publish the status of the deployment",
-        ("End all but one; a program that was killed counts for 10 s.",),
-    ),
+    "several": StatusWords("stopped", "several programs publish the status of the deployment", (_KILLED,)),
     "starting": StatusWords("waiting", "starting: the servo process starts"),
     "armed": StatusWords("armed", "armed: holds its pose until there is a target", ("Point at the object.",)),
     "ramp": StatusWords("moving", "beginning: moves to the first target"),
@@ -202,4 +161,4 @@ def _what(names: Sequence[str]) -> str:
 
 
 def _fixes(names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(fix for name in names if (fix := fault_words(name)[1])))
+    return tuple(dict.fromkeys(filter(None, (fault_words(name)[1] for name in names))))

@@ -31,7 +31,6 @@ from pixel2catch.servo.laws import (
     Records,
     bit,
     clipped,
-    compiled,
     entry,
     interpolated,
     is_active,
@@ -52,14 +51,9 @@ ROUNDING = 1e-6  #: Excess of a limit that is rounding: policies have single pre
 _BAD_TARGET = (Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR).value
 _NOT_MEASURED = (Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE).value
 
-_OFF = (
-    Fault.SAFETY_MODE
-    | Fault.SPEED_SCALING
-    | Fault.STATUS_UNKNOWN
-    | Fault.CONTROLLER
-    | Fault.NO_SUBSCRIBER
-    | Fault.JOINTS_STALE
-).value  #: Faults of a robot that may not follow commands at present, and may follow them at any time again.
+#: Faults of a robot that may not follow commands at present, and may follow them at any time again.
+_OFF = (Fault.SAFETY_MODE | Fault.SPEED_SCALING | Fault.STATUS_UNKNOWN | Fault.CONTROLLER).value
+_OFF |= (Fault.NO_SUBSCRIBER | Fault.JOINTS_STALE).value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,20 +115,15 @@ class Limits(NamedTuple):
 
 @entry
 def tick_all(
-    limits: Limits,
-    robots: Records,
-    joints: Records,
-    recent: np.ndarray,
-    robot_inputs: Records,
-    joint_inputs: Records,
+    limits: Limits, robots: Records, joints: Records, recent: np.ndarray, inputs: Records, own_inputs: Records
 ) -> None:
     """Advance all robots by a tick, in place; recent positions are (rows, joints, ticks) [rad]."""
     own_limits = Limits(limits.robot[0], limits.joints, limits.space)
     for row in range(len(robots)):
         robot = robots[row]
-        read_inputs(robot, joints[row], robot_inputs[row], joint_inputs[row], own_limits)
-        update_mode(robot, joints[row], recent[row], robot_inputs[row], own_limits)
-        read_target(robot, joints[row], robot_inputs[row], joint_inputs[row], own_limits)
+        read_inputs(robot, joints[row], inputs[row], own_inputs[row], own_limits)
+        update_mode(robot, joints[row], recent[row], inputs[row], own_limits)
+        read_target(robot, joints[row], inputs[row], own_inputs[row], own_limits)
         step_motion(robot, joints[row], recent[row], own_limits)
         robot.found = robot.faults | robot.policy_faults
         is_silent = robot.mode == Mode.IDLE or has_other_publisher(robot)
@@ -142,18 +131,24 @@ def tick_all(
             joint.sent = np.nan if is_silent else joint.command
 
 
-@compiled
 def has_other_publisher(robot: Record) -> bool:
     """Return whether the robot was stopped because another program commands it: nothing is sent then."""
     return robot.stopped_by & Fault.OTHER_PUBLISHER.value != 0
 
 
-@compiled
-def robot_faults(last_tick: float, inputs: Record, limits: Record) -> int:
-    """Return the faults of robot, operator and clock; the last tick is a time [s]."""
-    elapsed = inputs.now - last_tick
-    return (
-        bit(Fault.CLOCK, not ((elapsed > 0.0) and (elapsed <= limits.tick_age)))
+def read_inputs(robot: Record, joints: Records, inputs: Record, own_inputs: Records, limits: Limits) -> None:
+    """Find the faults of this tick, and update joint positions and estimates."""
+    now, own = inputs.now, limits.robot
+    is_finite, is_far = True, False
+    found = joint_faults(joints, own_inputs, now, is_active(robot) and robot.ticks > 0, limits.joints)
+    for number in range(len(joints)):
+        joint, measured, target = joints[number], own_inputs[number], own_inputs[number].joint_pos_target
+        joint.joint_pos = measured.joint_pos if np.isfinite(measured.joint_pos) else joint.command
+        is_finite &= np.isfinite(target)
+        is_far |= abs(target - joint.hold) > limits.joints[number].start_distance
+    robot.faults = (
+        found
+        | bit(Fault.CLOCK, not ((now - robot.now > 0.0) and (now - robot.now <= own.tick_age)))
         | bit(Fault.SAFETY_MODE, not inputs.is_safe)
         | bit(Fault.SPEED_SCALING, inputs.speed_scaling != 1.0)
         | bit(Fault.STATUS_UNKNOWN, not inputs.is_status_known)
@@ -162,74 +157,46 @@ def robot_faults(last_tick: float, inputs: Record, limits: Record) -> int:
         | bit(Fault.OTHER_SUBSCRIBER, inputs.has_other_subscriber)
         | bit(Fault.OTHER_PUBLISHER, inputs.has_other_publisher)
         | bit(Fault.OTHER_OPERATOR, inputs.has_other_operator)
-        | bit(Fault.DEAD_MAN, not is_recent(inputs.now, inputs.dead_man_stamp, limits.operator_age))
+        | bit(Fault.DEAD_MAN, not is_recent(now, inputs.dead_man_stamp, own.operator_age))
         | bit(Fault.STOP_REQUEST, inputs.is_stop_requested)
     )
-
-
-@compiled
-def policy_faults(inputs: Record, is_finite: bool, limits: Record) -> int:
-    """Return the faults of perception and policy; it is given whether all targets are finite."""
-    return (
-        bit(Fault.IMAGE_STALE, not is_recent(inputs.now, inputs.image_stamp, limits.image_age))
-        | bit(Fault.POLICY_LATE, not is_recent(inputs.now, inputs.target_stamp, limits.target_age))
+    robot.policy_faults = (
+        bit(Fault.IMAGE_STALE, not is_recent(now, inputs.image_stamp, own.image_age))
+        | bit(Fault.POLICY_LATE, not is_recent(now, inputs.target_stamp, own.target_age))
         | bit(Fault.TARGET_NOT_FINITE, not is_finite)
-        | bit(Fault.OBJECT_LOST, not is_recent(inputs.now, inputs.box_stamp, limits.box_age))
+        | bit(Fault.TARGET_FAR, robot.mode == Mode.ARMED and is_far)
+        | bit(Fault.OBJECT_LOST, not is_recent(now, inputs.box_stamp, own.box_age))
         | bit(Fault.PERCEPTION_UNSOUND, not inputs.is_perception_sound)
     )
 
 
-@compiled
-def is_measured(robot: Record) -> bool:
-    """Return whether the positions of all joints are recent and plausible."""
-    return robot.faults & _NOT_MEASURED == 0
-
-
-@compiled
-def read_inputs(
-    robot: Record, joints: Records, inputs: Record, joint_inputs: Records, limits: Limits
-) -> None:
-    """Find the faults of this tick, and update joint positions and estimates."""
-    is_commanded = is_active(robot) and robot.ticks > 0
-    robot.faults = robot_faults(robot.now, inputs, limits.robot)
-    robot.faults |= joint_faults(joints, joint_inputs, inputs.now, is_commanded, limits.joints)
-    is_finite, is_far = True, False
-    for number in range(len(joints)):
-        joint, measured, target = joints[number], joint_inputs[number], joint_inputs[number].joint_pos_target
-        joint.joint_pos = measured.joint_pos if np.isfinite(measured.joint_pos) else joint.command
-        is_finite &= np.isfinite(target)
-        is_far |= abs(target - joint.hold) > limits.joints[number].start_distance
-    robot.policy_faults = policy_faults(inputs, is_finite, limits.robot)
-    robot.policy_faults |= bit(Fault.TARGET_FAR, robot.mode == Mode.ARMED and is_far)
-
-
-@compiled
 def update_mode(robot: Record, joints: Records, recent: np.ndarray, inputs: Record, limits: Limits) -> None:
     """Change the mode, and grant or refuse a request to arm."""
-    is_requested, robot.refused = False, 0
+    first, is_requested, robot.refused = np.empty(len(joints)), False, 0
     is_new = inputs.arm_stamp > robot.arm_stamp
     if is_new and is_recent(inputs.now, inputs.arm_stamp, limits.robot.operator_age):
         robot.arm_stamp, is_requested = inputs.arm_stamp, not is_active(robot)
     is_free = robot.mode == Mode.IDLE or has_other_publisher(robot)
+    for number in range(len(joints) if is_requested else 0):
+        joint, limit = joints[number], limits.joints[number]
+        first[number] = clipped(joint.joint_pos, limit.lower, limit.upper) if is_free else joint.command
     if is_requested:
-        robot.refused = refusals(robot, joints, is_free, inputs.pressed_stamp, limits)
+        robot.refused = refusals(robot, joints, first, inputs.pressed_stamp, limits)
     stop = stopping_faults(robot)
     next_mode(robot, joints, stop, limits)
-    robot.is_returning = (stop != 0 or robot.is_returning) and is_measured(robot)
+    robot.is_returning = (stop != 0 or robot.is_returning) and robot.faults & _NOT_MEASURED == 0
     robot.now = inputs.now
     if stop != 0:
         robot.stopped_by = stop
-        if inputs.pressed_stamp > robot.used_press:
-            robot.used_press = inputs.pressed_stamp
+        robot.used_press = np.fmax(robot.used_press, inputs.pressed_stamp)
         for joint in joints:
             joint.hold, joint.lead = joint.command, joint.command - joint.joint_pos
     elif robot.mode != Mode.STOPPED:
         robot.stopped_by = 0
     if is_requested and robot.refused == 0:
-        arm(robot, joints, recent, is_free, limits)
+        arm(robot, joints, recent, first)
 
 
-@compiled
 def stopping_faults(robot: Record) -> int:
     """Return the faults that stop the robot; armed, those of a policy count once it sends targets."""
     found = robot.policy_faults if is_driven(robot) else 0
@@ -238,7 +205,6 @@ def stopping_faults(robot: Record) -> int:
     return robot.faults | found if is_active(robot) else 0
 
 
-@compiled
 def next_mode(robot: Record, joints: Records, stop: int, limits: Limits) -> None:
     """Change to the mode of this tick, by the faults that stop the robot."""
     mode, time = robot.mode, robot.ticks * limits.robot.dt
@@ -255,65 +221,49 @@ def next_mode(robot: Record, joints: Records, stop: int, limits: Limits) -> None
     robot.mode = mode
 
 
-@compiled
 def was_moved(robot: Record, joints: Records, limits: Limits) -> bool:
     """Return whether somebody moved the stopped robot."""
     is_away = False
     for number in range(len(joints)):
         distance = abs(joints[number].joint_pos - joints[number].command)
         is_away |= distance > limits.joints[number].moved_error
-    return is_away and is_measured(robot)
+    return is_away and robot.faults & _NOT_MEASURED == 0
 
 
-@compiled
-def first_command(joint: Record, is_free: bool, limit: Record) -> float:
-    """Return the command of a joint on arming: its position if it is free, else its last command [rad]."""
-    return clipped(joint.joint_pos, limit.lower, limit.upper) if is_free else joint.command
-
-
-@compiled
-def refusals(robot: Record, joints: Records, is_free: bool, pressed_stamp: float, limits: Limits) -> int:
-    """Return the faults that make arming impossible."""
-    carriers, is_off = np.empty(len(limits.space.columns)), False
+def refusals(robot: Record, joints: Records, first: np.ndarray, pressed_stamp: float, limits: Limits) -> int:
+    """Return the faults that make arming with these first commands [rad] impossible."""
+    is_off = False
     for number in range(len(joints)):
-        first = first_command(joints[number], is_free, limits.joints[number])
-        is_off |= abs(joints[number].joint_pos - first) > limits.joints[number].start_error
-    for place, number in enumerate(limits.space.columns):
-        carriers[place] = first_command(joints[number], is_free, limits.joints[number])
+        is_off |= abs(joints[number].joint_pos - first[number]) > limits.joints[number].start_error
     is_stopping = robot.mode == Mode.STOPPED and robot.ticks * limits.robot.dt < STOP_TIME
     return (
         robot.faults
         | bit(Fault.START_POSE, is_off)
-        | bit(Fault.WORKSPACE, not is_inside(limits.space, carriers))
+        | bit(Fault.WORKSPACE, not is_inside(limits.space, first[limits.space.columns]))
         | bit(Fault.STILL_STOPPING, is_stopping)
         | bit(Fault.SWITCH_NOT_PRESSED, not pressed_stamp > robot.used_press)
     )
 
 
-@compiled
-def arm(robot: Record, joints: Records, recent: np.ndarray, is_free: bool, limits: Limits) -> None:
-    """Arm the robot, at rest at its first command."""
+def arm(robot: Record, joints: Records, recent: np.ndarray, commands: np.ndarray) -> None:
+    """Arm the robot, at rest at its first commands [rad]."""
     robot.mode, robot.ticks, robot.stopped_by = Mode.ARMED.value, 0, 0
     robot.target_stamp = -np.inf
     for number in range(len(joints)):
-        joint = joints[number]
-        first = first_command(joint, is_free, limits.joints[number])
+        joint, first = joints[number], commands[number]
         joint.position, joint.velocity, joint.command, joint.hold = first, 0.0, first, first
         joint.start, joint.end, joint.expected = first, first, joint.joint_pos
         recent[number, :] = first
 
 
-@compiled
-def read_target(
-    robot: Record, joints: Records, inputs: Record, joint_inputs: Records, limits: Limits
-) -> None:
+def read_target(robot: Record, joints: Records, inputs: Record, own_inputs: Records, limits: Limits) -> None:
     """Begin the motion to a newer target."""
     robot.clamped = 0
     if not is_driven(robot):
         return
     is_new, elapsed = inputs.target_stamp > robot.target_stamp, robot.now - robot.target_begun
     for number in range(len(joints)):
-        joint, limit, target = joints[number], limits.joints[number], joint_inputs[number].joint_pos_target
+        joint, limit, target = joints[number], limits.joints[number], own_inputs[number].joint_pos_target
         allowed = clipped(target, limit.lower, limit.upper)
         robot.clamped |= bit(Clamp.POSITION, abs(allowed - target) > ROUNDING)
         if is_new:
@@ -323,7 +273,6 @@ def read_target(
         robot.target_begun, robot.target_stamp = robot.now, inputs.target_stamp
 
 
-@compiled
 def target_speed(robot: Record, joint: Record, limit: Record) -> float:
     """Return the speed of an armed robot's joint to its target, with a limited lead [rad/s]."""
     goal = joint.hold
@@ -340,7 +289,6 @@ def target_speed(robot: Record, joint: Record, limit: Record) -> float:
     return clipped(speed, -most, most)
 
 
-@compiled
 def stop_speed(robot: Record, joint: Record, limit: Record) -> float:
     """Return the speed that brings a joint to rest [rad/s], from its position if that is measured.
 
@@ -360,7 +308,6 @@ def stop_speed(robot: Record, joint: Record, limit: Record) -> float:
     return clipped(speed, -fastest, fastest)
 
 
-@compiled
 def step_motion(robot: Record, joints: Records, recent: np.ndarray, limits: Limits) -> None:
     """Move all commands by a tick."""
     speeds, kept = np.empty(len(joints)), np.empty(len(joints))

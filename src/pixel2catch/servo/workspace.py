@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float64, Int64
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, arm_shape, chain_of
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, compiled, entry
+from pixel2catch.servo.laws import Record, Records, braked_position, braked_speed, clipped, entry
 
 HAND_CLEARANCE = 0.01  #: Distance of a hand to its own arm [m]. Source: ours.
 MOST_POSES = 32  #: Ticks of braking that are all checked. Source: ours.
@@ -91,7 +91,6 @@ def _joined(parts: Iterable[np.ndarray]) -> np.ndarray:
     return np.ascontiguousarray(np.concatenate([*parts]))
 
 
-@compiled
 def limit_to_workspace(
     space: Space, joints: Records, recent: np.ndarray, speeds: np.ndarray, limits: Records
 ) -> None:
@@ -121,7 +120,6 @@ def limit_to_workspace(
         speeds[:] = braked
 
 
-@compiled
 def can_stop(
     space: Space, joints: Records, recent: np.ndarray, speeds: np.ndarray, limits: Records, stride: int
 ) -> bool:
@@ -143,7 +141,6 @@ def can_stop(
     return True
 
 
-@compiled
 def braking_command(joint: Record, recent: np.ndarray, speed: float, tick: int, limits: Record) -> float:
     """Return the command [rad] of a tick of braking, which begins after one tick of a speed [rad/s]."""
     command, start = 0.0, joint.position + speed * limits.dt
@@ -155,7 +152,6 @@ def braking_command(joint: Record, recent: np.ndarray, speed: float, tick: int, 
     return command
 
 
-@compiled
 def is_inside(space: Space, joint_pos: np.ndarray) -> bool:
     """Return whether a robot, by its joints that carry palms [rad], is inside."""
     frames = link_frames(space, joint_pos)
@@ -184,13 +180,11 @@ def note_inside(space: Space, poses: np.ndarray, are_inside: np.ndarray) -> None
         are_inside[number] = is_inside(space, poses[number])
 
 
-@compiled
 def dot(one: np.ndarray, other: np.ndarray) -> float:
     """Return the scalar product of the first three numbers."""
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
-@compiled
 def link_frames(space: Space, joint_pos: np.ndarray) -> np.ndarray:
     """Return world frames (watched, 3, 4) at the far ends of the links; the last of an arm is the palm's."""
     frames, own = np.empty((len(joint_pos), 3, 4)), np.empty((3, 4))
@@ -209,7 +203,6 @@ def link_frames(space: Space, joint_pos: np.ndarray) -> np.ndarray:
     return frames
 
 
-@compiled
 def compose(before: np.ndarray, own: np.ndarray, frame: np.ndarray) -> None:
     """Write the product of two frames into a third."""
     for row in range(3):
@@ -218,7 +211,6 @@ def compose(before: np.ndarray, own: np.ndarray, frame: np.ndarray) -> None:
             frame[row, column] += before[row, 3] if column == 3 else 0.0
 
 
-@compiled
 def is_hand_inside(space: Space, hand: np.ndarray, palm: np.ndarray) -> bool:
     """Return whether a hand's box is within the walls and clear of the table."""
     middle, is_over, lowest = np.empty(3), True, 0.0
@@ -235,7 +227,6 @@ def is_hand_inside(space: Space, hand: np.ndarray, palm: np.ndarray) -> bool:
     return not is_over or lowest >= space.table[1, 2] or are_apart(space.table, middle, palm, hand[1])
 
 
-@compiled
 def are_apart(table: np.ndarray, middle: np.ndarray, palm: np.ndarray, half: np.ndarray) -> bool:
     """Return whether a box in the axes of a palm is apart from the box of the table.
 
@@ -258,7 +249,6 @@ def are_apart(table: np.ndarray, middle: np.ndarray, palm: np.ndarray, half: np.
     return False
 
 
-@compiled
 def separates(
     axis: np.ndarray, table: np.ndarray, middle: np.ndarray, palm: np.ndarray, half: np.ndarray
 ) -> bool:
@@ -271,7 +261,6 @@ def separates(
     return abs(way) > reach
 
 
-@compiled
 def is_above(table: np.ndarray, ends: np.ndarray, radius: float) -> bool:
     """Return whether a capsule is beside the table, or high enough where it is over it."""
     top = table[1, 2] + radius
@@ -282,7 +271,6 @@ def is_above(table: np.ndarray, ends: np.ndarray, radius: float) -> bool:
     return enter > leave or ends[0, 2] + min(enter * rise, leave * rise) >= top
 
 
-@compiled
 def clip_to_box(ends: np.ndarray, box: np.ndarray, margin: float, num_axes: int) -> tuple[float, float]:
     """Return the shares of a segment at which it enters and leaves a box; reversed if it misses it."""
     enter, leave = 0.0, 1.0
@@ -295,7 +283,6 @@ def clip_to_box(ends: np.ndarray, box: np.ndarray, margin: float, num_axes: int)
     return enter, leave
 
 
-@compiled
 def is_near(boxes: np.ndarray, palm: np.ndarray, ends: np.ndarray, clearance: float) -> bool:
     """Return whether a segment is nearer than the clearance to a box in the axes of the palm."""
     own = np.empty((2, 3))
@@ -310,7 +297,6 @@ def is_near(boxes: np.ndarray, palm: np.ndarray, ends: np.ndarray, clearance: fl
     return False
 
 
-@compiled
 def distance(ends: np.ndarray, first: float, last: float, box: np.ndarray) -> float:
     """Return the distance of a part of a segment from a box [m], up to 0.1 % of the part's length too small.
 
@@ -328,7 +314,6 @@ def distance(ends: np.ndarray, first: float, last: float, box: np.ndarray) -> fl
     return sqrt(away) - (last - first) * sqrt(length)
 
 
-@compiled
 def outside(ends: np.ndarray, share: float, box: np.ndarray, axis: int) -> float:
     """Return the signed distance of a point of a segment from a box along one axis [m]; 0 inside."""
     place = ends[0, axis] + share * (ends[1, axis] - ends[0, axis])
