@@ -13,8 +13,6 @@ from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.result_tables import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
 
-NAMES = ("ball", "box")
-
 
 def flags(*values: int) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.bool)
@@ -72,7 +70,7 @@ def test_a_paired_difference_by_hand():
 
 
 def test_metrics_by_hand():
-    result = metrics(five_trials(), NAMES)
+    result = metrics(five_trials())
     assert result["trials"] == 5
     assert result["tracking_rate"] == 4 / 5
     assert result["success_rate"] == 2 / 5
@@ -86,14 +84,14 @@ def test_metrics_by_hand():
     failures = {"never_reached": 1 / 5, "bounced_off": 1 / 5, "dropped": 0.0, "not_held": 1 / 5}
     assert result["failures"] == {name: failures[name] for name in FAILURES}
     objects = result["objects"]
-    assert {name: rates["trials"] for name, rates in objects.items()} == {"ball": 3, "box": 2}
-    assert (objects["box"]["success_rate"], objects["ball"]["tracking_rate"]) == (1 / 2, 1.0)
+    assert {name: rates["trials"] for name, rates in objects.items()} == {"cone_s": 3, "cone_l": 2}
+    assert (objects["cone_l"]["success_rate"], objects["cone_s"]["tracking_rate"]) == (1 / 2, 1.0)
     assert result["hold_speed"] == pytest.approx(0.25)  # of the two successes
 
 
 def test_metrics_without_contact_are_valid_json():
     record = EpisodeRecord.start(torch.tensor([0]))
-    result = metrics(Trials(record=record, is_verified=flags(0)), NAMES)
+    result = metrics(Trials(record=record, is_verified=flags(0)))
     assert result["hold_speed"] is None
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
@@ -102,7 +100,7 @@ def test_divergence_is_an_error():
     trials = five_trials()
     broken = replace(trials.record, max_joint_speed=torch.tensor([0.0, 1.0, float("nan"), 0.0, 0.0]))
     with pytest.raises(NonFiniteError, match="max_joint_speed"):
-        metrics(replace(trials, record=broken), NAMES)
+        metrics(replace(trials, record=broken))
 
 
 def shown(*tables: object) -> str:
@@ -115,13 +113,13 @@ def shown(*tables: object) -> str:
 
 def test_tables_show_rates_beside_the_papers_objects_and_failures():
     """Objects that the paper did not throw have no row of it."""
-    result = metrics(five_trials(), NAMES)
+    result = metrics(five_trials())
     results = {"seen": result | {"objects_thrown": SEEN}, "unseen": result | {"objects_thrown": UNSEEN}}
     text = shown(*result_tables(results, "proposed"))
     for number in ("40.0 [12\N{EN DASH}77]", "89.97 ± 0.21", "84.13 ± 0.50", "89.28 ± 0.79", "84.83 ± 1.17"):
         assert number in text
     rates, objects, quality = result_tables({"cube": result | {"objects_thrown": ["cube_s"]}}, "proposed")
     assert "±" not in shown(rates).split("seeds")[-1]
-    assert "box" in shown(objects)
+    assert "cone_l" in shown(objects)
     for value in ("never reached", "6.0 mm", "0.250 rad/s"):
         assert value in shown(quality)

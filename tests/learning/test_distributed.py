@@ -142,5 +142,5 @@ def test_devices_of_several_processes(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
     with pytest.raises(InvalidValueError, match="one device for several processes; use 'cuda'"):
         start_workers("cuda:1").__enter__()
-    with pytest.raises(DeviceUnavailableError, match="no more processes than devices"):
+    with pytest.raises(DeviceUnavailableError, match="use cuda:0 to cuda:1"):
         start_workers("cuda").__enter__()

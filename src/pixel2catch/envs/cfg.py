@@ -142,10 +142,10 @@ def current_fields(task: dict[str, Any]) -> dict[str, Any]:
 
     An empty `robot_model` and what belongs to it are left out; with a file in it, it remains and is refused.
     """
-    scene = task.get("scene", {})
+    scene = {name: value for name, value in task.get("scene", {}).items() if name != "object_solimp"}
     if not scene.get("robot_model"):
-        names = ("robot_model", "robot_surface")
-        task = task | {"scene": {name: value for name, value in scene.items() if name not in names}}
+        scene = {name: value for name, value in scene.items() if not name.startswith("robot_")}
+    task = task | {"scene": scene}
     before = {"name": "nominal", "value_sees_parameters": task.get("is_value_told", False)}
     is_shaken = task.get("shake", {}).get("amplitude")  # such a task cannot be read
     gone = ("is_value_told",) if is_shaken else ("is_value_told", "shake")

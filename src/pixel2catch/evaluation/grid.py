@@ -237,11 +237,7 @@ class StudyGrid:
             raise KeyboardInterrupt if stop.by == "SIGINT" else Terminated
 
     def require_whole(self) -> None:
-        """Raise an error that lists the cells that failed.
-
-        Raises:
-            StudyError: If any did.
-        """
+        """Raise StudyError with a list of the cells that failed, if any did."""
         if self.errors:
             lines = [f"{name} failed: {error}" for name, error in self.errors.items()]
             raise StudyError("\n".join([*lines, "All other cells were computed; run the command again."]))
@@ -319,11 +315,7 @@ def _printing_to(log: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def held(path: Path) -> Iterator[None]:
-    """Hold a file or a folder for this process.
-
-    Raises:
-        StudyError: If another process holds it.
-    """
+    """Hold a file or a folder for this process. Raise StudyError if another process holds it."""
     with open(path / ".lock" if path.is_dir() else path, "ab") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -336,11 +328,7 @@ def held(path: Path) -> Iterator[None]:
 
 
 def read_row(file: Path) -> Json | None:
-    """Return the content of a result, or nothing if it is absent.
-
-    Raises:
-        StudyError: If it is damaged.
-    """
+    """Return the content of a result, or nothing if it is absent. Raise StudyError if it is damaged."""
     try:
         return read_json_object(file)
     except FileNotFoundError:

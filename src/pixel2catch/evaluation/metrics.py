@@ -88,20 +88,15 @@ def assess(
     }
 
 
-def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
+def metrics(trials: Trials) -> Metrics:
     """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
     The speed of the holds is None without a success.
 
-    Args:
-        trials: The trials.
-        object_names: Names of the objects by row of the object table. Default: all objects.
-
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.
     """
-    names = tuple(OBJECTS) if object_names is None else object_names
-    record, num_trials = trials.record, len(trials.is_verified)
+    names, record, num_trials = tuple(OBJECTS), trials.record, len(trials.is_verified)
     object_id, everything = record.object_id, torch.ones_like(trials.is_verified)
     modes, caught = torch.where(record.is_success, -1, failure(record)), record.is_success
     maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}

@@ -9,8 +9,6 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import radians
 from typing import Any
 
-import numpy as np
-
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
@@ -341,19 +339,10 @@ def _is_drawn(
     inner: tuple[float, float], inner_grid: float, outer: tuple[float, float], outer_grid: float
 ) -> bool:
     """Return whether all values of one delay are values of another one [control steps]."""
-    if not _is_inside(inner, outer):
-        return False
-    if not outer_grid and outer[0] < outer[1]:
-        return True
-    if not inner_grid and inner[0] < inner[1]:
-        return False
-    known = _values(outer, outer_grid)
-    return all(np.abs(known - value).min() < TOLERANCE for value in _values(inner, inner_grid))
-
-
-def _values(limits: tuple[float, float], grid: float) -> np.ndarray:
-    """Return all values of a delay on a grid, as `mdp.randomization.sample_delay` draws them."""
-    return np.arange(limits[0], limits[1] + 1e-6, grid) if grid else np.array(limits[:1])
+    if not _is_inside(inner, outer) or not outer_grid:
+        return _is_inside(inner, outer)
+    steps = ((inner[0] - outer[0]) / outer_grid, inner_grid / outer_grid if inner[0] < inner[1] else 1.0)
+    return steps[1] > 0.0 and all(abs(each - round(each)) < TOLERANCE for each in steps)
 
 
 def _as_range(value: Any) -> tuple[float, float] | None:

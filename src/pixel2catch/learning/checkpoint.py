@@ -67,11 +67,7 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: Path, device: str) -> "Checkpoint":
-        """Read what `save_checkpoint` wrote.
-
-        Raises:
-            CheckpointError: The file is missing or damaged.
-        """
+        """Read what `save_checkpoint` wrote. Raise CheckpointError if the file is missing or damaged."""
         with files.reading("checkpoint", path, FIX, CheckpointError):
             state = _read(path, device)
             return cls(

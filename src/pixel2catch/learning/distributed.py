@@ -18,8 +18,9 @@ import torch.distributed.nn  # its default arguments would keep a process group 
 from torch import Tensor
 from torch import distributed as dist
 
-from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, Pixel2CatchError, WorkerError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, WorkerError
 from pixel2catch.learning.config import TrainCfg
+from pixel2catch.sim.factory import require_cuda
 
 
 @final
@@ -174,10 +175,6 @@ def _own_device(device: str, local_rank: int | None) -> str:
         return device
     if index and local_rank is not None:
         raise InvalidValueError(f"device is '{device}', one device for several processes; use 'cuda'.")
-    number = int(index or local_rank or 0)
-    if number >= torch.cuda.device_count():
-        raise DeviceUnavailableError(
-            f"device is 'cuda:{number}', but torch finds {torch.cuda.device_count()} CUDA devices; "
-            "use 'cpu', or a device that is there, and with torchrun no more processes than devices."
-        )
-    return f"cuda:{number}"
+    own = f"cuda:{int(index or local_rank or 0)}"
+    require_cuda(own)
+    return own

@@ -53,13 +53,10 @@ class CameraErrors:
 
 def is_camera_exact(cfg: SensingCfg) -> bool:
     """Return whether the camera has no errors besides the noise of training."""
-    errors = (
-        *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
-        *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
-    )
-    if (cfg.image_period, cfg.noise_scale) != (1.0, 1.0):
-        return False
-    return cfg.camera.is_exact and not any(errors)
+    names = "camera_offset camera_turn focal_error box_bias drop_rate blackout_steps clock_error stamp_jitter"
+    drawn_per_episode = (*names.split(), "unstamped", "image_period", "noise_scale")
+    exact = SensingCfg()
+    return cfg.camera.is_exact and all(getattr(cfg, n) == getattr(exact, n) for n in drawn_per_episode)
 
 
 def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:

@@ -182,11 +182,7 @@ def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, prefix: str, frame: mujoc
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Read an MJCF file.
-
-    Raises:
-        InvalidValueError: It cannot be read, or `require_simple` refuses it.
-    """
+    """Read an MJCF file. Raise InvalidValueError if it cannot be read, or `require_simple` refuses it."""
     with reading("model", path, "Write MJCF, as for MuJoCo."):
         require_simple(read_bytes(path, MOST_MJCF))
         return mujoco.MjSpec.from_file(str(path))

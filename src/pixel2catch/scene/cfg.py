@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeVar
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.checks import IN_ORDER, PhysicsRate, Share, Within
+from pixel2catch.checks import PhysicsRate, Share, Within
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -23,20 +23,7 @@ adds up to half of it to the restitution, depending on the penetration at the fi
 """
 
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
-"""Impedance of a contact with the object. Source: ours; an object creeps in the hand with MuJoCo's."""
-
-
-Impedance = Annotated[
-    tuple[
-        Annotated[float, Within(1e-4, 0.9999)],
-        Annotated[float, Within(1e-4, 0.9999)],
-        Annotated[float, Within(1e-6, 0.1)],
-        Annotated[float, Within(0.01, 0.99)],
-        Annotated[float, Within(1.0, 10.0)],
-    ],
-    IN_ORDER,
-]
-"""MuJoCo's `solimp`: least and largest impedance, width [m], midpoint and power."""
+"""MuJoCo's `solimp` of a contact with the object. Source: ours; objects creep with its default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +42,6 @@ class SceneCfg:
     object_friction: Annotated[float, Within(0.0, 5.0)] = 1.0
     #: Speed after over speed before an impact; randomised per environment.
     object_restitution: Share = 0.25
-    object_solimp: Impedance = SOLIMP  #: Impedance of a contact with the object.
     #: Factor on every object's size; its mass stays.
     object_scale: Annotated[float, Within(0.1, MAX_OBJECT_SCALE)] = 1.0
 

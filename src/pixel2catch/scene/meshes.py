@@ -19,7 +19,7 @@ from pixel2catch.files import read_bytes
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import sphere_points
 from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
-from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
+from pixel2catch.scene.shapes import ConvexPart, moments
 
 FORMATS = (".stl", ".obj", ".ply", ".off")  #: Supported formats, which refer to no other file.
 MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Largest size [bytes] and number of faces of a file. Source: ours.
@@ -58,10 +58,10 @@ def mesh_object(
     mesh = _read(Path(file))
     mesh.apply_scale(scale)
     parts = _simplified(_decomposed(mesh, max_parts))
-    solid = moments_inside(np.asarray(mesh.triangles))
+    solid = moments(np.asarray(mesh.triangles))
     if not mesh.is_watertight:
         warnings.warn(f"'{file}' is not closed: its convex parts give its mass properties", stacklevel=2)
-        solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
+        solid = np.sum([moments(part.faces) for part in parts], axis=0)
     return of_solid(name, parts, solid, mass)
 
 

@@ -64,8 +64,8 @@ def make_object(
     """
     if not parts:
         raise InvalidValueError(f"object '{name}' has no parts; give one or more of `scene.shapes`.")
-    solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
-    return of_solid(name, parts, solid - moments(overlap) if overlap is not None else solid, mass)
+    solid = np.sum([moments(part.faces) for part in parts], axis=0)
+    return of_solid(name, parts, solid - moments(overlap.faces) if overlap else solid, mass)
 
 
 def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"], mass: float) -> ObjectSpec:

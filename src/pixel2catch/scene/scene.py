@@ -294,7 +294,7 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: st
             priority=2,
             friction=(cfg.object_friction, 0.005, 0.0001),
             solref=contact_solref(cfg.object_restitution, cfg.physics_dt),
-            solimp=cfg.object_solimp,
+            solimp=SOLIMP,
         )
 
 

@@ -45,18 +45,10 @@ class ConvexPart:
         return triangles
 
 
-def moments(part: ConvexPart) -> Float[ndarray, "4 4"]:
-    """Return the integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
+def moments(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 4"]:
+    """Return the integral of (1, x) (1, x)ᵀ over the solid of density 1 in a closed surface [m³, m⁴, m⁵].
 
-    Integrals of disjoint solids add up.
-    """
-    return moments_inside(part.faces)
-
-
-def moments_inside(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 4"]:
-    """Return the `moments` of the solid inside a closed surface [m], summed over tetrahedra from the origin.
-
-    Triangles are counter-clockwise seen from outside.
+    Triangles [m] are counter-clockwise seen from outside. Integrals of disjoint solids add up.
     """
     volumes = np.linalg.det(faces) / 6.0
     sums = faces.sum(axis=1)

@@ -49,28 +49,23 @@ def require_engine(engine: str) -> Any:
     if engine not in ENGINES:
         raise UnknownNameError("engine", engine, ENGINES)
     if engine == "physx":
-        from pixel2catch.sim.physx import PhysxCopy, load_sapien
-
-        load_sapien()
-        return PhysxCopy
-    if engine == "drake":
-        from pixel2catch.sim.drake import DrakeCopy, load_drake
-
-        load_drake()
-        return DrakeCopy
-    return None
+        from pixel2catch.sim.physx import PhysxCopy as Copy
+        from pixel2catch.sim.physx import load_sapien as load
+    elif engine == "drake":
+        from pixel2catch.sim.drake import DrakeCopy as Copy
+        from pixel2catch.sim.drake import load_drake as load
+    else:
+        return None
+    load()
+    return Copy
 
 
 def require_cuda(device: str) -> None:
     """Raise if PyTorch does not find a CUDA device."""
     count = torch.cuda.device_count()
-    index = torch.device(device).index or 0
-    if index >= count:
+    if (torch.device(device).index or 0) >= count:
+        fix = "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports."
+        fix = f"use cuda:0 to cuda:{count - 1}." if count else fix
         raise DeviceUnavailableError(
-            f"device '{device}' was given, but PyTorch {torch.__version__} finds {count} CUDA devices; "
-            + (
-                f"use cuda:0 to cuda:{count - 1}."
-                if count
-                else "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports."
-            )
+            f"device '{device}' was given, but PyTorch {torch.__version__} finds {count} CUDA devices; {fix}"
         )
