@@ -12,7 +12,8 @@ FRAMES_PER_OBJECT = 9
 
 @pytest.fixture(scope="module")
 def frames() -> dict[str, torch.Tensor]:
-    return {name: sample_frames(FRAMES_PER_OBJECT, seed) for seed, name in enumerate(OBJECTS)}
+    drawn = sample_frames(FRAMES_PER_OBJECT * len(OBJECTS)).chunk(len(OBJECTS))
+    return dict(zip(OBJECTS, drawn, strict=True))
 
 
 @pytest.fixture(scope="module")

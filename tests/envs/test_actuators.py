@@ -200,15 +200,10 @@ def ramps() -> np.ndarray:
     return np.stack([np.interp(TIMES, TIMES[::HOLD], knots[:, j]) for j in range(2)], axis=-1)
 
 
-def make_path(dynamics: JointDynamics, num_envs: int = 1) -> CommandPath:
-    path = CommandPath(dynamics, DT, torch.zeros(num_envs, 2, dtype=torch.float64))
-    path.reset(torch.ones(num_envs, dtype=torch.bool), torch.zeros(num_envs, 2, dtype=torch.float64))
-    return path
-
-
 def passed(dynamics: JointDynamics, commands: np.ndarray) -> np.ndarray:
     """What arrives in every step of commands at the edges of steps, (num_steps, 2)."""
-    path = make_path(dynamics)
+    path = CommandPath(dynamics, DT, torch.zeros(1, 2, dtype=torch.float64))
+    path.reset(torch.ones(1, dtype=torch.bool), torch.zeros(1, 2, dtype=torch.float64))
     return np.stack([path.advance(torch.tensor(row)[None])[0].numpy().copy() for row in commands[1:]])
 
 
@@ -244,22 +239,6 @@ def test_step_response_of_the_filter_is_the_analytic_one():
     speed = np.exp(-decay * time) * FILTERED.filter_gain / omega * np.sin(omega * time)
     np.testing.assert_allclose(np.stack(path)[..., 0], 1.0 - wave, atol=1e-12)
     np.testing.assert_allclose(np.stack(path)[..., 1], speed, atol=1e-12)
-
-
-@pytest.mark.parametrize("dynamics", [DIRECT, FILTERED], ids=["direct", "filtered"])
-def test_reset_changes_masked_environments_only(dynamics):
-    path, untouched = make_path(dynamics, 2), make_path(dynamics, 2)
-    mask, place = torch.tensor((True, False)), torch.full((2, 2), 0.4, dtype=torch.float64)
-    commands = torch.tensor(ramps()[1:14])
-    for command in commands[:-1]:
-        path.advance(command.expand(2, 2))
-        untouched.advance(command.expand(2, 2))
-    path.reset(mask, place)
-    command = torch.where(mask[:, None], place, commands[-1])
-    arrived, expected = path.advance(command), untouched.advance(command)
-    torch.testing.assert_close(arrived[0], place[0])
-    assert torch.equal(arrived[1], expected[1])
-    assert (arrived[0] - arrived[1]).abs().min() > 0.01
 
 
 SPEED_LIMIT = 2.79253
@@ -319,19 +298,10 @@ def test_a_command_that_keeps_the_limits_is_left_alone(seed, share):
     torch.testing.assert_close(SERVOS.limited(command, state), command)
 
 
-@given(SEEDS)
-def test_friction_opposes_motion_and_is_bounded(seed):
-    _, state = random_state(seed)
-    friction = SERVOS.friction(state.joint_vel)
-    assert (friction * state.joint_vel <= 0.0).all()
-    assert (friction.abs() <= SERVOS.frictionloss).all()
-    torch.testing.assert_close(SERVOS.friction(-state.joint_vel), -friction)
-
-
-def test_friction_by_hand():
-    speed = torch.full((1, len(JOINTS)), FRICTION_SPEED, dtype=torch.float64)
-    torch.testing.assert_close(SERVOS.friction(speed)[0], -math.tanh(1.0) * SERVOS.frictionloss)
-    assert not SERVOS.friction(0.0 * speed).any()
+@pytest.mark.parametrize("share", [-2.0, 0.0, 1.0])
+def test_friction_by_hand(share):
+    speed = torch.full((1, len(JOINTS)), share * FRICTION_SPEED, dtype=torch.float64)
+    torch.testing.assert_close(SERVOS.friction(speed)[0], -math.tanh(share) * SERVOS.frictionloss)
 
 
 def test_bang_bang_actions_keep_the_limits_in_free_motion():

@@ -10,8 +10,8 @@ import torch
 from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, TaughtEnv, observed, roll_out
 from torch import nn
 
-from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.learning.config import PRESETS, TrainCfg
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
@@ -228,20 +228,9 @@ def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:
         mappo.act(observation)
 
 
-def test_presets() -> None:
-    assert preset("paper").train.rollout_transitions == 512 * 32
-    for name in PRESETS:
-        cfg = preset(name, device="cpu", seed=3).train
-        assert (cfg.device, cfg.seed) == ("cpu", 3)
-    with pytest.raises(UnknownNameError, match=r"'papper'.*paper"):
-        preset("papper")
-    assert preset("cpu").train.hidden != preset("cpu", start=Path("catch+fit")).train.hidden == HIDDEN
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"discount": 1.5}, "discount is 1.5"),
         ({"num_envs": 3, "rollout_steps": 3}, "9 transitions cannot be split into 8"),
         ({"num_envs": 6, "recurrent": 16, "mini_batches": 4}, "num_envs = 6 cannot be split into 4"),
     ],
@@ -249,6 +238,10 @@ def test_presets() -> None:
 def test_impossible_configurations(values: dict[str, float], message: str) -> None:
     with pytest.raises(InvalidValueError, match=message):
         TrainCfg(**values)  # pyright: ignore[reportArgumentType]
+
+
+def test_networks_have_the_sizes_of_the_policy_to_start_from() -> None:
+    assert preset("cpu").train.hidden != preset("cpu", start=Path("catch+fit")).train.hidden == HIDDEN
 
 
 RECURRENT = dataclasses.replace(SMALL, recurrent=16)

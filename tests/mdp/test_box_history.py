@@ -45,15 +45,6 @@ def test_a_history_begins_with_an_object_that_has_hovered():
     assert history.age.tolist() == [[1.5, 2.5, 3.5, 4.5], [2.0, 3.0, 4.0, 5.0]]
 
 
-def test_a_new_box_comes_first_and_the_oldest_is_forgotten():
-    history = advanced(BoxHistory.begun(box(5.0), torch.tensor([1.5]), 3), 6.0, 1.25)
-    assert marks(history) == [[6.0, 5.0, 5.0]]
-    assert history.age.tolist() == [[1.25, 2.5, 3.5]]
-    history = advanced(history, 7.0, 1.5)
-    assert marks(history) == [[7.0, 6.0, 5.0]]
-    assert history.age.tolist() == [[1.5, 2.25, 3.5]]
-
-
 def test_without_a_new_box_all_grow_older_each_environment_by_itself():
     history = BoxHistory.begun(box(5.0, 6.0), torch.tensor([1.0, 1.0]), 2)
     later = history.advanced(box(7.0, 8.0), torch.tensor([1.0, 2.0]), torch.tensor([True, False]))

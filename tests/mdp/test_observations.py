@@ -14,12 +14,9 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import BoxHistory, History
 from pixel2catch.mdp.observations import (
-    NUM_BOXES,
     PIXEL_FEATURES,
     ObservationInputs,
     box_age,
-    box_fit,
-    box_track,
     observe,
     pixel_columns,
     pixel_features,
@@ -187,16 +184,6 @@ def test_privileged_state_by_hand():
     )
     expected = [1, 2, 3, 1.5, 2, 2, 0.5, 0, -1, 1, 2, 1, 7, 8, 9, 1, 0, 0, 1, 0, 1]
     assert privileged_state(before, now)[0].tolist() == expected
-
-
-@pytest.mark.parametrize(
-    ("memory", "num_boxes", "terms"),
-    [("age", 1, (box_age,)), ("boxes", 8, (box_track,)), ("fit", NUM_BOXES, (box_fit,))],
-)
-def test_boxes_and_terms_of_each_memory(memory: str, num_boxes: int, terms: tuple[object, ...]):
-    method = find_method(f"catch+{memory}")
-    assert method.num_boxes == num_boxes
-    assert all(agent.memory == terms for agent in method.agents)
 
 
 @pytest.mark.parametrize("name", ["without_pf", "object_position"])

@@ -64,12 +64,6 @@ def test_laws_of_selection(mask, seed):
     assert are_equal(select(mask, select(mask, new, old), old), select(mask, new, old))
 
 
-def test_nan_in_what_is_not_chosen_does_not_leak():
-    nan = torch.full((NUM_ENVS, 2), torch.nan)
-    chosen = select(torch.tensor([True, False, True, False]), torch.zeros(NUM_ENVS, 2), nan)
-    assert chosen.isnan().any(dim=-1).tolist() == [False, True, False, True]
-
-
 @given(SEEDS)
 def test_clone_is_equal_and_shares_nothing(seed):
     original = tree(seed)

@@ -12,7 +12,6 @@ from pixel2catch.robots.joint_dynamics import (
     SERVOJ_LOOKAHEAD,
     JointDynamics,
     command_lag,
-    filter_transition,
 )
 from pixel2catch.robots.ur5e import ARM as ARM_GROUP
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -20,7 +19,6 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 ARM = tuple(joint.name for joint in ARM_GROUP.joints)
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
 ELBOW = JointDynamics.nominal(["elbow_joint"])
-FILTERED = ELBOW.with_values(filter_gain=SERVOJ_GAIN, filter_lookahead=SERVOJ_LOOKAHEAD)
 
 
 def test_nominal_dynamics_are_the_simulators():
@@ -77,25 +75,3 @@ def test_command_lag_by_hand():
     """Half a step, another one for the filter, and the latency."""
     both = JointDynamics.nominal(ELBOW_AND_INDEX).with_values(latency=0.003, filter_gain=[300.0, np.inf])
     np.testing.assert_allclose(command_lag(both, 0.01), (0.013, 0.008))
-
-
-def test_filter_lags_a_ramp_by_its_lookahead():
-    """At constant speed q̈ = 0, so that u − q = lookahead q̇."""
-    dt, speed = 0.002, 0.7
-    (step,) = filter_transition(FILTERED, dt)
-    state = np.zeros(2)
-    for k in range(3000):
-        goal = np.array((speed * (k + 0.5) * dt, 0.0))
-        state = goal + step @ (state - goal)
-    assert speed * 3000 * dt - state[0] == pytest.approx(0.1 * speed, abs=1e-6)
-    assert state[1] == pytest.approx(speed, rel=1e-3)
-
-
-def test_filter_step_is_exact():
-    """One step of 20 ms is ten thousand of 2 µs."""
-    (step,) = filter_transition(FILTERED, 0.02)
-    position, speed = 0.1, -0.4
-    for _ in range(10_000):
-        speed += 2e-6 * 300.0 * (1.0 - position - 0.1 * speed)
-        position += 2e-6 * speed
-    np.testing.assert_allclose(step @ (0.1 - 1.0, -0.4), (position - 1.0, speed), rtol=1e-4)

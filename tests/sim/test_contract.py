@@ -256,10 +256,3 @@ def test_rays_hit_the_groups_that_were_named(simulation):
     assert cast(simulation, (0.0, 0.0, -1.0), (0, 1, 3)) == pytest.approx(expected, rel=1e-5)
     assert cast(simulation, (0.0, 0.0, -1.0), (0, 3)) == pytest.approx([2.0] * NUM_ENVS, rel=1e-6)
     assert cast(simulation, (0.0, 0.0, -1.0), (3,)) == [-1.0] * NUM_ENVS
-
-
-def test_on_the_cpu_nothing_is_recorded(simulation):
-    def double(value: torch.Tensor) -> torch.Tensor:
-        return 2 * value
-
-    assert simulation.record(double, torch.Generator()) is double
