@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from itertools import chain, repeat
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,13 @@ from loop_lab import (
     picture,
     remembering,
 )
+from servo_rows import LIMITS
 
+from domains import PATIENCE
 from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLoop, DecisionTimer
-from pixel2catch.deployment.policy_pipeline import PolicyController
+from pixel2catch.deployment.paths import Motion, PathFinder
+from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController
+from pixel2catch.deployment.throw_cycle import ThrowCycle
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.ros2 import messages
@@ -36,10 +41,16 @@ class LoopBench:
         around: Surroundings,
         perception_time: Callable[[], float] = float,
         controller: PolicyController | None = None,
+        place: str | None = None,
     ) -> None:
         self.around, pipeline = around, new_pipeline(controller=controller)
         self.loop = ControlLoop(
-            pipeline, RGB_CAMERA, around.connection, PROFILE, perception_time=perception_time
+            pipeline,
+            RGB_CAMERA,
+            around.connection,
+            PROFILE,
+            perception_time=perception_time,
+            cycle=ThrowCycle(pipeline, PROFILE, LIMITS, RGB_CAMERA, place) if place else None,
         )
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
 
@@ -153,6 +164,32 @@ def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings):
             newest = targets.image_stamp
         ages.append(now - newest)
     assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
+
+
+def test_images_are_processed_while_a_path_is_searched(around: Surroundings, monkeypatch: pytest.MonkeyPatch):
+    """Meanwhile the robot rests. Then it moves."""
+    bench, begun, may_end, search = LoopBench(around, place="side"), Event(), Event(), PathFinder.motion
+
+    def slow_search(*args: Any) -> Motion:
+        begun.set()
+        assert may_end.wait(PATIENCE)
+        return search(*args)
+
+    def steps(number: int) -> list[dict[str, Any]]:
+        around.servo.receive()
+        return [(around.show(picture()), bench.step())[1] for _ in range(number)]
+
+    monkeypatch.setattr(PathFinder, "motion", slow_search)
+    around.tick(Mode.ARMED, joint_pos=HOME + 0.5 * (np.arange(len(HOME)) == 0))
+    steps(FADE_STEPS + 2)
+    assert begun.wait(PATIENCE)
+    num_missed = bench.loop.statistics.num_missed
+    assert {status["cycle"] for status in steps(30)} == {"move"}
+    assert bench.loop.statistics.num_missed == num_missed
+    assert np.ptp([sent.joint_pos_target for sent in around.servo.receive()], axis=0).max() == 0.0
+    may_end.set()
+    while not steps(1)[0]["message"].startswith("to the start pose"):
+        pass
 
 
 def test_stops_and_refusals_are_reported_once_and_counted(bench: LoopBench, around: Surroundings):

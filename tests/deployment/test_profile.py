@@ -79,7 +79,6 @@ MISTAKES = [
     ("robots.1.held.4", GONE, "places 0 to 15"),
     ("robots.1.held.4.angle", float("nan"), "'angle' has the number nan"),
     ("robots.0.command_topic.type", messages.NUMBER, "'std_msgs/msg/Float64'"),
-    ("places", {"bin": {}}, "places.bin: give joints or palm"),
     ("places", {"bin": {"joints": {"elbow": 1.0}}}, "unknown arm joint 'elbow'"),
     ("places", {"bin": {"joints": {"elbow_joint": 9.0}}}, "places.bin: elbow_joint is 9; it may be"),
     ("places", {"bin": {"palm": [0.5, 0.1]}}, "places"),

@@ -1,6 +1,6 @@
 """A stepped twin whose robot starts in any pose, with an operator who holds the switch and arms."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -8,12 +8,15 @@ import numpy as np
 import torch
 
 from pixel2catch.cli.home import QUARTER
+from pixel2catch.deployment.follower import follow
 from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.deployment.paths import Motion
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.ros2.profile import Place
 from pixel2catch.scene.distances import Distances
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.servo.link import Command
 from pixel2catch.twin import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab_node import twin_profile
@@ -22,8 +25,8 @@ from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("ur5e_allegro")
 HOME = np.array([joint.home for joint in WORKCELL.joints])
-NEAR = Place(joints={"shoulder_pan_joint": 2.8})
-PROFILE = replace(twin_profile(WORKCELL), places={"near": NEAR, "side": Place(palm=(0.6, -0.5, 0.7))})
+TWIN = twin_profile(WORKCELL)
+PROFILE = replace(TWIN, places={"near": Place(joints={"shoulder_pan_joint": 2.8}), **TWIN.places})
 LIMITS = ServoLimits.of(WORKCELL)
 SLOW = ServoLimits.of(WORKCELL, JointLimits.of(WORKCELL, QUARTER))
 ARMED = 0.3  #: Time at which the operator arms [s].
@@ -34,7 +37,7 @@ class MotionLab:
 
     def __init__(self, twin: SteppedTwin, *, measures: bool) -> None:
         self.twin, self.distances = twin, Distances(twin.lab.workcell)
-        self.connection, self.topic = twin.servo.connection, twin.profile.operator.status
+        self.connection = twin.servo.connection
         self.nearest = np.full(2, np.inf)  #: Robot and table, arm and robot [m].
         self.fastest = np.zeros(len(twin.lab.workcell.joints))  #: [rad/s]
         self._operator = OperatorConsole(twin.broker.node(twin.clock), twin.profile.operator, twin.clock)
@@ -44,6 +47,15 @@ class MotionLab:
     @property
     def joint_pos(self) -> np.ndarray:
         return self.twin.lab.joints.position
+
+    def follow(
+        self,
+        plan: Callable[[np.ndarray], Motion],
+        on_command: Callable[[Command], None] = lambda _: None,
+    ) -> bool:
+        """Let the robot follow a motion; return whether it did to the end."""
+        topic = self.twin.profile.operator.status
+        return follow(plan, "motion", self.connection, topic, self.is_late, lambda _: None, on_command)
 
     def is_late(self) -> bool:
         return self.twin.clock.time > 60.0

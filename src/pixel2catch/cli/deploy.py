@@ -84,13 +84,13 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.deployment.throw_cycle import ThrowCycle
-            from pixel2catch.servo.link import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
+            from pixel2catch.servo import link
             from pixel2catch.servo.status_words import sentence
         if self.write_profile:
             self.link.robot.write_copy(self.write_profile)
             return
         self._require_motion()
-        set_niceness(CONTROL_LOOP)
+        link.set_niceness(link.CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
         camera, profile = self.perception.camera_spec(notes), self.link.robot.load()
@@ -98,11 +98,11 @@ class Deploy:
         for note in notes:
             say(note)
         if self.perception.checkpoint is None:  # a large network may use all cores for long
-            set_real_time(LOOP_PRIORITY)
+            link.set_real_time(link.LOOP_PRIORITY)
         with ExitStack() as stack:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             limits, place = self.link.limits(profile), self.after_catch
-            cycle = place and ThrowCycle(pipeline, profile, limits, camera, place, executor)
+            cycle = place and ThrowCycle(pipeline, profile, limits, camera, place)
             is_check_due = self._is_check_due(profile)
             connection = self.link.connect(
                 profile, self.record, "jpeg", stack, limits=limits, is_dry_run=self.dry_run
@@ -161,18 +161,17 @@ def _check_joints(
     Raises:
         DeploymentError: Joints do not fit the profile, or not all were moved.
     """
-    from pixel2catch.deployment.follower import move
+    from pixel2catch.deployment.follower import follow
     from pixel2catch.deployment.joint_check import JointCheck, record_of_today
     from pixel2catch.workcells import find_workcell
 
-    check, reason = JointCheck(find_workcell(profile.workcell), limits), "it was ended"
+    check, topic = JointCheck(find_workcell(profile.workcell), limits), profile.operator.status
     try:
-        topic = profile.operator.status
-        if move(check.plan, "joint check", connection, topic, is_over, on_status, check.note):
-            reason = ""
+        is_done = follow(check.plan, "joint check", connection, topic, is_over, on_status, check.note)
+        reasons = [] if is_done else ["it was ended"]
     except DeploymentError as error:
-        reason = str(error)
-    if wrong := [*check.findings(), *filter(None, [reason])]:
+        reasons = [str(error)]
+    if wrong := [*check.findings(), *reasons]:
         raise DeploymentError(f"joint check: {'; '.join(wrong)}")
     path = record_of_today(profile.name)
     path.parent.mkdir(parents=True, exist_ok=True)

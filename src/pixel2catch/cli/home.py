@@ -1,15 +1,20 @@
 """`pixel2catch home`: move the robot slowly to its start pose."""
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
-from pixel2catch.cli.console import say, saying_changes
+from pixel2catch.cli.console import saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pixel2catch.deployment.paths import PathFinder
+    from pixel2catch.servo.limits import Joints
 
 QUARTER, EVEN = 0.25, 0.9
 """Limits of the servo over those of a catch, and speed of the motion over that which they permit."""
@@ -31,25 +36,24 @@ class Home:
         move_once(self.link, "to the start pose", lambda finder, _: finder.home)
 
 
-def move_once(link: Link, what: str, goal_of: Callable[..., Any]) -> None:
+def move_once(link: Link, what: str, goal_of: "Callable[[PathFinder, Joints], Joints]") -> None:
     """Let the robot move to the goal for a `PathFinder` and the measured pose [rad], and open the hand.
 
     Raises:
         DeploymentError: It did not move to the end.
     """
     with needs_extra("deployment"):
-        from pixel2catch.deployment.follower import move
+        from pixel2catch.deployment.follower import follow
         from pixel2catch.deployment.paths import PathFinder
         from pixel2catch.servo.status_words import sentence
     profile, slow = link.robot.load(), replace(link, speed=QUARTER * link.speed)
     limits = slow.limits(profile)
-    finder, speed = PathFinder(profile, limits), EVEN * limits.joint_records["even_speed"]
+    finder, hear = PathFinder(profile, limits, EVEN), saying_changes()
     with ExitStack() as stack:
         connection = slow.connect(profile, None, "none", stack, limits=limits)
-        say(f"{what}: waiting for the positions of all joints")
-        hear, stop = saying_changes(), stack.enter_context(StopRequest())
-        is_done = move(
-            lambda start: finder.motion(start, goal_of(finder, start), speed),
+        stop = stack.enter_context(StopRequest())
+        is_done = follow(
+            lambda start: finder.motion(start, goal_of(finder, start)),
             what,
             connection,
             profile.operator.status,

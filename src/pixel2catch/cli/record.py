@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
-from pixel2catch.cli.console import prepare, progress_bar, say, saying_changes
+from pixel2catch.cli.console import prepare, progress_bar, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
@@ -51,6 +51,7 @@ class Record:
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import follow
+            from pixel2catch.deployment.paths import Motion
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
         profile = self.link.robot.load()
@@ -68,14 +69,14 @@ class Record:
                 connection = stack.enter_context(twin)
             else:
                 connection = self.link.connect(profile, self.out, "none", stack)
-            targets, duration = whole_robot(trajectory), trajectory.duration
-            say(f"{duration:.0f} s of motion; waiting to be armed")
-            limit = connection.clock.now() + duration + PATIENCE
+            motion = Motion(at=whole_robot(trajectory), duration=trajectory.duration)
+            limit = connection.clock.now() + motion.duration + PATIENCE
             with StopRequest() as stop, progress_bar("trajectory") as bar:
                 is_done = follow(
-                    targets,
-                    duration,
+                    lambda _: motion,
+                    "trajectory",
                     connection,
+                    profile.operator.status,
                     lambda: stop.is_set or (self.lockstep is not None and connection.clock.now() > limit),
                     partial(_report, saying_changes(), bar),
                 )

@@ -68,6 +68,15 @@ class Connection:
                 "the servo process has ended, nothing guards the robot: press its stop. Its error is above."
             )
 
+    def record(self, targets: JointTargets | None = None) -> str:
+        """Record targets and the messages that have arrived; return why the recording is incomplete."""
+        if self.recording is None:
+            return ""
+        if targets:
+            self.recording.record_row(TARGETS, targets.row, self.clock.now())
+        self.recording.record_messages()
+        return self.recording.trouble
+
 
 class DecisionTimer:
     """Sets the times of the decisions, one in every control step, with or without a new image.
@@ -233,25 +242,23 @@ class ControlLoop:
         end = self._clock.now()
         if is_active:
             self.statistics.count_step(now, end, times, is_decided=targets is not None)
-        status = self._make_status(complaint, end)
+        status = self._make_status(complaint, self._connection.record(targets), end)
         self._status.publish(messages.text(json.dumps(status)))
-        if self._recording:
-            if targets:
-                self._recording.record_row(TARGETS, targets.row, end)
-            self._recording.record_messages()
         return status
 
-    def _make_status(self, complaint: str, now: float) -> dict[str, Any]:
-        box = self._box if now - self._images.stamp < SILENCE else None
-        message = self._requests.complaint or self._problem or self._images.message
-        message = message or (box.message if box else "") or complaint
-        message = self._images.take_notice() or message
-        trouble = self._recording.trouble if self._recording else ""
-        announced = self._cycle.message if self._cycle else ""
-        message = " ".join(filter(None, (self._requests.stopped_by, announced, message, trouble)))
-        sight = self._pipeline.sight
-        status = self.statistics.status(box, message, sight.at(now), now - sight.box_stamp)
-        phase = {"cycle": self._cycle.phase} if self._cycle else {}
+    def _make_status(self, complaint: str, trouble: str, now: float) -> dict[str, Any]:
+        box, sight, cycle = (
+            self._box if now - self._images.stamp < SILENCE else None,
+            self._pipeline.sight,
+            self._cycle,
+        )
+        causes = self._requests.complaint, self._problem, self._images.message, box and box.message, complaint
+        wrong = self._images.take_notice() or next(filter(None, causes), "")
+        words = self._requests.stopped_by, cycle.message if cycle else "", wrong, trouble
+        status = self.statistics.status(
+            box, " ".join(filter(None, words)), sight.at(now), now - sight.box_stamp
+        )
+        phase = {"cycle": cycle.phase} if cycle else {}
         return status | {"robot": self._connection.robot_words} | phase
 
 

@@ -45,25 +45,23 @@ class JointCheck:
 
     def findings(self) -> list[str]:
         """Return the faults in the order of the joints; a joint that was not moved has none."""
-        found = list[str]()
-        if self._rows:
-            times, commands, measured = map(np.array, zip(*self._rows, strict=True))
-            commands, measured = commands - commands[0], (measured - measured[0]).T
-            for number, moves in enumerate(commands.T):
-                rows = np.abs(moves) > LEAST_MOTION
-                followed = np.array(
-                    [[np.interp(times[rows] + lag, times, q) for q in measured] for lag in LAGS]
-                )
-                gains = followed @ moves[rows] / max(moves[rows] @ moves[rows], LEAST_MOTION**2)
-                best = np.abs(gains).max(axis=1).argmax()
-                if rows.any() and (fault := self._fault(number, gains[best], float(LAGS[best]))):
-                    found.append(f"{self._names[number]} {fault}")
-        return found
+        if not self._rows:
+            return []
+        times, commands, measured = map(np.array, zip(*self._rows, strict=True))
+        commands, measured = (commands - commands[0]).T, (measured - measured[0]).T
+        moved = [i for i, moves in enumerate(commands) if np.abs(moves).max() > LEAST_MOTION]
+        found = [(self._names[i], self._fault(i, times, commands[i], measured)) for i in moved]
+        return [f"{name} {fault}" for name, fault in found if fault]
 
-    def _fault(self, number: int, gains: Joints, lag: float) -> str:
-        """Return the fault of a joint by the motion of all encoders and their lag [s]; empty without."""
-        own, first, expected = gains[number], int(np.abs(gains).argmax()), self._limits.joints.lag[number]
-        if abs(gains[first]) < LEAST_GAIN:
+    def _fault(self, number: int, times: Joints, moves: Joints, measured: np.ndarray) -> str:
+        """Return the fault of a joint by the motions of its command and of all encoders; empty without."""
+        rows = np.abs(moves) > LEAST_MOTION
+        followed = np.array([[np.interp(times[rows] + lag, times, q) for q in measured] for lag in LAGS])
+        gains = followed @ moves[rows] / (moves[rows] @ moves[rows])
+        best = int(np.abs(gains).max(axis=1).argmax())
+        own, first, lag = gains[best, number], int(np.abs(gains[best]).argmax()), LAGS[best]
+        expected = self._limits.joints.lag[number]
+        if abs(gains[best, first]) < LEAST_GAIN:
             return "does not follow: check its drive, the order in the profile, and the driver"
         if abs(own) < LEAST_GAIN:
             return f"is exchanged: {self._names[first]} follows its command; correct the profile"

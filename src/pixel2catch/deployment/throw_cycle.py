@@ -1,9 +1,8 @@
 """What the robot does between throws without a person: it carries, releases, returns, and waits."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from math import inf
 from typing import Literal
 
@@ -11,14 +10,16 @@ import numpy as np
 import torch
 
 from pixel2catch.camera.pinhole import project
-from pixel2catch.deployment.paths import SHARE, Motion, PathFinder
+from pixel2catch.deployment.paths import Motion, PathFinder, blind_targets
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyPipeline
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import Joints, ServoLimits
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.link import RECORDER_PRIORITY, JointTargets, give_way
 from pixel2catch.workcells import find_workcell
+
+SHARE = 0.23  #: Speed of a motion as a share of a catch's, with a margin to a quarter. Source: ours.
 
 HELD_DISTANCE = 0.12
 """Largest distance of a held object from the palm, across the line of sight [m]. Source: ours."""
@@ -44,9 +45,12 @@ class ThrowCycle:
         limits: ServoLimits,
         camera: CameraSpec,
         place: str,
-        executor: Executor | None = None,
+        *,
+        is_stepped: bool = False,
     ) -> None:
-        """Find the pose over a place; paths are searched by the executor, or at once.
+        """Find a path to a place.
+
+        A search may take a second. It runs in a thread of its own; in stepped time at once.
 
         Raises:
             UnknownNameError: There is no such place.
@@ -55,11 +59,15 @@ class ThrowCycle:
         self.phase: Literal["wait", "throw", "move"] = "wait"
         self.message = ""  #: The announcement of the motion.
         self.begin_waiting: Callable[[], None] = lambda: None  #: Called when the robot begins to wait.
-        self._pipeline, self._camera, self._executor = pipeline, camera, executor
+        self._pipeline, self._camera = pipeline, camera
+        self._executor = (
+            None if is_stepped else ThreadPoolExecutor(1, "paths", give_way, (RECORDER_PRIORITY,))
+        )
         self._geometry = WorkcellGeometry(find_workcell(profile.workcell))
-        self._finder, self._speed = PathFinder(profile, limits), SHARE * limits.joint_records["even_speed"]
+        self._finder = PathFinder(profile, limits, SHARE)
         self._place = (f"to {place}", self._finder.pose_over(place))
         self._home = ("to the start pose", self._finder.home)
+        self._finder.motion(self._finder.home, self._place[1])
         self._goals: list[tuple[str, Joints]] = []
         self._motion: Future[Motion] | None = None
         self._target, self._begin, self._num_rests = self._finder.home, inf, 0
@@ -69,12 +77,14 @@ class ThrowCycle:
     def arm(self, joint_pos: Joints, begin: float) -> None:
         """Hold the measured pose [rad] of a robot that was armed, and move on from a time on [s]."""
         is_away = (np.abs(joint_pos - self._finder.home) > AWAY)[self._finder.is_arm].any()
-        if self.phase == "throw":
-            self._goals = [self._place, self._home]
-        elif is_away and not self._goals:
-            self._goals = [self._home]
-        self.phase = "move" if self._goals else "wait"
-        self._target, self._begin, self._motion, self._num_rests = joint_pos, begin, None, FADE_STEPS
+        goals = [self._place, self._home] if self.phase == "throw" else self._goals
+        self._go_to(goals or ([self._home] if is_away else []), begin, FADE_STEPS)
+        self._target = joint_pos
+
+    def _go_to(self, goals: list[tuple[str, Joints]], begin: float, num_rests: int = 0) -> None:
+        """Begin to move to goals, from a time on [s]; wait if there are none."""
+        self.phase, self._goals, self.message = "move" if goals else "wait", goals, ""
+        self._begin, self._motion, self._num_rests = begin, None, num_rests
 
     def decide(self, joint_pos: Joints, now: float) -> JointTargets | None:
         """Return joint targets as `PolicyPipeline.decide` does; between throws there always are some."""
@@ -83,14 +93,13 @@ class ThrowCycle:
             self.phase, self.message, self._begin = "throw", "", now
             self._held_since, self._thrown, self._first = inf, inf, self._pipeline.sight.center
         if self.phase == "throw":
-            self._goals = self._goals_after(joint_pos, now)
-            if not self._goals:
+            goals = self._goals_after(joint_pos, now)
+            if not goals:
                 return targets and self._ramped(targets, now)
-            self.phase, self._begin, self._motion, self._num_rests = "move", now, None, 0
+            self._go_to(goals, now)
         if self.phase == "move":
             self._move(joint_pos, now)
-        stamps = dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now)
-        return JointTargets(joint_pos_target=self._target, **stamps)
+        return blind_targets(self._target, now)
 
     def _ramped(self, targets: JointTargets, now: float) -> JointTargets:
         """Let the targets go over from the start pose to the policy's, as the servo does once it is armed."""
@@ -119,21 +128,24 @@ class ThrowCycle:
             self._num_rests += 1
             self._target = self._pipeline.rest(joint_pos)
         elif self._motion is None:
-            search = partial(self._finder.motion, self._target, goal, self._speed)
-            self._motion = self._executor.submit(search) if self._executor else _done(search())
+            self._motion = self._search(self._target, goal)
         elif self._motion.done():
             motion = self._motion.result()
-            if not self.message.startswith(what):
-                self.message, self._begin = f"{what}: {motion.in_words}", max(self._begin, now)
+            if not self.message:
+                self.message, self._begin = (
+                    f"{what}: {motion.duration:.0f} s of motion.",
+                    max(self._begin, now),
+                )
             self._target = motion.at(now + CONTROL_DT - self._begin)
             if now - self._begin > motion.duration:
-                self._goals, self._motion, self.message = self._goals[1:], None, ""
+                self._go_to(self._goals[1:], now, FADE_STEPS)
         if not self._goals:
-            self.phase, self.message = "wait", "The robot waits for the next throw: point at the object."
+            self.message = "The robot waits for the next throw: point at the object."
             self.begin_waiting()
 
-
-def _done(motion: Motion) -> Future[Motion]:
-    done = Future[Motion]()
-    done.set_result(motion)
-    return done
+    def _search(self, start: Joints, goal: Joints) -> Future[Motion]:
+        if self._executor:
+            return self._executor.submit(self._finder.motion, start, goal)
+        done = Future[Motion]()
+        done.set_result(self._finder.motion(start, goal))
+        return done

@@ -256,16 +256,13 @@ class OperatorTopics:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A place over which the hand releases what it holds: positions of arm joints, or of the first palm."""
+    """A place over which the hand releases what it holds."""
 
-    #: Arm joints by their names in the work cell [rad]; the others are in their start pose.
-    joints: dict[str, float] = field(default_factory=dict)
-    palm: tuple[float, float, float] | None = None  #: Position in the world [m]; the palm faces down.
+    #: Arm joints by their names in the work cell [rad]; others are at the start pose.
+    joints: dict[str, float]
 
     def require_valid(self, name: str, arm: Mapping[str, "JointSpec"]) -> None:
-        """Refuse joints that no arm has, angles out of range, and a place without or with both."""
-        if bool(self.joints) == bool(self.palm):
-            raise InvalidValueError(f"places.{name}: give joints or palm, one of them")
+        """Refuse joints that no arm has, and angles out of range."""
         for joint, angle in self.joints.items():
             if joint not in arm:
                 raise UnknownNameError("arm joint", joint, arm)

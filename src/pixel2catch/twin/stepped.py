@@ -164,7 +164,8 @@ def in_step(
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
         cycle = None
         if cfg.after_catch:
-            cycle = ThrowCycle(pipeline, twin.profile, twin.limits, scene.camera, cfg.after_catch)
+            place, limits = cfg.after_catch, twin.limits
+            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, place, is_stepped=True)
         loop = ControlLoop(
             pipeline,
             scene.camera,
