@@ -26,21 +26,15 @@ from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, link
 from pixel2catch.servo.process import Servo, ServoSetup
 
-POLL = 0.002
-"""Longest real time between two polls of servo and network [s]; an image ends the wait. Source: ours."""
-
-BUSY_POLL = 0.005
-"""Poll interval while an image is processed in this process [s]; the result ends the wait. Source: ours: more
-polls would take a tenth of the processor from perception."""
-
+POLL = 0.002  #: Longest real time between two polls of servo and network [s]; an image ends it. Source: ours.
+BUSY_POLL = (
+    0.005  #: The same while an image is processed: more polls take time from perception. Source: ours.
+)
 SILENCE = 1.0  #: Time after a good image from which its box is not reported [s]. Source: ours.
 QUANTILE = 0.9  #: Share of the images that are processed before their decision. Source: ours.
 NUM_AGES = 60  #: Processed images that the decision time is taken from: two to four seconds. Source: ours.
 SHIFT = 0.0005  #: Largest change of a control step's length [s]. Source: ours.
-
-GRACE = 0.15 * CONTROL_DT
-"""Time by which a decision waits for a result that is due [s]; without it the box is a control step older.
-Source: ours."""
+GRACE = 0.15 * CONTROL_DT  #: Time by which a decision waits for a result that is due [s]. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,8 +132,7 @@ class ControlLoop:
         self._perception = PerceptionRunner(pipeline, connection.clock, executor, perception_time)
         self._requests = OperatorRequests(connection.transport, profile.operator, self.statistics)
         self._status = connection.transport.publisher(profile.operator.status)
-        self._joint_pos = np.full(pipeline.num_joints, np.nan)
-        self._mode = int(Mode.IDLE)
+        self._joint_pos, self._mode = np.full(pipeline.num_joints, np.nan), int(Mode.IDLE)
         self._times: dict[str, float] | None = None
         self._box: Box | None = None
         self._sent: JointTargets | None = None
@@ -151,8 +144,7 @@ class ControlLoop:
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Run until it is over, and report the status of every control step; raises what `poll` raises."""
         while not is_over():
-            status = self.poll()
-            if status is not None:
+            if status := self.poll():
                 on_status(status)
             else:
                 self._wait()
@@ -209,15 +201,15 @@ class ControlLoop:
 
     def _decide(self) -> tuple[JointTargets | None, str]:
         """Return the joint targets, if the policy can decide, and what went wrong."""
+        decider = self._cycle if self._cycle and self._mode in ACTIVE else self._pipeline
         try:
-            decider = self._cycle if self._cycle and self._mode in ACTIVE else self._pipeline
             targets = decider.decide(self._joint_pos, self._clock.now())
         except DeploymentError as error:
             return None, str(error)
-        if targets is None:
-            return None, ""
-        self.statistics.note_targets(targets)
-        return self._with_image(targets, self._images.stamp), ""
+        if targets:
+            self.statistics.note_targets(targets)
+            targets = self._with_image(targets, self._images.stamp)
+        return targets, ""
 
     def _with_image(self, targets: JointTargets, stamp: float) -> JointTargets:
         """Return targets with the exposure time of the newest image [s] and the state of perception.
@@ -235,13 +227,13 @@ class ControlLoop:
 
     def _finish_step(self, targets: JointTargets | None, complaint: str, now: float) -> dict[str, Any]:
         """Send the targets; publish and record the control step."""
-        is_active, times, self._times = self._mode in ACTIVE, self._times, None
-        if targets and is_active:
+        if targets and self._mode in ACTIVE:
             self._connection.servo.send(targets)
             self._sent = targets
         end = self._clock.now()
-        if is_active:
-            self.statistics.count_step(now, end, times, is_decided=targets is not None)
+        if self._mode in ACTIVE:
+            self.statistics.count_step(now, end, self._times, is_decided=targets is not None)
+        self._times = None
         status = self._make_status(complaint, self._connection.record(targets), end)
         self._status.publish(messages.text(json.dumps(status)))
         return status

@@ -6,6 +6,7 @@ import os
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
+from itertools import chain
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -40,13 +41,12 @@ class OperatorRequests:
     def take_prompts(self) -> Iterator[BoxPrompt]:
         """Yield the valid prompts since the last call; count the stop requests."""
         for message in self._stops.take():
-            is_stop = False
             with suppress(DeploymentError):
-                is_stop = messages.read_boolean(message.data)
-            if is_stop:
-                who = self._transport.other_publishers(self._topics.stop).get(message.sender, UNKNOWN_SENDER)
-                self.stopped_by = f"The stop was requested by {who}."
-                self._statistics.stop_requests[who] += 1
+                if messages.read_boolean(message.data):
+                    others = self._transport.other_publishers(self._topics.stop)
+                    who = others.get(message.sender, UNKNOWN_SENDER)
+                    self.stopped_by = f"The stop was requested by {who}."
+                    self._statistics.stop_requests[who] += 1
         for message in self._prompts.take():
             self.complaint = self._refusal(message)
             if not self.complaint:
@@ -153,13 +153,12 @@ def is_status(found: dict[str, Any]) -> bool:
         isinstance(box, list) and isinstance(latency, dict) and all(isinstance(each, list) for each in lists)
     ):
         return False
-    numbers = [*box, *latency.values()]
-    texts = [found.get("mode"), found.get("message"), *(text for each in lists for text in each or ())]
-    return (
-        len(box) == 4
-        and all(isinstance(each, int | float) and abs(each) < FARTHEST for each in numbers)
-        and all(isinstance(each, str) for each in texts)
+    numbers, texts = (
+        [*box, *latency.values()],
+        [found.get("mode"), found.get("message"), *chain(*filter(None, lists))],
     )
+    are_numbers = all(isinstance(each, int | float) and abs(each) < FARTHEST for each in numbers)
+    return len(box) == 4 and are_numbers and all(isinstance(each, str) for each in texts)
 
 
 EVENT = struct.Struct("@llHHi")

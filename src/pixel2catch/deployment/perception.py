@@ -36,54 +36,8 @@ DISTRUST_TIME = 1.0
 """Time for which images are refused after one that is older than the one before [s]. Source: ours."""
 
 
-class ImageChecks:
-    """Checks whether the images can come from one working camera."""
-
-    def __init__(self, transport: Transport, profile: CameraProfile, clock: Clock) -> None:
-        """Start without a problem."""
-        self._transport, self._profile, self._clock = transport, profile, clock
-        self._last: Image | None = None
-        self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
-        self._several_cameras = self._wrong_size = self._older = ""
-
-    @property
-    def problem(self) -> str:
-        """Why the images cannot be used; empty if they can."""
-        if self._num_equal >= NUM_EQUAL:
-            name = self._profile.image.name
-            return f"the image on {name} is frozen: its pixels do not change. Restart the camera's driver."
-        is_distrusted = self._clock.now() < self._distrusted_until
-        return self._several_cameras or self._wrong_size or (self._older if is_distrusted else "")
-
-    def count_cameras(self) -> None:
-        """Look every `POLL_TIME` whether several programs publish images."""
-        if (now := self._clock.now()) < self._next_poll:
-            return
-        self._next_poll = now + POLL_TIME
-        topics = [topic for topic in (self._profile.image, self._profile.info) if topic]
-        shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
-        self._several_cameras = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
-
-    def is_new(self, image: Image) -> bool:
-        """Check the next image; return whether it differs from the previous one."""
-        last, self._last, self._wrong_size = self._last, image, self._profile.wrong_format(image)
-        if last is None or self._wrong_size:
-            self._num_equal = 1
-            return not self._wrong_size
-        if 0.0 < image.stamp < last.stamp:
-            self._distrusted_until = self._clock.now() + DISTRUST_TIME
-            self._older = (
-                f"an image on {self._profile.image.name} is {last.stamp - image.stamp:.2g} s older than "
-                "the one before: end a second camera or recording; or a clock was set, wait a second."
-            )
-        is_repeated = image.stamp == last.stamp != 0.0
-        is_equal = np.array_equal(last.pixels, image.pixels)
-        self._num_equal = self._num_equal + (not is_repeated) if is_equal else 1
-        return not is_equal
-
-
 class ImageSubscriber:
-    """Receives images, checks them, and adds the joint positions at their time."""
+    """Receives images, checks that they come from one working camera, and adds the joint positions then."""
 
     def __init__(
         self,
@@ -99,13 +53,14 @@ class ImageSubscriber:
         With `assumes_age`, images without a usable stamp count as `ASSUMED_AGE` control steps old at arrival.
         Without, their stamp is used as it is, and the servo refuses them.
         """
-        self._profile, self._camera, self._clock = profile, camera, clock
-        self._checks = ImageChecks(transport, profile, clock)
+        self._transport, self._profile, self._camera, self._clock = transport, profile, camera, clock
         self._images = transport.subscription(profile.image, DEPTH)
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
-        self._wrong_lens = self._ahead = self._notice = ""
-        self._assumes_age, self._is_stamped = assumes_age, False
+        self._last: Image | None = None
+        self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
+        self._several_cameras = self._wrong_size = self._older = self._wrong_lens = self._ahead = ""
+        self._assumes_age, self._is_stamped, self._notice = assumes_age, False, ""
         self.received: list[Message] = []  #: Messages that the last call of `newest` took, for a recording.
         self.message = ""  #: Why the last image could not be read; empty if it could.
         self.stamp = -inf  #: Exposure time of the newest usable image [s].
@@ -119,12 +74,16 @@ class ImageSubscriber:
     @property
     def problem(self) -> str:
         """Why no image can be used, such as another lens than the calibrated one; empty if they can."""
-        return self._checks.problem or self._wrong_lens or self._ahead
+        if self._num_equal >= NUM_EQUAL:
+            name = self._profile.image.name
+            return f"the image on {name} is frozen: its pixels do not change. Restart the camera's driver."
+        older = self._older if self._clock.now() < self._distrusted_until else ""
+        return self._several_cameras or self._wrong_size or older or self._wrong_lens or self._ahead
 
     def newest(self) -> Image | None:
         """Return the newest image since the last call, stamped by `Clock.now`; None without a usable one."""
         self._check_lens()
-        self._checks.count_cameras()
+        self._count_cameras()
         self.received = self._images.take()
         newest: Image | None = None
         for message in self.received:
@@ -134,7 +93,7 @@ class ImageSubscriber:
                 self.message = str(error)
                 continue
             self.message = self._ahead = ""
-            is_new = self._checks.is_new(image)
+            is_new = self._is_new(image)
             if self.problem:
                 continue
             stamp = self._exposure_time(image, message.arrival)
@@ -153,36 +112,63 @@ class ImageSubscriber:
         notice, self._notice = self._notice, ""
         return notice
 
-    def _exposure_time(self, image: Image, arrival: float) -> float:
-        """Exposure time by the stamp; after the first usable stamp, an old one is a late image."""
-        stamp = self._clock.now() - (self._clock.stamp() - image.stamp) - self._profile.stamp_offset
-        has_stamp, was_stamped = image.stamp != 0.0, self._is_stamped
-        is_usable = has_stamp and EARLIEST <= arrival - stamp <= LATEST
-        self._is_stamped = is_usable or (was_stamped and has_stamp)
-        if self._is_stamped or not self._assumes_age:
-            return stamp
-        if was_stamped or self.stamp == -inf:
-            age = arrival - stamp
-            found = f"have stamps of {abs(age):.2g} s {'ago' if age > 0.0 else 'ahead'}"
-            self._notice = (
-                f"images on {self._profile.image.name} {found if has_stamp else 'have no stamps'}: each "
-                f"counts as {1e3 * ASSUMED_AGE * CONTROL_DT:.0f} ms old at arrival. Let the driver write the "
-                "exposure time into header.stamp, and synchronise the clocks of the two machines."
-            )
-        return arrival - ASSUMED_AGE * CONTROL_DT
-
-    def _joints_at(self, time: float) -> Joints | None:
-        if not self._joints:
-            return None
-        _, joint_pos = min(self._joints, key=lambda known: abs(known[0] - time))
-        return None if np.isnan(joint_pos).any() else joint_pos
-
     def _check_lens(self) -> None:
         for message in self._lens.take() if self._lens else ():
             try:
                 self._wrong_lens = lens_difference(messages.read_camera_info(message.data), self._camera)
             except DeploymentError as error:
                 self._wrong_lens = str(error)
+
+    def _count_cameras(self) -> None:
+        """Look every `POLL_TIME` whether several programs publish images."""
+        if (now := self._clock.now()) < self._next_poll:
+            return
+        self._next_poll = now + POLL_TIME
+        topics = [topic for topic in (self._profile.image, self._profile.info) if topic]
+        shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
+        self._several_cameras = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
+
+    def _is_new(self, image: Image) -> bool:
+        """Check the next image; return whether it differs from the previous one."""
+        last, self._last, self._wrong_size = self._last, image, self._profile.wrong_format(image)
+        if last is None or self._wrong_size:
+            self._num_equal = 1
+            return not self._wrong_size
+        if 0.0 < image.stamp < last.stamp:
+            self._distrusted_until = self._clock.now() + DISTRUST_TIME
+            self._older = (
+                f"an image on {self._profile.image.name} is {last.stamp - image.stamp:.2g} s older than "
+                "the one before: end a second camera or recording; or a clock was set, wait a second."
+            )
+        is_repeated = image.stamp == last.stamp != 0.0
+        is_equal = np.array_equal(last.pixels, image.pixels)
+        self._num_equal = self._num_equal + (not is_repeated) if is_equal else 1
+        return not is_equal
+
+    def _exposure_time(self, image: Image, arrival: float) -> float:
+        """Exposure time by the stamp; after the first usable stamp, an old one is a late image."""
+        stamp = self._clock.now() - (self._clock.stamp() - image.stamp) - self._profile.stamp_offset
+        has_stamp, was_stamped, age = image.stamp != 0.0, self._is_stamped, arrival - stamp
+        is_usable = has_stamp and EARLIEST <= age <= LATEST
+        self._is_stamped = is_usable or (was_stamped and has_stamp)
+        if self._is_stamped or not self._assumes_age:
+            return stamp
+        if was_stamped or self.stamp == -inf:
+            found = (
+                f"stamps of {abs(age):.2g} s {'ago' if age > 0.0 else 'ahead'}" if has_stamp else "no stamps"
+            )
+            self._notice = (
+                f"images on {self._profile.image.name} have {found}: each counts as "
+                f"{1e3 * ASSUMED_AGE * CONTROL_DT:.0f} ms old at arrival. Let the driver write the exposure "
+                "time into header.stamp, and synchronise the clocks of the two machines."
+            )
+        return arrival - ASSUMED_AGE * CONTROL_DT
+
+    def _joints_at(self, time: float) -> Joints | None:
+        _, joint_pos = min(
+            self._joints, key=lambda known: abs(known[0] - time), default=(0.0, np.array(np.nan))
+        )
+        return None if np.isnan(joint_pos).any() else joint_pos
 
 
 def lens_difference(found: CameraSpec, expected: CameraSpec) -> str:

@@ -1,7 +1,6 @@
 """From an image to joint targets: perception, memory of the boxes, and the policy."""
 
 from collections import deque
-from enum import StrEnum
 from math import inf
 
 import numpy as np
@@ -29,6 +28,10 @@ from pixel2catch.servo.link import JointTargets
 _UNKNOWN = torch.full((1, 3), torch.nan)
 
 
+def _batch(joint_pos: Joints) -> Float[Tensor, "1 num_joints"]:
+    return torch.tensor(joint_pos[None], dtype=torch.float32)
+
+
 class PolicyController:
     """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
@@ -44,9 +47,8 @@ class PolicyController:
         self.object_radius = policy.contract.object_radius  #: Of the largest object in training [m].
         self._action_map = ActionMap.of(commands_of(workcell), torch.device("cpu"))
         self._geometry, self.joints = WorkcellGeometry(workcell), workcell.joints
-        self.is_arm = np.zeros(len(self.joints), dtype=bool)  #: Whether each joint is an arm's.
-        for columns in workcell.of_role("arm"):
-            self.is_arm[columns] = True
+        roles = [group.role for group in workcell.groups for _ in group.joints]
+        self.is_arm = np.array(roles) == "arm"  #: Whether each joint is an arm's.
         self.history: History | None = None  #: Measurements of this throw; None before its first step.
         self._action: Float[Tensor, "1 num_joints"] = torch.zeros(1, len(self.joints))
         self._target: Float[Tensor, "1 num_joints"] | None = None
@@ -103,27 +105,16 @@ def _refuse_unmeasured_terms(method: Method, measurement: Measurement) -> None:
             )
 
 
-LONGEST_GAP = 0.7
-"""Age of the newest box from which the policy is not stepped [s]. Source: ours, from rehearsals: it acts on
-old boxes for most of a flight."""
-
+LONGEST_GAP = (
+    0.7  #: Age of the newest box from which the policy is not stepped [s]. Source: ours, rehearsals.
+)
 MOTION = 6.0  #: Change of the box centre from which the object has moved [px]. Source: ours.
 
 STILL_TIME = (ThrowCfg().hover_steps[1] + 1) * CONTROL_DT
 """Time without motion after which the object is held or caught, and targets stay [s]. Source: ours, the
 longest hover of the paper's task, which the shipped policies were trained with."""
 
-NUM_JUMPS, NUM_IMAGES = 5, 30
-"""Number of jumps in a number of images that no thrown object makes. Source: ours."""
-
-
-class Visibility(StrEnum):
-    """Whether the object is seen at present."""
-
-    NEVER = "never seen"
-    SEEN = "seen"
-    SEARCHING = "searching"
-    LOST = "lost"
+NUM_JUMPS, NUM_IMAGES = 5, 30  #: Jumps in a number of images that no thrown object makes. Source: ours.
 
 
 class ObjectSight:
@@ -159,14 +150,12 @@ class ObjectSight:
             "object's looks, and flickering light. 'pixel2catch track' shows what is seen."
         )
 
-    def at(self, now: float) -> Visibility:
-        """Return whether the object is seen at a time [s]."""
+    def at(self, now: float) -> str:
+        """Return whether the object is seen at a time [s]: never seen, seen, searching or lost."""
         age = now - self.box_stamp
-        if age == inf:
-            return Visibility.NEVER
         if age <= LONGEST_GAP:
-            return Visibility.SEEN
-        return Visibility.SEARCHING if age <= LOSS_TIME else Visibility.LOST
+            return "seen"
+        return "searching" if age <= LOSS_TIME else "lost" if age < inf else "never seen"
 
 
 BOX_AGE = 1.8 * CONTROL_DT
@@ -174,12 +163,11 @@ BOX_AGE = 1.8 * CONTROL_DT
 object by the one or two control steps of its training, and needs the same age in every step."""
 
 MEMORY = 8  #: Least number of boxes that are kept, one for each image.
+FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is seen. Source: ours.
 
 LONGEST_PERCEPTION = 0.4
 """Age of the newest processed image from which perception counts as hanging [s]. Source: ours; where an image
 takes 100 ms, it is up to 0.25 s old when the next one is done."""
-
-FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is seen. Source: ours.
 
 
 class PolicyPipeline:
@@ -220,8 +208,7 @@ class PolicyPipeline:
 
     def _begin_track(self) -> None:
         """Drop all boxes, and start the policy from the present targets."""
-        target = self._target
-        self._controller.reset(None if target is None else torch.tensor(target[None], dtype=torch.float32))
+        self._controller.reset(None if self._target is None else _batch(self._target))
         self._boxes.clear()
         self._num_held = 0
 
@@ -268,12 +255,11 @@ class PolicyPipeline:
                 f"the newest processed image is {now - self._image_stamp:.1f} s old: check the camera, and "
                 "with 'pixel2catch track' which stage of perception is slow."
             )
-        if self._target is not None and self.sight.at(now) is not Visibility.SEEN:
-            self._target = self._resting(joint_pos, self._target)
+        if self._target is not None and self.sight.at(now) != "seen":
+            self._target = self.rest(joint_pos)
         elif self._target is None or not self.sight.is_still:
             boxes = self._measured_boxes(now) if self.knows_age else self._box_at(now - BOX_AGE)
-            target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
-            self._target = target[0].double().numpy()
+            self._target = self._controller.step(_batch(joint_pos), boxes)[0].double().numpy()
         return JointTargets(
             joint_pos_target=self._target,
             target_stamp=now,
@@ -282,19 +268,16 @@ class PolicyPipeline:
         )
 
     def rest(self, joint_pos: Joints) -> Joints:
-        """Return targets with which an arm comes to rest in `FADE_STEPS` control steps [rad]."""
-        self._target = self._resting(joint_pos, joint_pos if self._target is None else self._target)
-        return self._target
-
-    def _resting(self, joint_pos: Joints, target: Joints) -> Joints:
-        """Return targets whose lead of the arm's joints fades to zero in `FADE_STEPS` [rad]."""
+        """Return targets whose lead of the arm's joints fades to zero in `FADE_STEPS` control steps [rad]."""
+        target = joint_pos if self._target is None else self._target
         if self._num_held == 0:
             self._lead = target - joint_pos
         self._num_held += 1
-        if self._num_held > FADE_STEPS:
-            return target
-        share = 1.0 - self._num_held / FADE_STEPS
-        return np.where(self._controller.is_arm, joint_pos + share * self._lead, target)
+        if self._num_held <= FADE_STEPS:
+            faded = joint_pos + (1.0 - self._num_held / FADE_STEPS) * self._lead
+            target = np.where(self._controller.is_arm, faded, target)
+        self._target = target
+        return target
 
     def _measured_boxes(self, now: float) -> BoxHistory:
         edges = torch.tensor([box.edges for box in self._boxes], dtype=torch.float32)

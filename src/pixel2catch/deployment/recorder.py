@@ -104,9 +104,8 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             return False
         try:
             if topic not in self._connections:
-                self._connections[topic] = self._writer.add_connection(
-                    topic.name, topic.type, typestore=STORE
-                )
+                added = self._writer.add_connection(topic.name, topic.type, typestore=STORE)
+                self._connections[topic] = added
             self._writer.write(self._connections[topic], stamp, converted)
         except Exception as error:  # nothing can be written any further
             self.problem = f"{type(error).__name__}: {error}"
@@ -135,33 +134,26 @@ class DeploymentRecorder:
         images: ImageStorage,
     ) -> None:
         """Subscribe to joint states, commands, robot status and operator, without ending any wait."""
-        self._recorder, self._clock = recorder, clock
-        self._profile, self._images = profile, images
+        self._recorder, self._clock, self._profile, self._images = recorder, clock, profile, images
         self._last: dict[Topic, float] = {}
         self._polled, self._has_gaps = np.inf, False
-        topics = profile.driver_topics | {part.command_topic for part in profile.robots}
-        topics |= {*vars(profile.operator).values()}
-        self._subscriptions = [
-            (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics
-        ]
+        commands, operator = {part.command_topic for part in profile.robots}, vars(profile.operator).values()
+        topics = profile.driver_topics | commands | {*operator}
+        self._subscriptions = {
+            topic: transport.subscription(topic, DEPTH, only_watches=True) for topic in topics
+        }
 
     @property
     def trouble(self) -> str:
         """Why the recording lacks messages; empty if it is complete."""
         recorder, num_lost = self._recorder, sum(self._recorder.num_dropped.values())
-        if not (num_lost or recorder.problem):
-            return HELD_UP if self._has_gaps else ""
         reason = recorder.problem or recorder.unconverted or "the disk is too slow"
-        return (
-            f"the recording lacks {num_lost} messages ({reason}): free or change the disk, and record again."
-        )
+        if num_lost or recorder.problem:
+            return f"the recording lacks {num_lost} messages ({reason}): free the disk, and record again."
+        return HELD_UP if self._has_gaps else ""
 
     def require_whole(self) -> None:
-        """Refuse a recording that has ended and lacks messages.
-
-        Raises:
-            DeploymentError: Messages are missing.
-        """
+        """Raise DeploymentError if the recording has ended and lacks messages."""
         if self.trouble:
             raise DeploymentError(self.trouble)
 
@@ -170,7 +162,7 @@ class DeploymentRecorder:
         now = self._clock.now()
         self._has_gaps |= now - self._polled > LONGEST
         self._polled = now
-        for topic, subscription in self._subscriptions:
+        for topic, subscription in self._subscriptions.items():
             for message in subscription.take():
                 self._write(topic, message.data, message.arrival)
 

@@ -65,8 +65,11 @@ def replay(
     """
     clock, broker = StepClock(lambda _: None), Broker()
     clock.time = _begin(recording, profile)
-    node, limits = broker.node(clock), ServoLimits.of(find_workcell(profile.workcell))
-    topics = played_topics(profile)
+    node, limits, topics = (
+        broker.node(clock),
+        ServoLimits.of(find_workcell(profile.workcell)),
+        played_topics(profile),
+    )
     publishers = {topic: broker.node(clock).publisher(topic) for topic in topics}
     with ExitStack() as stack:
         recorder = DeploymentRecorder(
@@ -120,8 +123,7 @@ def recorded_targets(recording: Path) -> list[JointTargets]:
     Raises:
         PerceptionError: It cannot be read.
     """
-    first: dict[float, JointTargets] = {}
-    offset = 0.0
+    first, offset = dict[float, JointTargets](), 0.0
     with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic in (TARGETS.name, SERVO.name)]
         for connection, time, data in reader.messages(wanted):
@@ -144,18 +146,13 @@ def compare(
         Numbers of images with targets in the deployment, in the replay and in both; for every joint group,
         such as arm and hand, median and maximum of the difference of its worst joint [rad].
     """
-    report: dict[str, Any] = {"num_then": len(then), "num_now": len(now), "num_both": 0}
-    if not (then and now):
-        return report
-    stamps_then, stamps_now = (np.array([each.image_stamp for each in given]) for given in (then, now))
-    nearest = np.abs(stamps_now[:, None] - stamps_then).argmin(axis=1)
-    is_same = np.abs(stamps_now - stamps_then[nearest]) < 0.25 * CONTROL_DT
-    report["num_both"] = int(is_same.sum())
-    targets_then, targets_now = (
-        np.array([each.joint_pos_target for each in targets]) for targets in (then, now)
-    )
-    difference = np.abs(targets_now - targets_then[nearest])[is_same]
-    for group in workcell.groups if len(difference) else ():
-        worst = difference[:, workcell.columns(group.name)].max(axis=1)
+    differences = list[np.ndarray]()
+    for targets in now if then else ():
+        before = min(then, key=lambda each: abs(each.image_stamp - targets.image_stamp))
+        if abs(before.image_stamp - targets.image_stamp) < 0.25 * CONTROL_DT:
+            differences.append(np.abs(before.joint_pos_target - targets.joint_pos_target))
+    report: dict[str, Any] = {"num_then": len(then), "num_now": len(now), "num_both": len(differences)}
+    for group in workcell.groups if differences else ():
+        worst = np.array(differences)[:, workcell.columns(group.name)].max(axis=1)
         report[group.name] = {"median": float(np.median(worst)), "max": float(worst.max())}
     return report

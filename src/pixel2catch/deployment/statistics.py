@@ -10,12 +10,16 @@ import numpy as np
 from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import Clamp, Command, Fault, Joints, JointTargets, Mode, flag_names
+from pixel2catch.servo.link import Clamp, Command, Fault, JointTargets, Mode, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and start of the last one [s]. Source: ours.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
 STAGES = ("received", "begun", "perceived", "decided")
 """Stages of an image: it arrives, perception begins, perception ends, its targets are sent to the servo."""
+
+TIMES = ("image_to_command_ms", "thinking_ms", "servo_tick_ms")
+"""Durations in a summary: from the middle of an image's exposure to the first command, of a control step with
+an image, and of a tick."""
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))  #: Modes in which control steps count.
 
@@ -60,10 +64,8 @@ class RunStatistics:
     refused_prompts: Counter[str] = field(default_factory=Counter)  #: Refused prompts by sender.
     num_ticks: int = 0  #: Servo ticks received.
     num_late_ticks: int = 0  #: Servo ticks that came more than a tick late.
-    _latencies: Histogram = field(default_factory=Histogram)
+    _times: dict[str, Histogram] = field(default_factory=lambda: {name: Histogram() for name in TIMES})
     _stages: dict[str, Histogram] = field(default_factory=lambda: {name: Histogram() for name in STAGES})
-    _computing: Histogram = field(default_factory=Histogram)
-    _ticks: Histogram = field(default_factory=Histogram)
     _sent: deque[JointTargets] = field(default_factory=lambda: deque(maxlen=8))
     _last: Command | None = None
     _refused: int = 0
@@ -81,7 +83,7 @@ class RunStatistics:
         if times is None:
             return
         took = end - begin + times["perceived"] - times["begun"]
-        self._computing.count(took)
+        self._times["thinking_ms"].count(took)
         self.num_overruns += took > CONTROL_DT
         if is_decided:
             for name, stage in self._stages.items():
@@ -91,15 +93,11 @@ class RunStatistics:
         """Keep targets with the stamp of the image that they were decided on."""
         self._sent.append(targets)
 
-    def is_away_from(self, joint_pos: Joints, distance: float) -> bool:
-        """Return whether a joint was measured further than a distance from its position [rad]."""
-        return self._last is not None and bool(np.abs(self._last.joint_pos - joint_pos).max() > distance)
-
     def note_command(self, command: Command) -> None:
         """Count a tick of the servo."""
         last, self._last = self._last, command
         self.num_ticks += 1
-        self._ticks.count(command.duration)
+        self._times["servo_tick_ms"].count(command.duration)
         self._refused |= command.refused
         self._clamped |= command.clamped
         self.clamps.update(flag_names(Clamp, command.clamped))
@@ -113,7 +111,7 @@ class RunStatistics:
         if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
             image_stamps = {targets.target_stamp: targets.image_stamp for targets in self._sent}
             image_stamp = image_stamps.get(command.target_stamp, command.image_stamp)
-            self._latencies.count(command.time - image_stamp)
+            self._times["image_to_command_ms"].count(command.time - image_stamp)
 
     def status(
         self, box: Box | None, message: str, visibility: str | None = None, age: float = inf
@@ -136,25 +134,18 @@ class RunStatistics:
             "clamped": flag_names(Clamp, clamped),
             "box": list(box.edges) if box and box.is_valid else None,
             "verdict": str(box.verdict) if box else visibility and str(Verdict.NO_IMAGE),
-            "object": visibility and str(visibility),
+            "object": visibility,
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
-            "latency_ms": self._latencies.milliseconds(50, 90, 99),
+            "latency_ms": self._times["image_to_command_ms"].milliseconds(50, 90, 99),
             "num_missed": self.num_missed,
             "message": message,
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return all statistics; latencies count from the middle of an image's exposure."""
-        counters = ("stops", "refusals", "clamps", "stop_requests", "refused_prompts")
-        return {
-            "num_steps": self.num_steps,
-            "num_missed": self.num_missed,
-            "num_overruns": self.num_overruns,
-            "image_to_command_ms": self._latencies.milliseconds(*PERCENTAGES),
-            "stages_ms": {name: times.milliseconds(*PERCENTAGES) for name, times in self._stages.items()},
-            "thinking_ms": self._computing.milliseconds(*PERCENTAGES),
-            "servo_tick_ms": self._ticks.milliseconds(*PERCENTAGES),
-            "num_ticks": self.num_ticks,
-            "num_late_ticks": self.num_late_ticks,
-            **{name: dict(getattr(self, name)) for name in counters},
-        }
+        """Return all statistics."""
+        counts = {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        times, stages = (
+            {name: each.milliseconds(*PERCENTAGES) for name, each in all_times.items()}
+            for all_times in (self._times, self._stages)
+        )
+        return {**counts, **times, "stages_ms": stages}
