@@ -91,13 +91,9 @@ def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int
     return boxes
 
 
-@pytest.mark.parametrize("method", WITHOUT_AGES)
-def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
-    require_parity(method, SensingCfg(), most=0.0)
-
-
-def test_targets_of_a_recurrent_policy_are_those_of_the_environment():
-    require_parity("proposed", SensingCfg(), most=0.0, recurrent=32)
+@pytest.mark.parametrize(("method", "recurrent"), [*((name, 0) for name in WITHOUT_AGES), ("proposed", 32)])
+def test_targets_are_those_of_the_environment_bit_for_bit(method: str, recurrent: int):
+    require_parity(method, SensingCfg(), most=0.0, recurrent=recurrent)
 
 
 @pytest.mark.parametrize("method", WITH_AGES)
@@ -138,16 +134,15 @@ def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
         PolicyController(policy_of(method), UR5E_ALLEGRO)
 
 
-def test_the_camera_of_the_policy_is_that_of_the_laboratory():
+def test_the_robot_and_the_camera_of_the_policy_are_those_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
     policy = Policy(contract_of(find_method("proposed"), camera=calibrated)).eval()
     given = PolicyController(policy, UR5E_ALLEGRO, calibrated).step(HOME, BOX)
     assert given.isfinite().all()
-    with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
-        PolicyController(policy, UR5E_ALLEGRO)
-
-
-def test_a_policy_of_the_other_hand_is_refused():
-    with pytest.raises(PolicyMismatchError, match="workcell"):
-        PolicyController(policy_of("proposed"), find_workcell("ur5e_allegro_right"))
+    for workcell, camera, wrong in (
+        (UR5E_ALLEGRO, RGB_CAMERA, r"camera\.pos"),
+        (find_workcell("ur5e_allegro_right"), calibrated, "workcell"),
+    ):
+        with pytest.raises(PolicyMismatchError, match=wrong):
+            PolicyController(policy, workcell, camera)

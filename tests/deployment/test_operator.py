@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -61,24 +61,18 @@ def requests() -> Requests:
     return Requests()
 
 
-def test_prompts_of_a_second_program_are_refused_with_its_name_and_counted(requests: Requests):
+def test_prompts_of_a_second_program_are_refused_with_its_name_while_the_first_is_there(requests: Requests):
     """A program that has announced prompts without sending any is not the first."""
-    silent, one, two = (requests.node().publisher(PROMPT) for _ in range(3))
+    first, others = requests.node(), requests.node()
+    silent, one, two = others.publisher(PROMPT), first.publisher(PROMPT), others.publisher(PROMPT)
     assert requests.accepts(one) == [True]
     assert requests.accepts(two, one, two, silent) == [False, True, False, False]
     assert requests.received.complaint.startswith("a prompt of publisher 1 was refused: publisher 2 points")
     assert requests.statistics.refused_prompts == {"publisher 3": 2, "publisher 1": 1}
     assert requests.accepts(one) == [True]
     assert requests.received.complaint == ""
-
-
-def test_after_the_first_program_has_left_another_one_may_send_prompts(requests: Requests):
-    before = requests.node()
-    assert requests.accepts(before.publisher(PROMPT)) == [True]
-    page, other = (requests.node().publisher(PROMPT) for _ in range(2))
-    assert requests.accepts(page) == [False]
-    before.close()
-    assert requests.accepts(page, other) == [True, False]
+    first.close()
+    assert requests.accepts(two, silent) == [True, False]
 
 
 def test_stop_requests_are_counted_by_sender(requests: Requests):
@@ -128,31 +122,31 @@ def test_a_prompt_without_a_box_is_refused(text: str):
 STATUS = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
 
 
-class Watcher:
-    """A console and a publisher of a status."""
+@pytest.fixture
+def watch() -> Callable[..., dict[str, Any]]:
+    """Return what gives a status after a message of one of two programs; None: the second leaves."""
+    clock, broker = StepClock(lambda _: None), Broker()
+    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
+    nodes = [broker.node(clock) for _ in range(2)]
+    publishers = [node.publisher(PROFILE.operator.status) for node in nodes]
 
-    def __init__(self) -> None:
-        clock, self.broker = StepClock(lambda _: None), Broker()
-        self._console = OperatorConsole(self.broker.node(clock), PROFILE.operator, clock)
-        self.other = self.broker.node(clock)
-        self.publishers = [
-            node.publisher(PROFILE.operator.status) for node in (self.broker.node(clock), self.other)
-        ]
+    def watch(text: str | None, sender: int = 0) -> dict[str, Any]:
+        if text is None:
+            nodes[1].close()
+        else:
+            publishers[sender].publish(messages.text(text))
+        console.watch()
+        return console.status
 
-    def after(self, text: str, sender: int = 0) -> dict[str, Any]:
-        """Return the console's status after a message."""
-        self.publishers[sender].publish(messages.text(text))
-        self._console.watch()
-        return self._console.status
+    return watch
 
 
-def test_while_several_programs_publish_a_status_none_is_used():
+def test_while_several_programs_publish_a_status_none_is_used(watch: Callable[..., dict[str, Any]]):
     """Such as a second deployment, which is idle, while the robot runs."""
-    watcher = Watcher()
     for sender, mode in enumerate(("run", "idle")):
-        assert watcher.after(json.dumps(STATUS | {"mode": mode}), sender)["mode"] == "several"
-    watcher.other.close()
-    assert watcher.after(json.dumps(STATUS)) == STATUS
+        assert watch(json.dumps(STATUS | {"mode": mode}), sender)["mode"] == "several"
+    watch(None)
+    assert watch(json.dumps(STATUS)) == STATUS
 
 
 @pytest.mark.parametrize(
@@ -163,11 +157,10 @@ def test_while_several_programs_publish_a_status_none_is_used():
         json.dumps(STATUS | {"latency_ms": {"p50": "x"}}),
     ],
 )
-def test_an_invalid_status_changes_nothing(text: str):
-    watcher = Watcher()
-    watcher.other.close()
-    for sent in (json.dumps(STATUS), text):
-        assert watcher.after(sent) == STATUS
+def test_an_invalid_status_changes_nothing(text: str, watch: Callable[..., dict[str, Any]]):
+    for sent in (None, json.dumps(STATUS), text):
+        status = watch(sent)
+    assert status == STATUS
 
 
 HOLD, ARM, STOP, OTHER = 35, 30, 57, 31  # H, A, space, S
@@ -195,7 +188,6 @@ class Desk:
     def press(self, *codes: int, is_down: bool = True) -> None:
         for code in codes:
             self.send(KEY, code, int(is_down))
-            self.send(SYNC, 0, 0)
 
     def release(self, *codes: int) -> None:
         self.press(*codes, is_down=False)
@@ -242,11 +234,6 @@ def test_a_key_is_pressed_until_its_release_or_the_loss_of_events(desk: Desk):
     assert desk.switches.pressed == set()
 
 
-def test_a_device_that_is_not_there_is_refused(tmp_path: Path):
-    with pytest.raises(DeploymentError, match="No such file"):
-        Switches(tmp_path / "none")
-
-
 def test_the_switch_is_held_with_its_key_and_released_at_the_end(desk: Desk):
     desk.press(HOLD)
     desk.run(10.5 * SWITCH_TIME)
@@ -283,7 +270,9 @@ def test_after_a_suspension_the_switch_must_be_pressed_again_and_nothing_arms(de
     assert desk.received() == held
 
 
-def test_an_unplugged_device_releases_the_switch_and_is_an_error(desk: Desk):
+def test_an_unplugged_device_releases_the_switch_and_is_an_error(desk: Desk, tmp_path: Path):
+    with pytest.raises(DeploymentError, match="No such file"):
+        Switches(tmp_path / "none")
     desk.press(HOLD)
     os.close(desk.device)
     with pytest.raises(DeploymentError, match="plug it in"):

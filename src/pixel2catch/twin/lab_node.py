@@ -75,7 +75,7 @@ def twin_profile(workcell: WorkcellSpec) -> Profile:
         for group in workcell.groups
     ]
     name = f"twin_of_{workcell.name}"
-    return replace(profile, name=name, workcell=workcell.name, robots=tuple(parts))
+    return replace(profile, name=name, workcell=workcell.name, robots=tuple(parts), places={})
 
 
 class PartTopics:
