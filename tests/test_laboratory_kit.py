@@ -1,7 +1,6 @@
 """The laboratory kit agrees with the shipped profiles: launch files, lines of the guide, the risk table."""
 
 import ast
-import json
 import re
 import shlex
 import subprocess
@@ -17,10 +16,11 @@ import yaml
 
 from pixel2catch.cli.main import parse
 from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
+from pixel2catch.deployment.operator import read_prompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import PROFILES, Profile, RobotPart
-from pixel2catch.ros2.transport import Endpoint, RealClock
+from pixel2catch.ros2.transport import RealClock
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells import find_workcell
 
@@ -29,7 +29,6 @@ LAUNCH = ROOT / "ros" / "pixel2catch_ros" / "launch"
 GUIDE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "laboratory.md").read_text("utf-8"))
 RISKS = (ROOT / "docs" / "risks.md").read_text("utf-8")
 SHIPPED = sorted(path.stem for path in PROFILES.glob("ur5e_allegro_*.yaml"))
-GROUP = "push-ros-namespace"
 
 
 @cache
@@ -52,16 +51,11 @@ def included(name: str) -> dict[str, str]:
     return {arg.attrib["name"]: arg.attrib["value"] for arg in launch(name).iterfind("include/arg")}
 
 
-def order(part: RobotPart) -> list[str]:
-    """The driver's names of the joints of a command, where the profile has them."""
+def order(part: RobotPart) -> list[str | None]:
+    """The driver's names of the joints of a command."""
     names = {joint.index_in_command: joint.name_in_state for joint in part.joints.values()}
-    return [names.get(place, "") for place in range(part.command_size)]
-
-
-def all_in_order(part: RobotPart) -> list[str | None]:
-    """The same with the held joints."""
-    held = {place: joint.name_in_state for place, joint in part.held.items()}
-    return [held.get(place, name) for place, name in enumerate(order(part))]
+    names |= {place: joint.name_in_state for place, joint in part.held.items()}
+    return [names[place] for place in range(part.command_size)]
 
 
 @pytest.mark.parametrize(
@@ -71,8 +65,7 @@ def all_in_order(part: RobotPart) -> list[str | None]:
 def test_hands_are_launched_with_the_topics_and_joints_of_their_profile(file: str, profile: str):
     hands = [part for part in Profile.load(profile).robots if "hand" in part.name]
     (group,) = launch(file).findall("group")
-    namespace = group.find(GROUP)
-    assert namespace is not None
+    (namespace,) = group.findall("push-ros-namespace")
     prefix = f"/{namespace.attrib['namespace']}"
     remaps = {each.attrib["from"]: each.attrib["to"] for each in group.iterfind("node/remap")}
     started = group.findall("node[@exec='spawner']")[0].attrib["args"].split()
@@ -89,8 +82,7 @@ def test_hands_are_launched_with_the_topics_and_joints_of_their_profile(file: st
         assert manager["update_rate"] == hand.rate_hz
         assert controller in manager
         joints = parameters(file)[f"{prefix}/{controller}"]["ros__parameters"]["joints"]
-        assert len(joints) == len(set(joints)) == hand.command_size
-        assert joints == all_in_order(hand)
+        assert joints == order(hand)
         assert "fingers move" in hand.notice
 
 
@@ -116,10 +108,9 @@ def test_two_arms_are_launched_under_one_controller_manager_with_the_names_of_th
         assert {*kept} == {name for name in active if not name.endswith("trajectory_controller")} & {*started}
         (remap,) = stopper.findall("remap")
         assert remap.attrib["to"].split("/")[1] in active
-    placed = ElementTree.parse(LAUNCH / "two_ur5e.urdf.xacro").getroot()
-    poses = [each.attrib["xyz"] for each in placed.iter("origin")]
+    placed = ElementTree.parse(LAUNCH / "two_ur5e.urdf.xacro").getroot().iter("origin")
     robots = find_workcell(profile.workcell).robots
-    assert [tuple(map(float, pose.split())) for pose in poses] == [robot.pos for robot in robots]
+    assert [tuple(map(float, each.attrib["xyz"].split())) for each in placed] == [each.pos for each in robots]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -129,27 +120,22 @@ def test_the_camera_is_launched_as_the_profiles_and_policies_want_it(name: str):
     place = f"/{handed['camera_namespace']}/{handed['camera_name']}/color"
     assert camera.info is not None
     assert (camera.image.name, camera.info.name) == (f"{place}/image_raw", f"{place}/camera_info")
-    profile = f"{RGB_CAMERA.width}x{RGB_CAMERA.height}x{1 / CONTROL_DT:.0f}"
-    assert settings["rgb_camera.color_profile"] == profile
     assert (camera.width, camera.height) == (RGB_CAMERA.width, RGB_CAMERA.height)
+    assert settings["rgb_camera.color_profile"] == f"{camera.width}x{camera.height}x{1 / CONTROL_DT:.0f}"
     assert settings["rgb_camera.color_format"].lower() == camera.encoding
-    automatic = [key for key in settings if "auto" in key]
-    assert len(automatic) == 2
-    assert not any(settings[key] for key in automatic)
+    assert [settings[key] for key in settings if "auto" in key] == [False, False]
     for key, value in settings.items():
         if key.startswith("rgb_camera.") and "time" not in key:
             said = str(value).lower() if isinstance(value, bool) else value
             assert re.search(rf"{re.escape(key)}(: |:=| ){said}\b", GUIDE), key
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_the_arm_is_launched_and_switched_to_the_controller_of_the_profiles(name: str):
-    arm = Profile.load(name).robots[0]
-    controller = arm.command_topic.name.removeprefix("/").removesuffix("/commands")
+def test_the_arm_is_launched_and_switched_to_the_controller_of_the_profiles():
+    topics = {Profile.load(name).robots[0].command_topic.name for name in SHIPPED}
+    (controller,) = (topic.removeprefix("/").removesuffix("/commands") for topic in topics)
     assert "initial_joint_controller" not in included("ur5e"), "its name differs between distributions"
     assert f"--deactivate scaled_joint_trajectory_controller --activate {controller}" in GUIDE
-    assert included("ur5e")["headless_mode"] == "false"
-    assert arguments("ur5e")["mock"] == "false"
+    assert (included("ur5e")["headless_mode"], arguments("ur5e")["mock"]) == ("false", "false")
 
 
 def lines(start: str) -> list[list[str]]:
@@ -191,10 +177,9 @@ def test_the_drivers_of_camera_and_hand_have_the_arguments():
 
 def test_the_deployment_is_launched_with_options_that_it_has():
     command = launch("deploy").findall("executable")[0].attrib["cmd"]
-    words = re.sub(
-        r"\$\(var (\w+)\)", lambda found: {"network": "lo", "options": ""}.get(found[1], "x"), command
-    )
-    assert str(parse(words.split()[1:]).record) == "x"
+    for name, value in (("network", "lo"), ("options", ""), (r"\w+", "x")):
+        command = re.sub(rf"\$\(var {name}\)", value, command)
+    assert str(parse(command.split()[1:]).record) == "x"
 
 
 def test_the_ros_package_builds_and_installs_its_launch_files(tmp_path: Path):
@@ -216,21 +201,16 @@ def test_the_start_pose_of_the_guide_is_that_of_the_task():
     profiles = [Profile.load(name) for name in SHIPPED]
     home = np.array([joint.home for joint in find_workcell(profiles[0].workcell).joints])
     ((*_, goal),) = lines("ros2 action send_goal ")
-    trajectory = yaml.safe_load(goal)["trajectory"]
-    arm = profiles[0].robots[0]
+    trajectory, arm = yaml.safe_load(goal)["trajectory"], profiles[0].robots[0]
     assert trajectory["joint_names"] == order(arm)
     assert trajectory["points"][0]["positions"] == pytest.approx(home[arm.ids], abs=1e-3)
-    said = {
-        words[4]: (words[5], yaml.safe_load(words[6])) for words in lines("ros2 topic pub --once /allegro")
-    }
+    said = {words[4]: words[5:] for words in lines("ros2 topic pub --once /allegro")}
     assert len(said) == len(profiles)
-    for profile in profiles:
-        hand = profile.robots[1]
+    for hand in (profile.robots[1] for profile in profiles):
         kind, content = said[hand.command_topic.name]
-        values = content["data" if kind == messages.FLOAT_ARRAY else "position"]
-        expected = np.zeros(hand.command_size)
-        expected[[joint.index_in_command for joint in hand.joints.values()]] = home[hand.ids]
+        values = yaml.safe_load(content)["data" if kind == messages.FLOAT_ARRAY else "position"]
         assert kind == hand.command_topic.type
+        expected = messages.read_float_array(hand.command(home, hand.held_angles), kind)
         assert values == pytest.approx(expected, abs=1e-3)
 
 
@@ -238,16 +218,16 @@ def test_the_prompt_of_the_guide_is_one():
     topic = Profile.load(SHIPPED[0]).operator.prompt
     ((*_, name, kind, content),) = lines("ros2 topic pub --once /pixel2catch/prompt")
     assert (name, kind) == (topic.name, topic.type)
-    xmin, ymin, xmax, ymax = json.loads(yaml.safe_load(content)["data"])["box"]
+    xmin, ymin, xmax, ymax = read_prompt(messages.text(yaml.safe_load(content)["data"])).box
     assert 0 <= xmin < xmax <= RGB_CAMERA.width
     assert 0 <= ymin < ymax <= RGB_CAMERA.height
 
 
 def test_every_check_of_a_laboratory_is_explained():
-    profile, clock = Profile.load("ur5e_allegro_v4"), RealClock()
-    survey = Survey(Broker().node(clock), profile, clock)
-    image = profile.camera.image
-    survey.endpoints = [Endpoint(topic=image.name, type=image.type, is_publisher=True, program="camera")]
+    profile, clock, broker = Profile.load("ur5e_allegro_v4"), RealClock(), Broker()
+    broker.node(clock).publisher(profile.camera.image)
+    survey = Survey(broker.node(clock), profile, clock)
+    survey.listen()
     checks = checks_of_laboratory(profile, survey, RGB_CAMERA, is_loopback=True)
     rows = re.findall(r"^\| ([^|]+) \|", GUIDE[GUIDE.index("| check |") :], re.MULTILINE)
     assert {name for row in rows for name in row.split(", ")} >= {check.name for check in checks}
@@ -257,9 +237,8 @@ def test_hazards_are_numbered_and_files_and_tests_of_the_guards_exist():
     rows = [row.split(" | ") for row in re.findall(r"^\| (\d+ \| .*) \|$", RISKS, re.MULTILINE)]
     hazards, guards = ([row for row in rows if len(row) == columns] for columns in (4, 3))
     assert [int(number) for number, *_ in hazards] == list(range(1, len(hazards) + 1))
-    unguarded = {number for number, _, guard, _ in hazards if guard == "none"}
     assert len(hazards) > 20
-    assert [number for number, *_ in guards] == [n for n, *_ in hazards if n not in unguarded]
+    assert [number for number, *_ in guards] == [n for n, _, guard, _ in hazards if guard != "none"]
     for _, files, tests in guards:
         for file in re.findall(r"`([^`]+)`", files):
             assert (ROOT / "src" / "pixel2catch" / file).is_file(), file

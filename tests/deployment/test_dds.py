@@ -39,19 +39,17 @@ def make(monkeypatch):
         yield lambda name: stack.enter_context(make_transport(name, LOOPBACK, RealClock()))
 
 
-def announced():
-    """Return all publishers of the domain by topic."""
-    participant = DomainParticipant(int(own_domain()))
-    reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-    return {endpoint.topic_name: endpoint for endpoint in reader.take(N=100)}
+def foreign_writer(*policies):
+    """A writer of joint states of another program."""
+    program = DomainParticipant(int(own_domain()), Qos(*policies))
+    topic = DdsTopic(program, "rt/joint_states", dds_type(STATES.type))
+    writer = DataWriter(program, topic, Qos(Policy.Reliability.Reliable(0)))
+    writer.program = program  # else it leaves
+    return writer
 
 
 def test_a_publisher_is_named_by_node_process_and_machine(make):
-    node, program = (
-        make("node"),
-        DomainParticipant(int(own_domain()), Qos(Policy.EntityName("stranger\n" + 90 * "!"))),
-    )
-    writer = DataWriter(program, DdsTopic(program, "rt/joint_states", dds_type(STATES.type)))
+    node, writer = make("node"), foreign_writer(Policy.EntityName("stranger\n" + 90 * "!"))
     make("driver").publisher(STATES)
     end = time.monotonic() + PATIENCE
     while len(found := {*node.other_publishers(STATES).values()}) < 2:
@@ -65,7 +63,9 @@ def test_publishers_have_the_names_types_and_hashes_of_ros_2(make):
     node = make("node")
     for topic in (STATES, MODE):
         node.publisher(topic)
-    found = announced()
+    participant = DomainParticipant(int(own_domain()))
+    reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+    found = {endpoint.topic_name: endpoint for endpoint in reader.take(N=100)}
     states, mode = found["rt/joint_states"], found["rt/io/safety_mode"]
     assert states.type_name == "sensor_msgs::msg::dds_::JointState_"
     assert mode.type_name == "ur_dashboard_msgs::msg::dds_::SafetyMode_"
@@ -79,15 +79,10 @@ def test_publishers_have_the_names_types_and_hashes_of_ros_2(make):
 
 def test_the_arrival_does_not_depend_on_the_clock_of_the_sender(make):
     node, clock = make("node"), RealClock()
-    subscription = node.subscription(STATES)
-    participant = DomainParticipant(int(own_domain()))
-    kind = dds_type(STATES.type)
-    qos = Qos(Policy.Reliability.Reliable(0))
-    writer = DataWriter(participant, DdsTopic(participant, "rt/joint_states", kind), qos)
-    before = clock.now()
+    subscription, writer, before = node.subscription(STATES), foreign_writer(), clock.now()
     subscription.take()
     sent = round(1e9 * (clock.stamp() + 3600.0))
-    writer.write(kind(messages.joint_state([], [], 0.0)), sent)
+    writer.write(dds_type(STATES.type)(messages.joint_state([], [], 0.0)), sent)
     assert node.wait(PATIENCE)
     (message,) = subscription.take()
     assert before <= message.arrival <= clock.now()
@@ -139,17 +134,11 @@ def test_a_node_and_a_profile_need_no_simulator():
     assert not {"torch", "mujoco", "cv2"} & set(loaded.split())
 
 
-def test_commands_join_this_machine_only_by_default():
-    links = (
-        Deploy().link,
-        Record(trajectory=Path("a"), out=Path("b")).link,
-        Operate(device=Path("a")).network,
-    )
-    assert {link.network for link in links} == {LOOPBACK}
-
-
-def test_only_the_twin_needs_no_identified_dynamics():
+def test_commands_join_this_machine_only_by_default_where_no_identified_dynamics_are_needed():
     """If a robot may be connected, commands are no faster than its joints."""
+    record = Record(trajectory=Path("a"), out=Path("b"))
+    links = (Deploy().link, record.link, Operate(device=Path("a")).network)
+    assert {link.network for link in links} == {LOOPBACK}
     profile = Profile.load("ur5e_allegro_v4")
     twin = Link().limits(profile).joints
     for link in (Link(network=ANY), Link(network=ROS)):

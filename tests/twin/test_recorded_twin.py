@@ -25,9 +25,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 ARM = tuple(joint.name for joint in JOINTS[:6])
 NAMES = RecordedNames.of(Profile.load("ur5e_allegro_v4"), ARM)
 
-WIRE = (0.0, 2.5e-3)
-"""Least and largest time from a command's stamp to the servos behind the wire [s]: a cycle of the drivers,
-and a physics step."""
+WIRE = (0.0, 2.5e-3)  #: Least and largest time from a command's stamp to the servos: a cycle, a step [s].
 
 
 def run(*args: str | Path) -> None:
@@ -43,8 +41,10 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def swing(path: Path) -> Path:
+@pytest.fixture
+def swing(tmp_path: Path) -> Path:
     """One swing of the arm in the middle of 2.6 s."""
+    path = tmp_path / "swing.npz"
     times = np.arange(0.0, 2.6, 0.008)
     home = np.array([joint.home for joint in JOINTS[:6]])
     way = np.array([0.15, 0.15, -0.15, 0.15, -0.12, 0.15])
@@ -55,10 +55,10 @@ def swing(path: Path) -> Path:
 
 
 def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
-    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    truth: Path, swing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     recording = tmp_path / "recording"
-    run("record", swing(tmp_path / "swing.npz"), "--out", recording, "--lockstep", truth)
+    run("record", swing, "--out", recording, "--lockstep", truth)
     printed = capsys.readouterr()
     assert "running: follows its targets." in printed.err
     (line,) = (line for line in printed.out.splitlines() if line.startswith("pixel2catch identify"))
@@ -80,15 +80,13 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
 
 
 def test_who_ended_a_recording_too_early_is_said_and_it_fails(
-    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    truth: Path, swing: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    motion = swing(tmp_path / "swing.npz")
-
     def is_ended(by: str) -> None:
-        out = tmp_path / by
-        assert main(["record", str(motion), "--out", str(out), "--lockstep", str(truth)]) == 2
+        out = swing.with_name(by)
+        assert main(["record", str(swing), "--out", str(out), "--lockstep", str(truth)]) == 2
         last = capsys.readouterr().err.splitlines()[-1]
-        assert f"{out} ends before {motion} does, by {by}" in last
+        assert f"{out} ends before {swing} does, by {by}" in last
 
     monkeypatch.setattr(record, "PATIENCE", -2.5)
     is_ended("a limit of time")
@@ -99,15 +97,18 @@ def test_who_ended_a_recording_too_early_is_said_and_it_fails(
 @pytest.mark.slow
 def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
-    excitation = "excite --robot ur5e --seconds 25 --speed 1 --recordings 2 --out excitation.npz"
-    run(*shlex.split(excitation), "--rehearse", "rehearsal")
-    for number in (1, 2):
-        files = (f"excitation-{number}.npz", "--out", f"recording-{number}")
-        run("record", *files, "--lockstep", "rehearsal/truth.json")
-    recordings = [f"recording-{number}" for number in (1, 2)]
-    run("identify", "--check", *recordings, "--robot", "ur5e", "--profile", "ur5e_allegro_v4")
-    options = shlex.split("--robot ur5e --profile ur5e_allegro_v4 --out identified")
-    run("identify", *recordings, *options)
+
+    def said(words: str) -> None:
+        run(*shlex.split(words))
+
+    said(
+        "excite --robot ur5e --seconds 25 --speed 1 --recordings 2 --out excitation.npz --rehearse rehearsal"
+    )
+    for n in (1, 2):
+        said(f"record excitation-{n}.npz --out recording-{n} --lockstep rehearsal/truth.json")
+    of_robot = "recording-1 recording-2 --robot ur5e --profile ur5e_allegro_v4"
+    said(f"identify --check {of_robot}")
+    said(f"identify {of_robot} --out identified")
     found, true = (
         DynamicsFile.load(Path(name)).dynamics.select(ARM)
         for name in ("identified/dynamics.json", "rehearsal/truth.json")
@@ -125,8 +126,7 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
     assert WIRE[0] < (found.latency - true.latency).min()
     assert (found.latency - true.latency).max() < WIRE[1]
     tiny = "--device cpu --num-envs 8 --rollout-steps 8 --transitions 256 --mini-batches 2 --hidden 32"
-    run("train", *shlex.split(tiny), "--dynamics", "identified/dynamics.json", "--out", "runs/lab")
-    throws = shlex.split("--num-envs 2 --trials 1 --device cpu")
-    run("evaluate", "runs/lab", "--dynamics", "rehearsal/truth.json", *throws)
-    rehearsal = shlex.split("--lockstep --plain --throws 1 --out rehearsed")
-    run("rehearse", "runs/lab", "--dynamics", "identified/dynamics.json", *rehearsal)
+    said(f"train {tiny} --dynamics identified/dynamics.json --out runs/lab")
+    said("evaluate runs/lab --dynamics rehearsal/truth.json --num-envs 2 --trials 1 --device cpu")
+    rehearsal = "--lockstep --plain --throws 1 --out rehearsed"
+    said(f"rehearse runs/lab --dynamics identified/dynamics.json {rehearsal}")

@@ -151,18 +151,20 @@ def test_what_was_recorded_is_decided_once_more(out: Path):
 
 @pytest.mark.slow
 def test_it_catches_as_in_the_evaluation_while_the_drivers_of_the_arm_miss_cycles():
-    """Boxes are perfect. About every 0.2 s the driver misses as many cycles as the profile states."""
+    """Boxes are perfect. About every 0.2 s the driver misses as many cycles in a row as the profile states."""
     cfg, rng, ignored = (
         replace(ONE, throws=40, seed=0),
         np.random.default_rng(0),
         defaultdict[int, set[int]](set),
     )
     with in_step(cfg, task_of(POLICY), POLICY) as (twin, _):
-        (arm,), (part, _) = twin._node.arms, twin.profile.robots
+        (arm,), (part, _), until_next = twin._node.arms, twin.profile.robots, 0
 
         def miss() -> None:
-            if not arm.num_missed and rng.random() < 0.01:
-                arm.num_missed = part.limits.missed_cycles
+            nonlocal until_next
+            until_next -= not arm.num_missed
+            if until_next < 0:
+                arm.num_missed, until_next = part.limits.missed_cycles, rng.integers(1, 200)
             if twin.lab.phase is Phase.FLYING:
                 ignored[twin.lab.num_throws].add(arm.num_ignored)
 
