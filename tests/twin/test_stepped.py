@@ -151,12 +151,9 @@ def test_what_was_recorded_is_decided_once_more(out: Path):
 
 @pytest.mark.slow
 def test_it_catches_as_in_the_evaluation_while_the_drivers_of_the_arm_miss_cycles():
-    """Boxes are perfect. About every 0.2 s the driver misses as many cycles in a row as the profile states."""
-    cfg, rng, ignored = (
-        replace(ONE, throws=40, seed=0),
-        np.random.default_rng(0),
-        defaultdict[int, set[int]](set),
-    )
+    """Boxes are perfect. In bursts 0.2 s apart the driver misses as many cycles as the profile states."""
+    cfg, rng = replace(ONE, throws=40, seed=0), np.random.default_rng(0)
+    ignored = defaultdict[int, set[int]](set)
     with in_step(cfg, task_of(POLICY), POLICY) as (twin, _):
         (arm,), (part, _), until_next = twin._node.arms, twin.profile.robots, 0
 
