@@ -1,5 +1,6 @@
 """The budgets of `budgets.toml`: lines, files and options. A commit that raises one says why."""
 
+import argparse
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,7 +68,8 @@ def test_commands_have_few_options():
         with warnings.catch_warnings(action="ignore"):  # tyro has no other way to list options
             default, rules = default_of(command, []), option_rules()
             parser = tyro.extras.get_parser(command, default=default, registry=rules)
-        options = [action.option_strings[0] for action in parser._actions if action.option_strings]
+        shown = [action for action in parser._actions if action.help != argparse.SUPPRESS]
+        options = [action.option_strings[0] for action in shown if action.option_strings]
         counts[name] = sum(
             option not in ("-h", "--help") and not option.startswith(PREFIX) for option in options
         )

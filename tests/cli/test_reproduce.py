@@ -38,7 +38,7 @@ def times(folder: Path) -> dict[str, int]:
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study that was interrupted in its first training and then continued."""
     out = tmp_path_factory.mktemp("study") / "with a, comma"
-    command = [sys.executable, "-m", "pixel2catch.cli.main", "reproduce", *TINY, "--out", str(out)]
+    command = [sys.executable, "-m", "pixel2catch", "reproduce", *TINY, "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + PATIENCE
     while not (out / "runs" / RUN / "checkpoint.pt").exists():

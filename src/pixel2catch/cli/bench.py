@@ -6,14 +6,14 @@ import itertools
 import os
 import resource
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pixel2catch.checks import Count, Device, OutputFile
 from pixel2catch.cli.console import prepare, results_console, say, working
-from pixel2catch.cli.fields import Given, TaskFields, with_given
+from pixel2catch.cli.fields import TaskOptions, with_given
 from pixel2catch.files import json_text
 from pixel2catch.reports import Cells, circumstances, terminal_table
 from pixel2catch.shipped import PolicyPath, policy_folder
@@ -41,9 +41,7 @@ class Bench:
     #: Folder of the policy that acts and goes on to learn, or name of a shipped one.
     policy: PolicyPath = Path("proposed")
     fuse: bool = False  #: Whether torch.compile makes fewer kernels, as in a training.
-    #: Any field of the task, such as --env.scene.cone pyramidal. All fields: bench --env.help.
-    env: TaskFields = None
-    given: Given = ()  #: Which of them are given.
+    task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task.
     out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets all numbers.
 
     def run(self) -> None:
@@ -88,7 +86,7 @@ class Bench:
             recurrent=policy.recurrent,
             initial_log_std=LOG_STD,
         )
-        return replace(experiment, env=with_given(experiment.env, self.env, self.given))
+        return replace(experiment, env=with_given(experiment.env, self.task.env, self.task.given))
 
 
 def measure(policy: "Policy", experiment: "Experiment", updates: int) -> Row:

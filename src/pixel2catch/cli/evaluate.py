@@ -57,7 +57,7 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=device,
-            task=self.task.make(policy, "evaluate"),
+            task=self.task.make(policy),
         )
         files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
         source = {

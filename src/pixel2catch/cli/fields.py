@@ -1,7 +1,7 @@
 """How the fields of commands become options; those of the task, `--env.sensing.latency-steps 1 3`, too."""
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import is_dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
@@ -28,7 +28,7 @@ HIDDEN = (
 """Fields of `TrainCfg` that are no options of `train`; Python and `reproduce --training` set them."""
 
 
-def option_rules(hidden: Collection[str] = HIDDEN) -> ConstructorRegistry:
+def option_rules() -> ConstructorRegistry:
     """Return tyro's rules with ours: short names, no default where there is none, plain flags.
 
     Fields of nested option classes have no prefix, except those of the task. A flag that is off has no
@@ -47,23 +47,23 @@ def option_rules(hidden: Collection[str] = HIDDEN) -> ConstructorRegistry:
             entered.pop()
         if not isinstance(spec, StructConstructorSpec):
             return None
-        absent = hidden if info.type.__name__ == "TrainCfg" else ()
-        is_task = any(part in info.type.__module__ for part in TASK_MODULES)
-        return replace(spec, fields=tuple(_option(field, is_task, absent) for field in spec.fields))
+        is_task = info.type.__module__.startswith(TASK_MODULES)
+        return replace(spec, fields=tuple(_option(field, is_task) for field in spec.fields))
 
     return registry
 
 
-def _option(field: StructFieldSpec, is_task: bool, hidden: Collection[str]) -> StructFieldSpec:
+def _option(field: StructFieldSpec, is_task: bool) -> StructFieldSpec:
     """Return a field with its name and help as an option."""
     kind: Any = field.type
-    is_absent = (field.name == "dynamics" and is_task) or (field.name == "env" and field.default is None)
-    if is_absent or field.name in hidden:
+    if (field.name == "dynamics" and is_task) or (field.name == "env" and field.default is None):
         return replace(field, type=tyro.conf.Suppress[tyro.conf.Fixed[kind]])
     declared = get_args(kind)[0] if get_origin(kind) is Annotated else kind
     is_nested = is_dataclass(field.default) or is_dataclass(declared)
     if is_nested and field.name != "env" and not is_task:
         return replace(field, type=Annotated[kind, tyro.conf.arg(name="")])
+    if field.name in HIDDEN:
+        kind = tyro.conf.Suppress[kind]
     if field.default is False:
         kind = tyro.conf.FlagCreatePairsOff[kind]
     if field.default in (None, (), {}) or field.default is False:
@@ -93,7 +93,7 @@ def default_of(command: Any, args: Sequence[str]) -> Any:
     """Return the instance of a command whose values hold where options are not given; None for its own.
 
     A command with an attribute `default_for` makes it from the arguments. Where fields of the task are given,
-    the field `env` of another command, or of its field `task`, is the paper's task.
+    the `TaskOptions` of another command have the paper's task.
     """
     if hasattr(command, "default_for"):
         return command.default_for(args)
@@ -101,13 +101,10 @@ def default_of(command: Any, args: Sequence[str]) -> Any:
         return None
     from pixel2catch.envs.cfg import CatchEnvCfg
 
-    values = {"env": CatchEnvCfg(), "given": given}
-    for field in dataclasses.fields(command):
-        if field.name == "env":
-            return command(**values)
-        if field.name == "task":
-            return command(task=field.default_factory(**values))  # pyright: ignore[reportCallIssue]
-    return None
+    kinds = {field.name: field.default_factory for field in dataclasses.fields(command)}
+    kind: Any = kinds.get("task")
+    is_changed = isinstance(kind, type) and issubclass(kind, TaskOptions)
+    return command(task=kind(env=CatchEnvCfg(), given=given)) if is_changed else None
 
 
 def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
@@ -132,28 +129,24 @@ class TaskOptions:
     env: TaskFields = None
     given: Given = ()  #: Which of them are given.
 
-    def change(self, task: "CatchEnvCfg", command: str) -> "CatchEnvCfg":
-        """Return the changed task; the command is named in errors.
+    def change(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
+        """Return the changed task of an evaluation.
 
         Raises:
             InvalidValueError: The protocol of evaluations sets a given field itself, or the work cell has
                 other joints than the policy's.
         """
         for name in self.given:
-            if name in OF_THE_PROTOCOL or name.partition(".")[0] in OF_THE_PROTOCOL:
-                raise InvalidValueError(
-                    f"'{command}' sets --env.{name} itself, by the policy and by --objects; leave it out."
-                )
+            if name.partition(".")[0] in OF_THE_PROTOCOL:
+                raise InvalidValueError(f"the policy and --objects set --env.{name}; leave it out.")
         changed = with_given(task, self.env, self.given)
         _require_same_joints(task, changed)
         return changed
 
-    def beneath(self, setting: "Setting", command: str) -> "Setting":
+    def beneath(self, setting: "Setting") -> "Setting":
         """Return a setting that disturbs the changed task."""
-        if not self.given:
-            return setting
-        change = partial(_disturbed, self, command, setting.level.change)
-        return replace(setting, level=replace(setting.level, change=change))
+        change = partial(_disturbed, self, setting.level.change)
+        return replace(setting, level=replace(setting.level, change=change)) if self.given else setting
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -167,18 +160,18 @@ class SimulatedTask(TaskOptions):
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
 
-    def make(self, policy: "Policy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
+    def make(self, policy: "Policy") -> "CatchEnvCfg":
         """Return the task in which a policy acts; print what its camera means."""
         from pixel2catch.evaluation.loading import camera_remark, task_of
 
-        task = self.change(task_of(policy, physics_hz, self.dynamics, self.camera), command)
+        task = self.change(task_of(policy, dynamics=self.dynamics, camera=self.camera))
         for remark in camera_remark(policy, task):
             say(remark)
         return task
 
 
-def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
-    return then(options.change(task, command))
+def _disturbed(options: TaskOptions, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
+    return then(options.change(task))
 
 
 def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:

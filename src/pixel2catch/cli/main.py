@@ -6,8 +6,10 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Collection, Sequence
+import tomllib
+from collections.abc import Sequence
 from importlib import import_module
+from importlib.resources import files
 from typing import Annotated, Any, Union
 
 import tyro
@@ -27,69 +29,8 @@ COMMANDS = (
 )
 """Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
 
-REMOVED = {
-    "label": "label the video with CVAT or Label Studio, and give their file to 'track VIDEO --truth FILE'",
-    "transfer": "run 'stress --engines mujoco physx'",
-}
-"""Commands that are gone, and what to do instead."""
-
-REMOVED_OPTIONS = (
-    ("bench", "--json --plot", "give --out FILE.json"),
-    ("bench", "--seconds", "give --updates"),
-    ("calibrate", "--board-pose --num-views", "leave it out; the board's pose is found, 15 views are taken"),
-    ("calibrate", "--chessboard", "give images of the printed board, or a .yaml of ROS's camera_calibration"),
-    ("calibrate", "--image-topic --source", "give --live for the robot's camera, or a table of images"),
-    ("catch", "--seed", "run 'pixel2catch evaluate --seed' and 'pixel2catch play --seed'"),
-    ("deploy", "--seconds", "end it with Ctrl-C, or run 'timeout -s INT 60 pixel2catch deploy'"),
-    ("deploy record operate calibrate", "--transport", "leave it out; give --network ros for rclpy"),
-    ("deploy replay", "--mask-robot --no-mask-robot --record-images", "leave it out; it is always done"),
-    ("deploy replay track", "--point", "give --box, a box around the object"),
-    ("deploy replay track", "--saturation --value", "leave it out; grey and dark pixels are left out"),
-    ("deploy replay track", "sam2+background", "give --segmenter sam2 or --segmenter background"),
-    ("doctor", "--camera", "run 'pixel2catch track 0 --seconds 3'"),
-    ("doctor", "--checkpoint", "run 'pixel2catch track VIDEO --segmenter sam2 --checkpoint FOLDER'"),
-    ("evaluate", "--html", "give --out FILE.json; 'pixel2catch play' draws throws"),
-    (
-        "export",
-        "--format --images --objects --seed --throws --profile",
-        "leave it out; export writes policies as ONNX only",
-    ),
-    ("export", "--web-demo", "run 'python companions/web_demo/export.py FOLDER'"),
-    ("identify", "--filter", "give --free filter_gain filter_lookahead latency"),
-    ("identify", "--hold-out", "leave it out; the last recording judges the fit"),
-    ("identify", "--physics-hz", "leave it out; the fit has 480 Hz"),
-    ("operate", "--hold --arm --stop", "give --keys HOLD ARM STOP"),
-    (
-        "evaluate stress play scene",
-        "--robot-model --surface",
-        "run companions/makers_bodies/makers_bodies.py",
-    ),
-    ("play", "--layout --meshes --view", "leave it out; every film has the robot's view in a corner"),
-    ("play operate twin", "--host --port", "give --address HOST:PORT"),
-    ("record", "--dry-run", "leave it out; a recording needs motion"),
-    ("calibrate rehearse replay stress track", "--json", "read the .json file that it writes"),
-    ("rehearse twin", "--domain", "set ROS_DOMAIN_ID"),
-    ("replay", "--perception-ms", "leave it out; a replay takes 10 ms for an image"),
-    ("replay", "--web --host --port", "open the recording with a viewer of MCAP files"),
-    ("reproduce", "--evaluation-physics-hz", "evaluations have 600 Hz"),
-    ("reproduce", "--physics-hz", "give --training physics_stages=120,120,240 or env.scene.physics_hz=120"),
-    ("reproduce", "--report-only", "leave it out; the same command writes the report again"),
-    ("reproduce", "--transitions", "give --training transitions=NUMBER"),
-    ("reproduce stress", "--launcher", "leave it out; --slurm alone selects the cluster"),
-    (
-        "track",
-        "--mask-robot --joint-states --workcell",
-        "leave it out; give --region, or run 'replay' for a recording of deploy",
-    ),
-    ("train", "--cone", "give --env.scene.cone"),
-    ("train", "--latency-steps", "give --env.sensing.latency-steps"),
-    ("train", "--multiccd --no-multiccd", "give --env.scene.multiccd True or --env.scene.multiccd False"),
-    ("evaluate stress train", "--physics-hz", "give --env.scene.physics-hz, or --physics-stages"),
-    ("train", " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN), "set it by 'reproduce --training'"),
-    ("train", "--web --host --port", "run 'pixel2catch play RUN --web'; RUN/metrics.csv has the curves"),
-    ("twin", "--draw-dynamics", "run 'excite --rehearse FOLDER' and give --dynamics FOLDER/truth.json"),
-)
-"""Commands, their options that are gone, and what to do instead. See docs/changes.md."""
+REMOVED = "removed.toml"
+"""Names of commands and options that are gone, and what to do instead. See docs/changes.md."""
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
@@ -171,47 +112,45 @@ def parse(args: Sequence[str]):
 
     Raises:
         UnknownNameError: There is no such command.
-        InvalidValueError: The command was removed; the message names the new way.
+        InvalidValueError: The command or an option was removed; the message names the new way.
         Pixel2CatchError: What the options' defaults come from cannot be read, such as a run to resume.
     """
-    if args and args[0] in REMOVED:
-        raise InvalidValueError(f"there is no command '{args[0]}'; {REMOVED[args[0]]}.")
-    given = {arg.partition("=")[0] for arg in args[1:]}
-    for commands, options, fix in REMOVED_OPTIONS:
-        if args and args[0] in commands.split() and (found := given & {*options.split()}):
-            raise InvalidValueError(f"there is no '{args[0]} {min(found)}'; {fix}.")
-    if args and not args[0].startswith("-") and args[0] not in COMMANDS:
-        raise UnknownNameError("command", args[0], COMMANDS)
-    if args and args[0] in COMMANDS:
+    if args and not args[0].startswith("-"):
+        _require_present(*args)
         return parse_options(args[0], args[1:])
     kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
-    return tyro.cli(
-        Union[*kinds],  # type: ignore[valid-type]
-        prog="pixel2catch",
-        description=DESCRIPTION,
-        args=args,
-        config=(tyro.conf.DisallowNone,),
-        registry=option_rules(),
-    )
+    return _parsed(Union[*kinds], "pixel2catch", args, description=DESCRIPTION)
 
 
-def parse_options(name: str, args: Sequence[str], hidden: Collection[str] = HIDDEN) -> Any:
-    """Return a command with its options; `hidden` names fields that are none."""
+def parse_options(name: str, args: Sequence[str]) -> Any:
+    """Return a command with its options, also with those that only `reproduce --training` sets."""
     kind = load_command(name)
-    return tyro.cli(
-        kind,
-        prog=f"pixel2catch {name}",
-        args=["--help"] if HELP in args else args,
-        default=default_of(kind, args),
-        config=(tyro.conf.DisallowNone,),
-        registry=option_rules(hidden),
-    )
+    asked = ["--help"] if HELP in args else args
+    return _parsed(kind, f"pixel2catch {name}", asked, default=default_of(kind, args))
+
+
+def _parsed(kind: Any, prog: str, args: Sequence[str], **options: Any) -> Any:
+    rules, config = option_rules(), (tyro.conf.DisallowNone,)
+    return tyro.cli(kind, prog=prog, args=args, config=config, registry=rules, **options)
+
+
+def _require_present(command: str, *args: str) -> None:
+    """Raise the error of a command that is gone or unknown, or of an option that is gone."""
+    removed = tomllib.loads(files("pixel2catch.cli").joinpath(REMOVED).read_text("utf-8"))
+    if fix := removed["commands"].get(command):
+        raise InvalidValueError(f"there is no command '{command}'; {fix}.")
+    if command not in COMMANDS:
+        raise UnknownNameError("command", command, COMMANDS)
+    hidden = " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN)
+    given = {arg.partition("=")[0] for arg in args}
+    for commands, options, fix in (
+        *removed["options"],
+        ("train", hidden, "set it by 'reproduce --training'"),
+    ):
+        if command in commands.split() and (found := given & {*options.split()}):
+            raise InvalidValueError(f"there is no '{command} {min(found)}'; {fix}.")
 
 
 def load_command(name: str) -> Any:
     """The class of a command."""
     return getattr(import_module(f"pixel2catch.cli.{name}"), name.capitalize())
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -59,7 +59,7 @@ class Play:
 
         find_gl_backend()
         policy, method = load_policy(self.policy)
-        task, objects = self.task.make(policy, "play"), select_objects(self.objects)
+        task, objects = self.task.make(policy), select_objects(self.objects)
         cfg = EvaluationCfg(objects=objects, num_envs=self.throws, seed=self.seed, task=task)
         out, throws = self.out or Path("play.mp4"), recorded_throws(cfg, policy, method)
         out.parent.mkdir(parents=True, exist_ok=True)

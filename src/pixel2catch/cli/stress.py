@@ -45,7 +45,7 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.studies import cpu_slots, evaluate_policies
+        from pixel2catch.cli.studies import evaluate_policies, make_slots
         from pixel2catch.evaluation.policy_cells import transfer_settings
         from pixel2catch.evaluation.policy_report import stress_sections, transfer_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -58,13 +58,14 @@ class Stress:
         if self.jobs > 1 and self.device != "cpu":
             raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
         device = prepare(self.device, is_here=not self.slurm)
-        slots = cpu_slots(self.jobs, device, self.slurm, self.out)
+        number = None if self.slurm else self.jobs
+        slots = make_slots((device,), number, self.slurm, self.out, has_one_thread=self.jobs > 1)
         for engine in self.engines:
             require_engine(engine)
         engines, settings = tuple(dict.fromkeys(self.engines)), select_settings(self.axes)
         if engines:
             settings = transfer_settings(engines, tuple(dict.fromkeys(self.restitution)))
-        settings = tuple(self.task.beneath(each, "stress") for each in settings)
+        settings = tuple(self.task.beneath(each) for each in settings)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
