@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import degrees
 from pathlib import Path
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from pixel2catch.camera.camera_file import CameraFile
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.ros2.transport import Clock, Transport
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
 STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
@@ -91,19 +94,24 @@ class Calibrate:
             self._take()
         self._calibrate(table, lens or self._lens(self.capture))
 
+    @contextmanager
+    def _robot(self) -> "Iterator[tuple[Transport, Clock, Profile, tuple[str, ...]]]":
+        """Join the network of the robot; yield it with the joints that carry the board."""
+        from pixel2catch.workcells import find_workcell
+
+        workcell, profile = find_workcell(self.workcell), self.link.robot.load()
+        joints = workcell.joint_names[workcell.palms[0].carriers]
+        words = self.link.in_words(profile)
+        with needs_extra("deployment"), self.link.join("pixel2catch_calibrate", words) as (transport, clock):
+            yield transport, clock, profile, joints
+
     def _take(self) -> None:
         """Take images of the board and write views.csv until there are enough images, or until Ctrl-C."""
         from pixel2catch.perception.calibration.capture import Capture, topic_images
         from pixel2catch.perception.calibration.lens import CharucoBoard
-        from pixel2catch.workcells import find_workcell
 
-        workcell, profile, hear = find_workcell(self.workcell), self.link.robot.load(), saying_changes()
-        joints = workcell.joint_names[workcell.palms[0].carriers]
-        with (
-            needs_extra("deployment"),
-            self.link.join("pixel2catch_calibrate", self.link.in_words(profile)) as (transport, _),
-            StopRequest() as stop,
-        ):
+        hear = saying_changes()
+        with self._robot() as (transport, _, profile, joints), StopRequest() as stop:
             capture = Capture(self.capture, CharucoBoard(self.square), joints)
             for image in topic_images(transport, profile, joints):
                 missing = "no image: does the camera's driver run, on this network?"
@@ -116,14 +124,8 @@ class Calibrate:
         """Print the camera's times as they are written in a profile."""
         from pixel2catch.perception.calibration.lens import CharucoBoard
         from pixel2catch.perception.calibration.timing import SECONDS, watch
-        from pixel2catch.workcells import find_workcell
 
-        workcell, profile = find_workcell(self.workcell), self.link.robot.load()
-        joints = workcell.joint_names[workcell.palms[0].carriers]
-        with (
-            needs_extra("deployment"),
-            self.link.join("pixel2catch_calibrate", self.link.in_words(profile)) as (transport, clock),
-        ):
+        with self._robot() as (transport, clock, profile, joints):
             say(f"move the board fast, up and down in the image, for {SECONDS:.0f} s")
             motion = watch(transport, clock, profile, joints, CharucoBoard(self.square))
         timing = motion.timing(profile.camera.height)
@@ -158,9 +160,10 @@ class Calibrate:
         return lens
 
     def _hand_views(self, path: Path, lens: "CameraFile") -> "list[HandView]":
-        """The corners in every image of a table that shows the board.
+        """Return the corners in every image of a table that shows the board.
 
-        It is a RecordingError if the table lacks a column, or has positions that no arm can have.
+        Raises:
+            RecordingError: The table lacks a column, or has positions that no arm can have.
         """
         import torch
 
@@ -177,19 +180,16 @@ class Calibrate:
         joint_pos, names = read_table(path, joints, text=IMAGE_COLUMN)
         require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos)
         board, views, blank = CharucoBoard(self.square), [], []
-        chain = first_chain(workcell)
-
-        def palms(positions: np.ndarray) -> np.ndarray:
-            return chain.link_poses(torch.from_numpy(positions))[:, -1].numpy()
-
-        steps = STEP * np.eye(len(joints))
-        rates = [(palms(joint_pos + step) - palms(joint_pos - step)) / (2.0 * STEP) for step in steps]
-        poses = zip(names, palms(joint_pos), np.stack(rates, axis=1), strict=True)
-        for name, palm, palm_rates in poses:
+        chain, steps = first_chain(workcell), STEP * np.eye(len(joints))
+        turned = np.stack([joint_pos, *(joint_pos + each for each in (*steps, *-steps))])
+        palms = chain.link_poses(torch.from_numpy(turned.reshape(-1, len(joints))))[:, -1].numpy()
+        palms = palms.reshape(len(turned), len(joint_pos), *palms.shape[1:])
+        rates = (palms[1 : len(joints) + 1] - palms[len(joints) + 1 :]) / (2.0 * STEP)
+        for i, name in enumerate(names):
             image = read_image(path.parent / name)
             check_image(image, lens.camera.width, lens.camera.height)
             if view := board.find(image):
-                views.append(HandView(name=name, view=view, palm=palm, palm_rates=palm_rates))
+                views.append(HandView(name=name, view=view, palm=palms[0, i], palm_rates=rates[:, i]))
             else:
                 blank.append(name)
         if blank:

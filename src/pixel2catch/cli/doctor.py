@@ -4,7 +4,6 @@ import importlib
 import importlib.metadata
 import importlib.util
 import sys
-import warnings
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -72,23 +71,20 @@ def gpu() -> str:
     """Check that PyTorch and Warp compute on a GPU."""
     import torch
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    if count:
+    if torch.cuda.is_available():
         warp = importlib.import_module("warp")
         warp.full(8, 3.0, device="cuda:0").numpy()
-        memory = torch.cuda.get_device_properties(0).total_memory / 2**30
-        name, versions = torch.cuda.get_device_name(0), f"CUDA {torch.version.cuda}, Warp {warp.__version__}"
-        return f"{count} x {name}, {memory:.0f} GiB, {versions}"
+        found = torch.cuda.get_device_properties(0)
+        return (
+            f"{torch.cuda.device_count()} x {found.name}, {found.total_memory / 2**30:.0f} GiB, "
+            f"CUDA {torch.version.cuda}, Warp {warp.__version__}"
+        )
     if not NVIDIA_DRIVER.exists():
         raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
-    reason = "; ".join(str(warning.message) for warning in caught) or "PyTorch gives no reason"
     build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
-    driver = NVIDIA_DRIVER.read_text().splitlines()[0]
     raise Broken(
-        f"{driver}, but PyTorch {torch.__version__}, {build}, finds no GPU "
-        f"({reason}): install a build for this driver, {CUDA_BUILD}, or a newer driver"
+        f"{NVIDIA_DRIVER.read_text().splitlines()[0]}, but PyTorch {torch.__version__}, {build}, finds no "
+        f"GPU: install a build for this driver, {CUDA_BUILD}, or a newer driver"
     )
 
 
@@ -138,20 +134,19 @@ class Doctor:
         Raises:
             SystemExit: With status 1 if something needed does not work.
         """
-        laboratory = self._laboratory(self.robot) if self.robot else []
-        checks = self._checks() + laboratory
+        checks = self._checks() + (self._laboratory(self.robot) if self.robot else [])
+        bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
         if self.json:
             print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
             rows = [
                 {"check": each.name, "state": each.state, "found": printable(each.found)} for each in checks
             ]
-            bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
             fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
             console = results_console()
             console.print(terminal_table("checks", rows))
             console.print(f"To correct: {', '.join(bad)}." if bad else fine)
-        if any(check.is_needed and check.state == "BAD" for check in checks):
+        if bad:
             sys.exit(EXIT_BAD)
 
     def _laboratory(self, profile: str) -> list[Check]:

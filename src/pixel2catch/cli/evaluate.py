@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import Annotated, Any
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, OutputFile, Seed
-from pixel2catch.cli.console import evaluating, prepare, results_console
+from pixel2catch.cli.console import prepare, progress_bar, results_console
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
@@ -46,11 +47,18 @@ class Evaluate:
         """Evaluate; return the metrics and the files that decide them."""
         from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
         from pixel2catch.evaluation.metrics import assess
-        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.protocol import EvaluationCfg, Trials
         from pixel2catch.scene.objects import select_objects
 
-        device = prepare(self.device)
+        device, successes = prepare(self.device), list[float]()
         policy, method = load_policy(self.policy, device)
+
+        def on_round(trials: Trials) -> None:
+            successes.append(float(trials.record.is_success.float().mean()))
+
+        def on_share(share: float) -> None:
+            bar.show(share, f"success rate so far {100 * fmean(successes):.1f} %" if successes else "")
+
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -65,8 +73,8 @@ class Evaluate:
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
         }
-        with evaluating(" ".join(self.objects)) as watch:
-            return source | assess(policy, method, cfg, *watch)
+        with progress_bar(" ".join(self.objects)) as bar:
+            return source | assess(policy, method, cfg, on_round, on_share)
 
 
 def print_tables(results: dict[str, dict[str, Any]], method: str) -> None:

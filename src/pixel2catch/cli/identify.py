@@ -55,32 +55,27 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
-        from pixel2catch.identification.checks import check_recording
         from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
         from pixel2catch.workcells import find_workcell
 
-        workcell = find_workcell(self.workcell)
-        if self.check:
-            with working() as report:
-                found = [(each, check_recording(each)) for each in self._read(workcell, report)]
-            for recording, checks in found:
-                print_checks(recording.name, checks)
-            if any(check.forbids_fit for _, checks in found for check in checks):
-                raise SystemExit(EXIT_UNFIT)
-            return
-        if self.robot is None or self.out is None:
-            raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
-        cfg = FitCfg(free=self.free)
-        fits_filter = not {*FILTER_PARAMETERS[:2]}.isdisjoint(cfg.free)
-        start = start_of_fit(self.robot, self.start, fits_filter, workcell)
+        workcell, cfg, start = find_workcell(self.workcell), FitCfg(free=self.free), None
+        if not self.check:
+            if self.robot is None or self.out is None:
+                raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
+            fits_filter = not {*FILTER_PARAMETERS[:2]}.isdisjoint(cfg.free)
+            start = start_of_fit(self.robot, self.start, fits_filter, workcell)
         with working() as report:
             recordings = self._read(workcell, report)
             report("checking the data")
             sources = checked(recordings)
         for source in sources:
             print_checks(source.recording.name, source.checks)
+        if start is None or self.out is None:
+            if any(check.forbids_fit for source in sources for check in source.checks):
+                raise SystemExit(EXIT_UNFIT)
+            return
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")

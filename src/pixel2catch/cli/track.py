@@ -2,7 +2,7 @@
 
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain, takewhile
 from math import inf
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting
-    from pixel2catch.perception.sources import ImageFit
     from pixel2catch.scene.constants import CameraSpec
 
 VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
@@ -66,8 +65,21 @@ class Track:
             raise InvalidValueError(f"--topic needs a rosbag, but '{self.source}' is none; leave it out.")
         labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
-        notes: list[str] = []
-        rows, scores = self._record(labels, notes)
+        notes, scores = list[str](), list[box_scores.Score]()
+        camera = self.perception.camera_spec(notes)
+        found = self._sightings(camera, notes, labels, scores)
+        first = next(found, None)
+        if first is None:
+            raise PerceptionError(f"{self.source} has no images; name another video, rosbag2 or camera.")
+        end = inf if self.seconds is None else self.seconds
+        with StopRequest() as stop:
+            rows = self._write(
+                takewhile(lambda each: each.time <= end and not stop.is_set, chain([first], found)), camera
+            )
+        if stop.is_set:
+            notes.append("stopped by Ctrl-C.")
+        if labels and not scores:
+            notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
         source = {"source": self.source, "segmenter": self.perception.segmenter}
         truth = {"truth": box_scores.summary(scores)} if labels else {}
         summary = {**source, **sightings.summary(rows), **truth, "notes": notes}
@@ -76,25 +88,31 @@ class Track:
         _print_result(summary)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
-    def _record(
-        self, labels: "Labels | None", notes: list[str]
-    ) -> "tuple[list[dict[str, Any]], list[Score]]":
-        """Follow the object, write video and table until the end or Ctrl-C; return table and scores."""
+    def _sightings(
+        self, camera: "CameraSpec", notes: list[str], labels: "Labels | None", scores: "list[Score]"
+    ) -> "Iterator[Sighting]":
+        """Return what is seen, step by step; `scores` gets how right it is."""
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.regions import PlausibilityCfg
         from pixel2catch.perception.sightings import follow
-        from pixel2catch.perception.sources import images_of, is_camera, on_control_clock
+        from pixel2catch.perception.sources import ImageFit, images_of, is_camera, on_control_clock
         from pixel2catch.perception.tracker import ObjectTracker
 
-        fit, camera = self._fit(notes)
-        if labels:
-            wide, high = fit.own
-            if (wide, high) != (labels.width, labels.height):
-                raise InvalidValueError(
-                    f"the labels are for images of {labels.width} by {labels.height} px ({labels.video}), "
-                    f"these have {wide} by {high}: give the labels of this video."
-                )
-        args = self.perception
+        args, own, size = self.perception, None, (camera.width, camera.height)
+        if not args.camera:
+            first = next(images_of(self.source, [], self.topic), None)
+            own = first and (first.pixels.shape[1], first.pixels.shape[0])
+        fit = ImageFit(own=own or size, size=size)
+        if fit.changes:
+            notes.append(
+                "images of {} by {} px were scaled and framed in black to {} by {}: the table has boxes in "
+                "these pixels; --box, --region and --truth are in the file's.".format(*fit.own, *size)
+            )
+        if labels and fit.own != (labels.width, labels.height):
+            raise InvalidValueError(
+                f"the labels are for images of {labels.width} by {labels.height} px ({labels.video}), "
+                f"these have {fit.own[0]} by {fit.own[1]}: give the labels of this video."
+            )
         args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # checks box and region
         box, region = args.box and fit.box(args.box), args.region and fit.box(args.region)
         tracker = ObjectTracker(
@@ -104,44 +122,11 @@ class Track:
             limits=PlausibilityCfg.up_to(self.object_radius),
             waits=True,
         )
-        scores: list[Score] = []
-        images = images_of(self.source, notes, self.topic)
-        sightings = follow(on_control_clock(images, notes, fit), tracker, self.at, camera)
-        if labels:
-            sightings = scored(sightings, labels, fit, self.at, scores)
-        first = next(sightings, None)
-        if first is None:
-            raise PerceptionError(f"{self.source} has no images; name another video, rosbag2 or camera.")
-        with StopRequest() as stop:
-            rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
-            end = inf if self.seconds is None else self.seconds
-            rows = self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera)
-        if stop.is_set:
-            notes.append("stopped by Ctrl-C.")
-        if labels and not scores:
-            notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
-        return rows, scores
+        ticks = on_control_clock(images_of(self.source, notes, self.topic), notes, fit)
+        found = follow(ticks, tracker, self.at, camera)
+        return scored(found, labels, fit, self.at, scores) if labels else found
 
-    def _fit(self, notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
-        """How images without a camera file are scaled, and the camera of the scaled images."""
-        from pixel2catch.perception.sources import ImageFit, images_of
-
-        camera = self.perception.camera_spec(notes)
-        own = size = (camera.width, camera.height)
-        if not self.perception.camera:
-            for image in images_of(self.source, [], self.topic):
-                own = image.pixels.shape[1], image.pixels.shape[0]
-                break
-        fit = ImageFit(own=own, size=size)
-        if fit.changes:
-            (width, height), (wide, high) = fit.own, fit.size
-            notes.append(
-                f"images of {width} by {height} px were scaled and framed in black to {wide} by {high}: the "
-                "table has boxes in these pixels; --box, --region and --truth are in the file's."
-            )
-        return fit, camera
-
-    def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec") -> list[dict[str, Any]]:
+    def _write(self, sightings: "Iterable[Sighting]", camera: "CameraSpec") -> list[dict[str, Any]]:
         """Write a picture and a row for every sighting; return the rows."""
         from pixel2catch.perception.sightings import COLUMNS, annotated
         from pixel2catch.rendering.video import VideoWriter
@@ -213,9 +198,7 @@ def _sentences(summary: dict[str, Any]) -> "Iterator[str]":
     if summary["num_skipped"]:
         yield f"Control steps without an image: {summary['num_skipped']}; differences after them are large."
     yield from (f"Note: {note}" for note in summary["notes"])
-    limit = f"{summary['limit_ms']:.1f} ms"
-    yield (
-        f"Fast enough: 99 % of the images took less than a control step, {limit}."
-        if summary["is_fast_enough"]
-        else f"TOO SLOW: 99 % of the images must take less than a control step, {limit}."
+    start = (
+        "Fast enough: 99 % of the images took" if summary["is_fast_enough"] else "TOO SLOW: 99 % must take"
     )
+    yield f"{start} less than a control step, {summary['limit_ms']:.1f} ms."

@@ -84,20 +84,21 @@ class Train:
             experiment, method = run.experiment, run.method
         else:
             device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
-            name = given.preset or ("fast" if device.startswith("cuda") else "cpu")
             start = {"start": Path(given.start)} if given.start else {}
-            task, options = given.task or "nominal", {"device": device, **start, **files}
-            experiment = preset(name, task, workcell=given.workcell, **options)
+            experiment = preset(
+                given.preset or ("fast" if device.startswith("cuda") else "cpu"),
+                given.task or "nominal",
+                workcell=given.workcell,
+                device=device,
+                **start,
+                **files,
+            )
         if "scene.physics_hz" in given_fields(args):  # one rate throughout
             if given.physics_stages is not None:
                 raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
-        return cls(
-            method=method or METHOD,
-            train=experiment.train,
-            env=experiment.env,
-            resumed=folder if given.resume else None,
-        )
+        resumed = folder if given.resume else None
+        return cls(method=method or METHOD, train=experiment.train, env=experiment.env, resumed=resumed)
 
     def run(self) -> None:
         """Train to the end.
@@ -118,13 +119,8 @@ class Train:
         if self.train.device.startswith("cuda"):
             require_cuda(self.train.device)
         method = find_method(self.method, find_workcell(self.env.scene.workcell))
-        result = run(
-            Experiment(env=self.env, train=self.train),
-            method,
-            folder,
-            resume=self.resume,
-            preset=self.preset,
-        )
+        experiment = Experiment(env=self.env, train=self.train)
+        result = run(experiment, method, folder, resume=self.resume, preset=self.preset)
         if result.status == "interrupted":
             raise KeyboardInterrupt
 

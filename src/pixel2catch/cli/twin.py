@@ -25,9 +25,8 @@ class Twin:
     docs/deployment.md.
     """
 
-    policy: PolicyPath | None = (
-        None  #: Policy with the robot and camera to simulate. Default: catch_alone+fit.
-    )
+    #: Policy with the robot and camera to simulate. Default: catch_alone+fit.
+    policy: PolicyPath | None = None
     task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
     clock: AtMostFull = 1.0  #: Seconds of the twin in a real second, at most 1; `deploy` must have the same.
     seed: Seed = 0  #: Seed of the room and of all noise; each throw has a seed of its own.
