@@ -9,9 +9,10 @@
 Everything is imported where it is first used: `import pixel2catch` alone loads nothing.
 """
 
-import importlib
+import ast
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 #: Whether idle threads of PyTorch, which was imported before, wait in a loop; see `api.threads`.
@@ -69,40 +70,13 @@ if TYPE_CHECKING:
     from pixel2catch.scene.scene import build_model as build_model, build_spec as build_spec
     from pixel2catch.workcells import find_workcell as find_workcell
 
-_NAMES = {
-    "agents": "AgentSpec agents_of sharing together",
-    "api.calls": "evaluate load_policy make train",
-    "api.views": "CatchParallelEnv CatchSingleEnv CatchVectorEnv",
-    "camera.pinhole": "nominal_projection",
-    "envs.actuators": "actuators",
-    "envs.catch_env": "CatchEnv",
-    "envs.cfg": "CatchEnvCfg",
-    "envs.tasks": "find_task",
-    "envs.world": "world",
-    "errors": "Pixel2CatchError",
-    "evaluation.loading": "task_of",
-    "evaluation.protocol": "EvaluationCfg run_round",
-    "evaluation.stress": "Axis Level",
-    "learning.experiment": "Experiment preset",
-    "mdp.observations": "observations",
-    "mdp.rewards": "RewardTerm",
-    "mdp.terminations": "terminations",
-    "methods": "Method find_method",
-    "policy.contract": "method_of",
-    "policy.policy": "INPUT_CLIP Policy",
-    "rendering.renderer": "Renderer",
-    "robots.geometry": "chain_of",
-    "robots.workcell": "WorkcellSpec",
-    "scene.cfg": "PUSH_OUT",
-    "scene.constants": "constants",
-    "scene.meshes": "mesh_object",
-    "scene.objects": "OBJECTS SEEN UNSEEN make_object surface_points",
-    "scene.scene": "build_model build_spec",
-    "workcells": "find_workcell",
+_WHERE = {
+    alias.name: node.module
+    for node in ast.walk(ast.parse(Path(__file__).read_text("utf-8")))
+    if isinstance(node, ast.ImportFrom) and str(node.module).startswith("pixel2catch.")
+    for alias in node.names
 }
-"""Names by module; modules themselves hold constants that another implementation of the environment needs."""
-
-_WHERE = {name: module for module, names in _NAMES.items() for name in names.split()}
+"""Module of each name that is imported above, or package of each module."""
 
 __all__ = [*_WHERE]  # pyright: ignore[reportUnsupportedDunderAll] (it reads the imports above)
 
@@ -111,8 +85,7 @@ def __getattr__(name: str) -> Any:
     """Import the module that defines a name."""
     if name not in _WHERE:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    module = importlib.import_module(f"{__name__}.{_WHERE[name]}")
-    return module if _WHERE[name].endswith(f".{name}") else getattr(module, name)
+    return getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
 
 
 def __dir__() -> list[str]:
