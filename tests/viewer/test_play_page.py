@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -16,18 +17,18 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer import PageCfg
-from pixel2catch.viewer.play import PlayCfg, PlayPage
+from pixel2catch.viewer.play import PlayPage
 from pixel2catch.viewer.stage import Playback
 from pixel2catch.viewer.throws import ThrowOrder, ThrowPlayer, ThrowStep
+
+CUBE = ThrowOrder(policy="catch_alone+fit", objects="cube_s")
 
 
 class Visited:
     """A page that runs."""
 
     def __init__(self, pool: ThreadPoolExecutor) -> None:
-        self.page = PlayPage(
-            PlayCfg(page=PageCfg(address=f"127.0.0.1:{free_port()}"), objects=("cube_s",), seed=3)
-        )
+        self.page = PlayPage(PageCfg(address=f"127.0.0.1:{free_port()}"), ThrowPlayer(), CUBE, seed=3)
         self.page.playback.set(speed=100.0)  # as fast as it goes
         self.playing: Future[None] = pool.submit(self.page.run)
 
@@ -98,7 +99,7 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
 
 def test_unknown_objects_are_refused_before_there_is_a_page():
     with pytest.raises(UnknownNameError, match="teapot"):
-        PlayPage(PlayCfg(objects=("teapot",)))
+        PlayPage(PageCfg(), ThrowPlayer(), replace(CUBE, objects="teapot"))
 
 
 def test_late_pictures_are_not_made_up_for_without_end():
@@ -131,7 +132,7 @@ def object_pos(step: ThrowStep) -> np.ndarray:
 
 def test_a_throw_flies_along_its_path_is_caught_and_comes_again_from_its_seed():
     """In air, which bends the path."""
-    order = ThrowOrder(policy="catch_alone+fit", objects="cube_s", disturbance="air 30 g")
+    order = replace(CUBE, disturbance="air 30 g")
     with closing(ThrowPlayer()) as thrower:
         task = thrower.task(order)
         assert task.randomization.air_density == 1.2

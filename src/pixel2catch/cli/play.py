@@ -10,7 +10,7 @@ from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
-from pixel2catch.shipped import PolicyPath
+from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 from pixel2catch.viewer import PageCfg
 
 
@@ -39,17 +39,12 @@ class Play:
         prepare("cpu")
         if self.web:
             with needs_extra("viewer"):
-                from pixel2catch.viewer.play import PlayCfg, serve_until_interrupted
-            serve_until_interrupted(
-                PlayCfg(
-                    page=self.page,
-                    policy=self.policy,
-                    objects=self.objects,
-                    seed=self.seed,
-                    dynamics=self.task.dynamics,
-                    camera=self.task.camera,
-                )
-            )
+                from pixel2catch.viewer.play import serve_until_interrupted
+                from pixel2catch.viewer.throws import ThrowOrder, ThrowPlayer
+            objects, policy = ", ".join(self.objects), str(self.policy or DEFAULT_POLICY)
+            thrower = ThrowPlayer(self.task.dynamics, self.task.camera)
+            first = ThrowOrder(policy=policy, objects=objects)
+            serve_until_interrupted(self.page, thrower, first, self.seed)
             return
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws

@@ -3,24 +3,21 @@
 Here is where a page is served; this module imports neither browser nor simulator.
 """
 
+import re
 from dataclasses import dataclass
-from typing import Annotated, final
+from typing import Annotated
 
-from pixel2catch.checks import Requirement
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.checks import Meets
 
 
-@final
-@dataclass(frozen=True)
-class HostAndPort(Requirement):
-    """A host and a port, as HOST:PORT."""
+def _is_place(address: str) -> bool:
+    found = re.fullmatch(r".+:(\d{1,5})", address)
+    return found is not None and 0 < int(found[1]) < 65_536
 
-    def require(self, name: str, value: str) -> None:  # noqa: D102 (documented in the interface)
-        host, _, port = value.rpartition(":")
-        if not host or not port.isdecimal() or not 0 < int(port) < 65_536:
-            raise InvalidValueError(
-                f"{name} is '{value}'; give HOST:PORT with a port from 1 to 65535, such as 127.0.0.1:8080."
-            )
+
+HostAndPort = Annotated[
+    str, Meets(_is_place, "give HOST:PORT with a port from 1 to 65535, such as 127.0.0.1:8080")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +26,7 @@ class PageCfg:
 
     #: Host and port of the page; of ports in use, the next free one. If other machines can reach it, as with
     #: 0.0.0.0:8080, the page's address has a token.
-    address: Annotated[str, HostAndPort()] = "127.0.0.1:8080"
+    address: HostAndPort = "127.0.0.1:8080"
 
     @property
     def host(self) -> str:

@@ -1,11 +1,10 @@
 """The camera's image on a page, with the box of the policy, drawn in a thread of its own."""
 
 import base64
-import contextlib
 import io
 import time
-from queue import Empty, Full, Queue
-from threading import Thread
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import viser
@@ -39,40 +38,40 @@ class CameraImages:
 
     def __init__(self, html: viser.GuiHtmlHandle, scene: SceneCfg) -> None:
         """Show a dark image of the camera's size."""
-        self._html, self._scene, camera = html, scene, scene.camera
+        camera = scene.camera
+        self._html, self._stack, self._newest = html, ExitStack(), None
         self._style = f"width:100%;display:block;aspect-ratio:{camera.width}/{camera.height}"
         self._dark = np.full((camera.height, camera.width, 3), DARK, np.uint8)
         self._show(self._dark)
-        self._steps: Queue[ThrowStep | None] = Queue(maxsize=1)
-        self._thread = Thread(target=self._run, name="camera images", daemon=True)
-        self._thread.start()
+        self._pool = ThreadPoolExecutor(1, "camera images")
+        self._camera = self._pool.submit(self._open, scene)
+        self._drawing: Future[None] | None = None
 
     def close(self) -> None:
         """End the thread."""
-        while self._thread.is_alive():
-            self.draw(None)
-            self._thread.join(timeout=0.05)
+        self._newest = None
+        self._pool.submit(self._stack.close)
+        self._pool.shutdown()
 
-    def draw(self, step: ThrowStep | None) -> None:
-        """Draw this control step next, instead of a waiting one; none ends the thread."""
-        with contextlib.suppress(Empty):
-            self._steps.get_nowait()
-        with contextlib.suppress(Full):
-            self._steps.put_nowait(step)
+    def draw(self, step: ThrowStep) -> None:
+        """Draw this control step next, instead of a waiting one."""
+        self._newest = step
+        if self._drawing is None or self._drawing.done():
+            self._drawing = self._pool.submit(self._draw_newest)
 
-    def _run(self) -> None:
-        with contextlib.ExitStack() as stack:
-            try:
-                camera = stack.enter_context(RoomCamera(self._scene, ROOM_SEED))
-            except DeviceUnavailableError:
-                camera = None
-            while (step := self._steps.get()) is not None:
-                begin = time.monotonic()
-                image = camera.image(step.exposure) if camera else self._dark.copy()
-                draw_box(image, step.box)
-                self._show(image)
-                spent = time.monotonic() - begin
-                time.sleep(max(PERIOD - spent, REST * spent))
+    def _open(self, scene: SceneCfg) -> RoomCamera | None:
+        with suppress(DeviceUnavailableError):
+            return self._stack.enter_context(RoomCamera(scene, ROOM_SEED))
+
+    def _draw_newest(self) -> None:
+        camera = self._camera.result()
+        while step := self._newest:
+            begin, self._newest = time.monotonic(), None
+            image = camera.image(step.exposure) if camera else self._dark.copy()
+            draw_box(image, step.box)
+            self._show(image)
+            spent = time.monotonic() - begin
+            time.sleep(max(PERIOD - spent, REST * spent))
 
     def _show(self, image: np.ndarray) -> None:
         data = base64.b64encode(jpeg(image)).decode()

@@ -3,21 +3,18 @@
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Event
 from typing import final
 
 import torch
 import viser
 
-from pixel2catch.checks import Seed
 from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
-from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
+from pixel2catch.shipped import shipped_policies
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.server import open_server
 from pixel2catch.viewer.stage import Playback, Stage
@@ -28,38 +25,25 @@ BETWEEN_THROWS = 0.7  #: Time between two repeated throws [s].
 GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of catches and misses.
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlayCfg:
-    """What is thrown first; the page can change all but the files."""
-
-    page: PageCfg = field(default_factory=PageCfg)  #: Where the page is served.
-    policy: Path | None = None  #: Folder of a policy or of its training run, or a shipped name.
-    objects: tuple[str, ...] = ("seen",)  #: What is thrown, names of `select_objects`.
-    seed: Seed = 0  #: Seed of the first throw; the next throw has the next seed.
-    dynamics: Path | None = None  #: Dynamics file of the simulated robot.
-    camera: Path | None = None  #: Camera file of the simulated camera.
-
-
 @final
 class PlayPage:
     """The page; `run` plays until it is closed."""
 
-    def __init__(self, cfg: PlayCfg) -> None:
-        """Serve the page.
+    def __init__(self, cfg: PageCfg, thrower: ThrowPlayer, first: ThrowOrder, seed: int = 0) -> None:
+        """Serve the page; the first throw has the seed, the next throw the next seed.
 
         Raises:
             Pixel2CatchError: The policy, an object or a file is not valid, or the page cannot be served.
         """
-        self._cfg, self._thrower = cfg, ThrowPlayer(cfg.dynamics, cfg.camera)
-        select_objects(cfg.objects)  # an error before the page is served
-        first = ThrowOrder(policy=str(cfg.policy or DEFAULT_POLICY), objects=", ".join(cfg.objects))
-        scene = self._thrower.task(first).scene
+        self._thrower, self._seed = thrower, seed
+        select_objects(first.objects)  # an error before the page is served
+        scene = thrower.task(first).scene
         self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be shown again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
         self._again: PlayedThrow | None = None  #: Throw to show again.
         self.playback = Playback()  #: Pace of time.
         self._closed, self._wanted = Event(), Event()
-        self.server = open_server(cfg.page, "Pixel2Catch")
+        self.server = open_server(cfg, "Pixel2Catch")
         site = self.server.viser
         site.on_client_connect(lambda _: self._welcome())
         self.stage = Stage(site, scene, self.playback)  #: The throw on the page.
@@ -131,7 +115,7 @@ class PlayPage:
     def _throw(self) -> None:
         order, played = self.order, None
         self.stage.set_scene(self._thrower.task(order).scene)
-        for played in self._thrower.run(order, self._cfg.seed + self._thrower.num_throws):
+        for played in self._thrower.run(order, self._seed + self._thrower.num_throws):
             if not self.stage.show(played, len(played.steps) - 1):
                 return
         if played is not None:
@@ -181,10 +165,10 @@ class PlayPage:
         self._buttons: list[viser.GuiButtonHandle] = []
 
 
-def serve_until_interrupted(cfg: PlayCfg) -> None:
+def serve_until_interrupted(cfg: PageCfg, thrower: ThrowPlayer, first: ThrowOrder, seed: int) -> None:
     """Serve the page, and print its address, until Ctrl-C."""
     with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
-        page = PlayPage(cfg)
+        page = PlayPage(cfg, thrower, first, seed)
         print(f"open {page.server.address} in a browser; Ctrl-C ends it", flush=True)
         playing = pool.submit(page.run)
         while not (stop.is_set or playing.done()):

@@ -28,12 +28,6 @@ from websockets.http11 import Request, Response
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer import PageCfg
 
-KINDS = {
-    suffix: f"text/{kind}; charset=utf-8"
-    for suffix, kind in ((".html", "html"), (".js", "javascript"), (".css", "css"))
-}
-"""Types of the files of the operator's page."""
-
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: Names of this machine in its own browser.
 
 UNFRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
@@ -50,11 +44,13 @@ Talk = Callable[[ServerConnection], Awaitable[None]]  #: Handler of a connection
 
 def own_files() -> dict[str, tuple[str, bytes]]:
     """Return types and contents of the files of the operator's page, by path."""
-    found = {
-        f"/{file.name}": file.read_bytes() for file in (files("pixel2catch.viewer") / "operate").iterdir()
+    folder = files("pixel2catch.viewer") / "operate"
+    found = {f"/{file.name}": file.read_bytes() for file in folder.iterdir()}
+    kinds = {".html": "html", ".js": "javascript", ".css": "css"}
+    own = {
+        path: (f"text/{kinds[PurePath(path).suffix]}; charset=utf-8", body) for path, body in found.items()
     }
-    found["/"] = found["/index.html"]
-    return {path: (KINDS[PurePath(path).suffix or ".html"], body) for path, body in found.items()}
+    return own | {"/": own["/index.html"]}
 
 
 def _response(status: http.HTTPStatus, kind: str, body: bytes, **headers: str) -> Response:
