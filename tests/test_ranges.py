@@ -5,13 +5,13 @@ import math
 import re
 import typing
 from collections.abc import Iterator
-from dataclasses import is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_args, get_origin
 
 import pytest
 
 from pixel2catch.checks import Within, require_valid
-from pixel2catch.cli.main import COMMANDS, load_command
+from pixel2catch.cli.main import COMMANDS, load_command, parse
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
@@ -231,6 +231,50 @@ def test_a_number_within_its_range_is_taken(path: str):
     low, high = BOUNDS[path]
     for number in (low, 0.5 * (low + high), high):
         changed(path, shaped(path, number))
+
+
+OTHER = {
+    "name": "mine",
+    "engine": "physx",
+    "cone": "pyramidal",
+    "workcell": "ur5e_leap",
+    "objects": ("cross",),
+}
+"""Other values of fields that are no numbers, by the ends of their names."""
+
+
+def options(value: Any, name: str) -> Iterator[str]:
+    """Yield every field of a configuration but the dynamics as an option with its values."""
+    if is_dataclass(value):
+        for field in fields(value):
+            if field.name not in ("dynamics", "variants"):
+                yield from options(getattr(value, field.name), f"{name}.{field.name}")
+    elif name.endswith("pose_covariance"):
+        for number, entry in enumerate(value):
+            yield from options(entry, f"{name}.{number}")
+    else:
+        yield name
+        yield from (str(part) for part in flat(value))
+
+
+def flat(value: Any) -> tuple[Any, ...]:
+    return tuple(part for each in value for part in flat(each)) if isinstance(value, tuple) else (value,)
+
+
+def test_every_field_of_a_task_is_an_option(capsys: pytest.CaptureFixture[str]):
+    """Numbers are in the middle of their ranges, flags are turned round."""
+    env: Any = NOMINAL
+    for path, (low, high) in ENV.items():
+        if not path.endswith(COUPLED):
+            env = with_value(env, path, shaped(f"env.{path}", 0.5 * (low + high)))
+    for option in [*options(NOMINAL, "")]:
+        path, end = option[1:], option.rpartition(".")[2]
+        if option.startswith(".") and (end in OTHER or isinstance(value_at(NOMINAL, path), bool)):
+            env = with_value(env, path, OTHER.get(end, not value_at(NOMINAL, path)))
+    assert parse(["train", "--device", "cpu", *options(env, "--env")]).env == env
+    with pytest.raises(SystemExit):
+        parse(["train", "--device", "cpu", "--env.help"])
+    assert "--env.sensing.latency-steps" in capsys.readouterr().out
 
 
 ORDERED = {

@@ -1,5 +1,6 @@
-"""`--env.FIELD` of the commands that evaluate, and the log of a training for others."""
+"""Fields of the task, camera and dynamics files as options of train, evaluate, play and stress."""
 
+import dataclasses
 import json
 import sys
 from dataclasses import replace
@@ -7,26 +8,68 @@ from pathlib import Path
 
 import pytest
 
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.fields import with_given
 from pixel2catch.cli.main import main, parse
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.errors import UnknownNameError
+from pixel2catch.errors import PolicyMismatchError, UnknownNameError
+from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
 from pixel2catch.installation import install_command
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import SceneCfg
+from pixel2catch.scene.constants import RGB_CAMERA
 
 THROWS = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "60")
 TRAINING = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-TRAIN = ("train", *TRAINING, "--hidden", "8", "--device", "cpu", "--env.scene.physics-hz", "30")
+TRAIN = (
+    "train",
+    "only_center",
+    *TRAINING,
+    "--hidden",
+    "8",
+    "--device",
+    "cpu",
+    "--env.scene.physics-hz",
+    "30",
+)
+
+CAMERA = replace(RGB_CAMERA, pos=(-0.5, 0.1, 2.1), fx=600.0, fy=601.0)
+MEASURED = CameraFile(
+    camera=CAMERA,
+    pose_covariance=tuple(tuple(1e-4 if i == j else 0.0 for j in range(6)) for i in range(6)),
+    focal_std=0.01,
+)
+ARM = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(
+    latency=0.02, filter_gain=300.0, filter_lookahead=0.1
+)
+IDENTIFIED = DynamicsFile(dynamics=ARM, gains=GainRanges(stiffness_scale=((0.99, 1.01),) * 19))
+NOMINAL_TASK = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0))
+
+
+def untrained(**camera: object) -> Policy:
+    """A policy for the release's camera with some other values."""
+    contract = contract_of(METHODS["proposed"])
+    return Policy(replace(contract, camera=contract.camera | camera), hidden=(8,))
 
 
 @pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fields") / "policy"
-    Policy(contract_of(METHODS["proposed"]), hidden=(8,)).save(folder)
-    return folder
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a policy, a camera file and a dynamics file."""
+    path = tmp_path_factory.mktemp("fields")
+    untrained().save(path)
+    MEASURED.save(path / "camera.json")
+    IDENTIFIED.save(path / "dynamics.json")
+    return path
+
+
+def run(*args: str | Path) -> int:
+    return main([str(arg) for arg in args])
 
 
 def test_only_given_fields_change_a_task():
@@ -37,37 +80,34 @@ def test_only_given_fields_change_a_task():
     assert changed == replace(wide, scene=SceneCfg(physics_hz=120.0), objects=("cube_s",))
 
 
-def test_a_field_reaches_an_evaluation(policy: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_field_reaches_an_evaluation(folder: Path, capsys: pytest.CaptureFixture[str]):
     """An object that flies far away from the robot is never tracked."""
     far = ("--env.throws.release-x=6", "6.1", "--env.throws.aim-x", "5", "5.1")
-    assert main(["evaluate", str(policy), *THROWS, "--json", *far]) == 0
+    assert run("evaluate", folder, *THROWS, "--json", *far) == 0
     assert json.loads(capsys.readouterr().out)["tracking_rate"] == 0.0
 
 
-def test_a_field_holds_beneath_every_disturbance(policy: Path, tmp_path: Path):
-    out = tmp_path / "stress"
-    command = ["stress", str(policy), *THROWS, "--axes", "air", "--out", str(out)]
-    assert main([*command, "--env.sensing.drop-rate", "0.1", "0.2"]) == 0
-    for file in (out / "cells").rglob("*.json"):
+def test_a_field_holds_beneath_every_disturbance(folder: Path, tmp_path: Path):
+    command = ["stress", folder, *THROWS, "--axes", "air", "--out", tmp_path / "stress"]
+    assert run(*command, "--env.sensing.drop-rate", "0.1", "0.2") == 0
+    for file in (tmp_path / "stress" / "cells").rglob("*.json"):
         task = json.loads(file.read_text())["evaluation"]["task"]
         assert task["sensing"]["drop_rate"] == [0.1, 0.2]
         assert task["randomization"]["air_density"] == 1.2
-    assert main(command) == 2  # the results that are there are of another task
-
-
-@pytest.mark.parametrize("command", ["evaluate", "play", "stress"])
-def test_what_the_protocol_sets_is_refused(
-    command: str, policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], opengl: None
-):
-    assert main([command, str(policy), "--out", str(tmp_path / "out.mp4"), "--env.objects", "cross"]) == 2
-    assert "--env.objects" in capsys.readouterr().err
+    assert run(*command) == 2  # the results that are there are of another task
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "stress", "bench"])
-def test_a_misspelt_field_is_named(command: str, capsys: pytest.CaptureFixture[str]):
+def test_wrong_fields_are_named(
+    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], opengl: None
+):
+    """Those that are misspelt, and those that the protocol of evaluations sets."""
     with pytest.raises(SystemExit):
         parse([command, "--env.throws.peak", "1", "2"])
     assert "throws.peak-z" in capsys.readouterr().err
+    if command != "bench":
+        assert run(command, folder, "--out", tmp_path / "out.mp4", "--env.objects", "cross") == 2
+        assert "--env.objects" in capsys.readouterr().err
 
 
 def test_weights_reach_teammates_and_unknown_terms_are_refused():
@@ -83,7 +123,7 @@ def test_weights_and_biases_gets_configuration_and_curves(tmp_path: Path, monkey
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv("WANDB_SILENT", "true")
     out = tmp_path / "run"
-    assert main([*TRAIN, "--wandb", "catching", "--out", str(out)]) == 0
+    assert run(*TRAIN, "--wandb", "catching", "--out", out) == 0
     number = (out / "wandb.id").read_text()
     (folder,) = (out / "wandb").glob("offline-run-*")
     written = (folder / f"run-{number}.wandb").read_bytes()
@@ -95,6 +135,54 @@ def test_a_missing_package_is_named_before_anything_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setitem(sys.modules, "wandb", None)
-    assert main([*TRAIN, "--wandb", "catching", "--out", str(tmp_path / "run")]) == 2
+    assert run(*TRAIN, "--wandb", "catching", "--out", tmp_path / "run") == 2
     assert install_command("wandb") in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_training_simulates_what_the_files_describe(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """The run keeps their values, the policy is for the camera, and the run goes on with no other files."""
+    out, names = tmp_path / "run", ("dynamics", "camera")
+    files = [part for name in names for part in (f"--{name}", folder / f"{name}.json")]
+    assert run(*TRAIN, "--out", out, *files, "--env.sensing.latency-steps", "1", "3") == 0
+    task = json.loads((out / "config.json").read_text())["env"]
+    assert task["sensing"]["camera"] == json.loads(json.dumps(dataclasses.asdict(MEASURED)))
+    assert task["sensing"]["latency_steps"] == [1, 3]
+    assert task["dynamics"]["latency"] == [0.02] * 6
+    assert task["randomization"]["gains"]["stiffness_scale"] == [[0.99, 1.01]] * 6 + [[0.7, 1.3]] * 13
+    assert task_of(load_policy(out)[0], 30.0) == NOMINAL_TASK.with_camera(CameraFile(camera=CAMERA))
+    other = tmp_path / "other.json"
+    DynamicsFile().save(other)
+    assert run(*TRAIN, "--out", out, "--resume", "--dynamics", other) == 2
+    assert "leave out --dynamics" in capsys.readouterr().err
+    assert run(*TRAIN, "--out", out, "--resume", *files) == 0
+    assert json.loads((out / "config.json").read_text())["env"] == task
+
+
+def test_the_task_of_a_policy_has_its_camera_or_that_of_the_files(folder: Path):
+    ours, theirs, file = untrained(**dataclasses.asdict(CAMERA)), untrained(), folder / "camera.json"
+    assert task_of(theirs, 30.0) == NOMINAL_TASK
+    assert task_of(ours, 30.0) == NOMINAL_TASK.with_camera(CameraFile(camera=CAMERA))
+    seen = replace(
+        NOMINAL_TASK, scene=replace(NOMINAL_TASK.scene, camera=CAMERA), sensing=SensingCfg(camera=MEASURED)
+    )
+    assert task_of(ours, 30.0, camera=file) == task_of(theirs, 30.0, camera=file) == seen
+    gains = RandomizationCfg(gains=DynamicsFile.load(folder / "dynamics.json").gains)
+    robot = replace(NOMINAL_TASK, dynamics=ARM, randomization=gains)
+    assert task_of(theirs, 30.0, folder / "dynamics.json") == robot
+    for policy, camera, remark in (
+        (ours, None, "of its own"),
+        (ours, file, "of its own"),
+        (theirs, file, "another camera"),
+    ):
+        assert remark in next(camera_remark(policy, task_of(policy, camera=camera)))
+    assert not list(camera_remark(theirs, task_of(theirs)))
+
+
+@pytest.mark.parametrize(("change", "words"), [({"width": 1280}, "camera.width"), ({"zoom": 2.0}, "zoom")])
+def test_a_policy_of_other_images_is_refused(change: dict[str, object], words: str, tmp_path: Path):
+    untrained(**change).save(tmp_path)
+    with pytest.raises(PolicyMismatchError, match=words):
+        load_policy(tmp_path)

@@ -3,19 +3,16 @@
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 from pixel2catch.cli.main import main, parse
 from pixel2catch.envs.catch_env import CatchEnv
-from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.learning.experiment import preset, read_run
+from pixel2catch.learning.experiment import read_run
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy
 from pixel2catch.scene.constants import OBJECT_RADIUS
@@ -25,80 +22,6 @@ SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--tra
 TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8")
 LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
 OLD_CONFIG = Path(__file__).parents[1] / "learning" / "old_runs" / "config.json"
-
-COVARIANCE = tuple(tuple(0.5 if i == j else 0.0 for j in range(6)) for i in range(6))
-OTHER = {
-    "name": "mine",
-    "engine": "physx",
-    "cone": "pyramidal",
-    "workcell": "ur5e_leap",
-    "physics_hz": 240.0,
-    "object_scale": 1.1,
-    "objects": ("cube_s", "cone_l"),
-    "quat": (1.0, 0.0, 0.0, 0.0),
-    "width": 640,  # policies know no other size
-    "height": 480,
-    "distortion": (0.1, 0.2, 0.3, 0.4),
-    "pose_covariance": COVARIANCE,
-    "focal_std": 0.1,
-    "stiffness_scale": ((0.9, 1.1), (0.8, 1.2)),
-    "damping_scale": ((0.9, 1.1),),
-    "is_damping_relative": (True, False),
-    "share": 0.2,
-    "corner_noise": 4.0,  # in the variants as in the task
-    "least_visible": 0.1,
-    "joint_noise": 0.01,
-    "action_noise": 2.0,
-}
-
-
-def other(name: str, value: Any) -> Any:
-    """Another value that is allowed."""
-    if name in OTHER:
-        return OTHER[name]
-    if isinstance(value, bool):
-        return not value
-    return tuple(entry + 1 for entry in value) if isinstance(value, tuple) else value + 1
-
-
-def changed(cfg: Any) -> Any:
-    """Every field of a configuration with another value, but the dynamics: they have a file of their own."""
-    values = {field.name: getattr(cfg, field.name) for field in dataclasses.fields(cfg)}
-    return dataclasses.replace(
-        cfg,
-        **{
-            name: changed(value)
-            if dataclasses.is_dataclass(value)
-            else tuple(map(changed, value))
-            if name == "variants"
-            else other(name, value)
-            for name, value in values.items()
-            if name != "dynamics"
-        },
-    )
-
-
-def options(value: Any, name: str = "--env") -> Iterator[str]:
-    """Every leaf of a configuration as an option with its values."""
-    if dataclasses.is_dataclass(value):
-        for field in dataclasses.fields(value):
-            if field.name != "dynamics":
-                yield from options(getattr(value, field.name), f"{name}.{field.name}")
-    elif name.endswith(("variants", "pose_covariance")):
-        for number, entry in enumerate(value):
-            yield from options(entry, f"{name}.{number}")
-    else:
-        entries = value if isinstance(value, tuple) else (value,)
-        yield name
-        yield from (str(part) for each in entries for part in (each if isinstance(each, tuple) else (each,)))
-
-
-@pytest.mark.parametrize("name", ["nominal", "wide"])
-def test_every_field_of_a_task_can_be_set(name: str):
-    expected = changed(TASKS[name])
-    command = parse(["train", "--device", "cpu", "--task", name, *options(expected)])
-    assert command.env == expected
-    assert command.train == dataclasses.replace(preset("cpu").train, physics_stages=())
 
 
 def test_what_is_set_reaches_the_environment():
@@ -129,13 +52,6 @@ def test_contacts_of_training_are_those_of_the_preset():
     assert contacts("--preset", "fast") == ("pyramidal", False)
     assert contacts("--preset", "paper") == ("elliptic", True)
     assert contacts("--env.scene.cone", "elliptic") == ("elliptic", False)
-
-
-def test_help_tells_all_fields(capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit) as stopped:
-        main(["train", "--device", "cpu", "--env.help"])
-    assert stopped.value.code == 0
-    assert "--env.sensing.latency-steps" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")
@@ -215,8 +131,3 @@ def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
     shipped, trained = (Policy.load(policy_folder(path)) for path in (Path("catch+fit"), tmp_path / "run"))
     for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
         assert torch.equal(before, after), name
-
-
-def test_tasks_of_the_catalogue_have_their_names():
-    assert {name: task.name for name, task in TASKS.items()} == {name: name for name in TASKS}
-    assert CatchEnvCfg().name == "nominal"
