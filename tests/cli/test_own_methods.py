@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -118,11 +119,7 @@ def test_own_methods_are_trained_and_evaluated(
         results.append(json.loads(capsys.readouterr().out) | {"seconds": 0})
     assert results[0] == results[1]
     assert run("evaluate", "with_height", *THROWS) == 2
-    error = capsys.readouterr().err
-    assert "unknown method 'with_height'" in error
-    assert "--import FILE.py" in error
-    assert run("--import", "absent.py", "evaluate", "with_height") == 2
-    assert "cannot import" in capsys.readouterr().err
+    assert re.search(r"unknown method 'with_height'.*--import FILE\.py", capsys.readouterr().err)
     thrown = (*THROWS[:-1], "brick")
     options = ("--import", "my_methods.py", "--axes", "heavy", "--jobs", "2", "--out", "stress")
     assert run("stress", "size_alone", "with_height", *thrown, *options) == 0
@@ -140,8 +137,6 @@ def test_a_work_cell_of_ones_own_is_trained_and_evaluated(
     Path("my_cell.py").write_text(CELL)
     assert run("train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run") == 0
     assert run("evaluate", "run", *THROWS) == 2
-    error = capsys.readouterr().err
-    assert "unknown work cell 'nearer'" in error
-    assert "--import FILE.py" in error
+    assert re.search(r"unknown work cell 'nearer'.*--import FILE\.py", capsys.readouterr().err)
     assert run("evaluate", "run", *THROWS, "--json", "--import", "my_cell.py") == 0
     assert json.loads(capsys.readouterr().out)["method"] == "proposed"

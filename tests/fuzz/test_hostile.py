@@ -8,17 +8,15 @@ import struct
 import tracemalloc
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import cv2
 import mujoco
 import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from valid import ARM, KINDS, PIXELS, Learner
+from valid import ARM, KINDS, PIXELS, checkpoint, untrained
 
 from pixel2catch.arrays import read_arrays
 from pixel2catch.cli.main import main
@@ -26,11 +24,9 @@ from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchEr
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
-from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
+from pixel2catch.learning.checkpoint import Checkpoint
 from pixel2catch.learning.experiment import require_run
-from pixel2catch.methods import find_method
 from pixel2catch.perception.calibration.lens import read_image
-from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.contract import method_of
 from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.robots.workcell import read_mjcf
@@ -83,17 +79,11 @@ def test_what_is_not_a_file_of_the_kind_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def _changed_json(kind: str, change: Callable[[dict[str, Any], str], object]) -> Callable[[Path, str], Path]:
-    """Return what writes a file of a kind with other content; the function gets content and work cell."""
-
-    def write(folder: Path, workcell: str) -> Path:
-        file = KINDS[kind].write(folder)
-        content = json.loads(file.read_text())
-        change(content, workcell)
-        file.write_text(json.dumps(content))
-        return file
-
-    return write
+def _naming_run(folder: Path, workcell: str) -> Path:
+    content = json.loads(KINDS["run"].write(folder).read_text())
+    content["env"]["scene"]["workcell"] = workcell
+    (folder / "config.json").write_text(json.dumps(content))
+    return folder
 
 
 def _naming_profile(folder: Path, workcell: str) -> Path:
@@ -110,28 +100,23 @@ def _naming_trajectory(folder: Path, workcell: str) -> Path:
     return file
 
 
+def _naming_policy(folder: Path, workcell: str) -> Path:
+    untrained(workcell).save(folder)
+    return folder
+
+
 def _naming_onnx(folder: Path, workcell: str) -> Path:
-    policy = Policy(replace(contract_of(find_method("catch+fit")), workcell=workcell), hidden=(8,))
-    (folder / "policy.onnx").write_bytes(to_onnx(policy))
+    (folder / "policy.onnx").write_bytes(to_onnx(untrained(workcell)))
     return folder / "policy.onnx"
 
 
-def _naming_checkpoint(folder: Path, workcell: str) -> Path:
-    contract = replace(contract_of(find_method("catch+fit")), workcell=workcell)
-    save_checkpoint(folder / "checkpoint.pt", Learner(), contract, Progress(transitions=5))  # type: ignore
-    return folder / "checkpoint.pt"
-
-
 NAMING = {
-    "policy": (_changed_json("policy", lambda all, own: all.update(workcell=own)), KINDS["policy"].read),
-    "run": (
-        _changed_json("run", lambda all, own: all["env"]["scene"].update(workcell=own)),
-        lambda file: require_run(file.parent),
-    ),
+    "policy": (_naming_policy, load_policy),
+    "run": (_naming_run, require_run),
     "profile": (_naming_profile, Profile.load),
     "trajectory": (_naming_trajectory, Trajectory.load),
     "onnx": (_naming_onnx, load_policy),
-    "checkpoint": (_naming_checkpoint, lambda file: method_of(Checkpoint.load(file, "cpu").contract)),
+    "checkpoint": (checkpoint, lambda file: method_of(Checkpoint.load(file, "cpu").contract)),
 }
 """The files that name a work cell: what writes one with another name, and what reads it."""
 

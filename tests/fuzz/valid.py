@@ -3,7 +3,7 @@
 import json
 import random
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from pixel2catch.arrays import read_table
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison import ComparisonFolder
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.files import as_json, json_text
+from pixel2catch.files import json_text
 from pixel2catch.identification.importers import read_rosbag
 from pixel2catch.identification.recording import Recording, joints_of
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, save_checkpoint
@@ -73,9 +73,14 @@ class Learner:
         torch.zeros(3).copy_(state["a"])
 
 
-def _policy(folder: Path) -> Path:
+def untrained(workcell: str = "ur5e_allegro") -> Policy:
+    """A small policy for a work cell of this name."""
     torch.manual_seed(0)
-    Policy(contract_of(find_method("catch+fit")), hidden=(8,)).save(folder)
+    return Policy(replace(contract_of(find_method("catch+fit")), workcell=workcell), hidden=(8,))
+
+
+def _policy(folder: Path) -> Path:
+    untrained().save(folder)
     return folder / "policy.json"
 
 
@@ -97,20 +102,12 @@ def _weights(folder: Path) -> Path:
 
 @cache
 def _exported() -> bytes:
-    torch.manual_seed(0)
-    return to_onnx(Policy(contract_of(find_method("catch+fit")), hidden=(8,)))
+    return to_onnx(untrained())
 
 
 def _onnx(folder: Path) -> Path:
-    file = folder / "policy.onnx"
-    file.write_bytes(_exported())
-    return file
-
-
-def _profile(folder: Path) -> Path:
-    file = folder / "lab.yaml"
-    file.write_bytes((PROFILES / "ur5e_allegro_v4.yaml").read_bytes())
-    return file
+    (folder / "policy.onnx").write_bytes(_exported())
+    return folder / "policy.onnx"
 
 
 def _recording(folder: Path) -> Path:
@@ -118,12 +115,6 @@ def _recording(folder: Path) -> Path:
     q = HOME + 0.01 * np.sin(times)[:, None]
     Recording(joints=ARM, t_cmd=times, q_cmd=q, t_meas=times, q=q).save(folder / "motion.npz")
     return folder / "motion.npz"
-
-
-def _table(folder: Path) -> Path:
-    rows = "\n".join(f"view_{i}.png," + ",".join(map(str, HOME)) for i in range(20))
-    (folder / "views.csv").write_text(f"image,{','.join(ARM)}\n{rows}\n")
-    return folder / "views.csv"
 
 
 def _bag(folder: Path) -> Path:
@@ -189,8 +180,9 @@ def _text(name: str, content: str) -> Callable[[Path], Path]:
     return write
 
 
-def _checkpoint(folder: Path) -> Path:
-    contract = contract_of(find_method("catch+fit"))
+def checkpoint(folder: Path, workcell: str = "ur5e_allegro") -> Path:
+    """Write a checkpoint of a policy for a work cell of this name."""
+    contract = untrained(workcell).contract
     save_checkpoint(folder / "checkpoint.pt", Learner(), contract, Progress(transitions=5))  # type: ignore
     return folder / "checkpoint.pt"
 
@@ -204,21 +196,23 @@ def _dynamics(folder: Path) -> Path:
     return folder / "dynamics.json"
 
 
-def _labels(folder: Path) -> Path:
-    boxes = ((1.0, 2.0, 3.0, 4.0), None)
-    images = tuple(Label(image=i, time=0.1 * i, phase="held", box=box) for i, box in enumerate(boxes))
-    labels = Labels(video="a.mp4", width=64, height=48, rate=30.0, images=images)
-    (folder / "labels.json").write_text(json_text({"format_version": 1, **asdict(labels)}))
-    return folder / "labels.json"
-
-
-def _run(folder: Path) -> Path:
-    cfg = TrainCfg(device="cpu", num_envs=4, mini_batches=2)
-    content = {"train": asdict(cfg), "env": asdict(CatchEnvCfg()), "policy": {"method": "proposed"}}
-    (folder / "config.json").write_text(json.dumps(as_json(content)))
-    return folder / "config.json"
-
-
+BOXES = ((1.0, 2.0, 3.0, 4.0), None)
+LABELS = Labels(
+    video="a.mp4",
+    width=64,
+    height=48,
+    rate=30.0,
+    images=tuple(Label(image=i, time=0.1 * i, phase="held", box=box) for i, box in enumerate(BOXES)),
+)
+TABLE = "\n".join(
+    (f"image,{','.join(ARM)}", *(f"view_{i}.png," + ",".join(map(str, HOME)) for i in range(20)))
+)
+RUN = {
+    "train": asdict(TrainCfg(device="cpu", num_envs=4, mini_batches=2)),
+    "env": asdict(CatchEnvCfg()),
+    "policy": {"method": "proposed"},
+}
+PROFILE = (PROFILES / "ur5e_allegro_v4.yaml").read_text()
 PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
 
 MODEL = Path(UR5E.mjcf).read_text()
@@ -228,18 +222,28 @@ KINDS = {
     "weights": Kind(write=_weights, read=lambda file: load_policy(file.parent)),
     "onnx": Kind(write=_onnx, read=load_policy),
     "dynamics": Kind(write=_dynamics, read=DynamicsFile.load, change=changed_json),
-    "labels": Kind(write=_labels, read=Labels.load, change=changed_json),
-    "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
+    "labels": Kind(
+        write=_text("labels.json", json_text({"format_version": 1, **asdict(LABELS)})),
+        read=Labels.load,
+        change=changed_json,
+    ),
+    "profile": Kind(write=_text("lab.yaml", PROFILE), read=Profile.load, change=changed_yaml),
     "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
-    "table": Kind(write=_table, read=lambda file: read_table(file, ARM), change=changed_csv),
+    "table": Kind(
+        write=_text("views.csv", TABLE), read=lambda file: read_table(file, ARM), change=changed_csv
+    ),
     "mcap": Kind(write=_bag, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
     "png": Kind(write=_png, read=read_image),
     "mp4": Kind(write=_mp4, read=lambda f: [*images_of(str(f), [])]),
     "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
-    "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
-    "run": Kind(write=_run, read=lambda file: read_run(file.parent), change=changed_json),
+    "checkpoint": Kind(write=checkpoint, read=_read_checkpoint),
+    "run": Kind(
+        write=_text("config.json", json_text(RUN)),
+        read=lambda file: read_run(file.parent),
+        change=changed_json,
+    ),
     "study": Kind(
         write=_text("study.json", json.dumps(PLAN)),
         read=lambda file: ComparisonFolder(file.parent).plan(),
