@@ -1,20 +1,30 @@
 """`pixel2catch reproduce`: the paper's table and curves, from nothing."""
 
-from dataclasses import dataclass, fields
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Within
+from pixel2catch.cli.console import say
+from pixel2catch.cli.evaluate import Evaluate
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.learning.config import PresetName, TrainCfg
+from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
+    from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
+    from pixel2catch.evaluation.grid import Slot, StudyCell
     from pixel2catch.learning.experiment import Experiment
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
 
 OWN = ("device", "seed")  #: Fields of `TrainCfg` that a study sets for each training.
+NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
+JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it.
 TRAINING, EVALUATION = "training", "evaluation"
 
 
@@ -50,12 +60,29 @@ class Reproduce:
 
     def run(self) -> None:
         """Compute what is missing, and write the report."""
-        from pixel2catch.cli.studies import compare_methods
+        from pixel2catch.cli.studies import run_grid
+        from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
+        from pixel2catch.evaluation.grid import StudyGrid, held
+        from pixel2catch.sim.factory import require_cuda
 
-        compare_methods(self, self._experiment())
+        folder, experiment = ComparisonFolder(self.out), self._experiment()
+        plan = self._plan(experiment)
+        grid = StudyGrid([cell for each in plan.runs() for cell in self._cells(folder, each, experiment)])
+        for device in {place for cell in grid.missing for place in self._places[cell.kind]}:
+            if device != "cpu" and not self.slurm:  # jobs of a cluster look for themselves
+                require_cuda(device)
+        folder.path.mkdir(parents=True, exist_ok=True)
+        with held(folder.path):
+            slots = [slot for kind in self._places for slot in self._slots(kind)]
+            folder.open(replace(plan, sessions=(circumstances(),)) if grid.missing else plan)
+            run_grid(grid, slots, "reproduce", folder.path / "logs")
+        rates = write_comparison(folder)
+        print(markdown(rates) if rates else "Nothing is finished yet.\n", end="")
+        say(f"wrote the report: {folder.path / 'report'}: table.md")
+        grid.require_whole()
 
     @property
-    def places(self) -> dict[str, tuple[str, ...]]:
+    def _places(self) -> dict[str, tuple[str, ...]]:
         """Where to train and where to evaluate."""
         import torch
 
@@ -63,9 +90,20 @@ class Reproduce:
         return {TRAINING: self.device or (default,), EVALUATION: self.evaluation_device}
 
     @property
-    def starting_preset(self) -> str:
+    def _preset(self) -> PresetName:
         """The preset; without one the device decides, which may be a cluster's."""
-        return self.preset or ("fast" if self.places[TRAINING][0].startswith("cuda") else "cpu")
+        return self.preset or ("fast" if self._places[TRAINING][0].startswith("cuda") else "cpu")
+
+    def _slots(self, kind: str) -> "list[Slot]":
+        """Return slots of trainings or evaluations; on a CPU one evaluation has all cores."""
+        from pixel2catch.cli.studies import make_slots
+
+        devices, number, is_evaluation = self._places[kind], self.jobs_per_device, kind == EVALUATION
+        is_cpu = devices[0] == "cpu"
+        if not self.slurm:
+            number = 1 if is_cpu and is_evaluation else number or (1 if is_cpu else JOBS_ON_CUDA)
+        options = {"kind": kind, "has_one_thread": not is_cpu, "is_reused": is_evaluation}
+        return make_slots(devices, number, self.slurm, self.out, **options)
 
     def _experiment(self) -> "Experiment":
         """Return the configuration of all trainings; seed and device are replaced in each."""
@@ -73,7 +111,7 @@ class Reproduce:
         from pixel2catch.learning.experiment import Experiment
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
-        args = ["--device", "cpu", "--preset", self.starting_preset]
+        args = ["--device", "cpu", "--preset", self._preset]
         for option in self.training:
             name, _, value = option.partition("=")
             if name not in free and name != "task" and not name.startswith("env."):
@@ -81,3 +119,77 @@ class Reproduce:
             args += [f"--{name.replace('_', '-')}", *value.split(",")]
         train = parse_options("train", args)
         return Experiment(env=train.env, train=train.train)
+
+    def _plan(self, experiment: "Experiment") -> "Plan":
+        """Return methods and seeds, with everything that changes results."""
+        from pixel2catch.evaluation.comparison import Plan
+        from pixel2catch.evaluation.loading import PHYSICS_HZ
+        from pixel2catch.methods import find_method
+
+        train, env = experiment.train, experiment.env
+        given = [option.partition("=") for option in self.training]
+        options = {name: value.split(",") for name, _, value in given if name.startswith("env.")}
+        options |= {name: value for name, value in asdict(train).items() if name not in (*OWN, *NEUTRAL)}
+        options |= {
+            "physics_stages": train.physics_stages or (env.scene.physics_hz,),
+            "task": env.name,
+            "env.scene.cone": env.scene.cone,
+            "env.scene.multiccd": env.scene.multiccd,
+            "env.sensing.latency_steps": env.sensing.latency_steps,
+        }
+        evaluation = {
+            "num_envs": self.num_envs,
+            "trials": self.trials,
+            "device": " ".join(sorted({device.split(":")[0] for device in self.evaluation_device})),
+            "physics_hz": PHYSICS_HZ,
+        }
+        return Plan(
+            methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
+            seeds=self.seeds,
+            configuration={f"training {name}": value for name, value in options.items() if value is not None}
+            | {f"evaluation {name}": value for name, value in evaluation.items()},
+        )
+
+    def _cells(
+        self, folder: "ComparisonFolder", run: "Training", experiment: "Experiment"
+    ) -> "Iterator[StudyCell]":
+        """Yield the training of a run, and the evaluations of its policy."""
+        from pixel2catch.evaluation.comparison import GROUPS
+        from pixel2catch.evaluation.grid import StudyCell
+
+        experiment = replace(experiment, train=replace(experiment.train, seed=run.seed))
+        yield StudyCell(
+            name=run.name,
+            kind=TRAINING,
+            work=partial(train_run, experiment, run.method, folder.run(run), self._preset),
+            is_done=lambda: folder.summary(run) is not None,
+        )
+        evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials, seed=run.seed)
+        for group in GROUPS:
+            of_group = replace(evaluate, objects=(group,), out=folder.evaluation(run, group))
+            yield StudyCell(
+                name=f"{run.name}-{group}",
+                kind=EVALUATION,
+                work=partial(evaluate_run, of_group),
+                is_done=lambda group=group: folder.result(run, group) is not None,
+                after=(run.name,),
+            )
+
+
+def evaluate_run(evaluate: Evaluate, device: str) -> None:
+    """Evaluate the policy of a run on a device."""
+    replace(evaluate, device=device).run()
+
+
+def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
+    """Train a method on a device, from the checkpoint in its folder if there is one."""
+    from pixel2catch.api.calls import run
+    from pixel2catch.methods import find_method
+    from pixel2catch.workcells import find_workcell
+
+    has_checkpoint = (folder / "checkpoint.pt").exists()
+    if not has_checkpoint:
+        shutil.rmtree(folder, ignore_errors=True)
+    experiment = replace(experiment, train=replace(experiment.train, device=device))
+    method = find_method(name, find_workcell(experiment.env.scene.workcell))
+    run(experiment, method, folder, resume=has_checkpoint, preset=preset)
