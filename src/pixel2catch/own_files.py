@@ -8,7 +8,6 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
@@ -21,7 +20,8 @@ VARIABLE = "PIXEL2CATCH_IMPORT"
 """Environment variable with the files, separated as in PATH, for child processes."""
 
 _MODULES: dict[str, ModuleType] = {}  # imported modules, by path
-_CATALOGUES: list["_Catalogue"] = []
+_CATALOGUES: dict[type, tuple[dict[str, Any], frozenset[str]]] = {}
+# values by name, and the names of the package's values, by type
 
 Value = TypeVar("Value")
 
@@ -84,8 +84,8 @@ def import_file(name: str) -> ModuleType:
         raise InvalidValueError(
             f"'{name}' cannot be imported: {type(error).__name__}{where}: {error}; correct it."
         ) from error
-    for each in _CATALOGUES:
-        for value in defined(module, each.kind):
+    for kind in _CATALOGUES:
+        for value in defined(module, kind):
             add(value)
     _MODULES[str(path)] = module
     return module
@@ -93,7 +93,7 @@ def import_file(name: str) -> ModuleType:
 
 def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
     """Return the package's values of a type, by name; values of user files are added to them."""
-    _CATALOGUES.append(_Catalogue(kind=kind, values=values, of_package=frozenset(values)))
+    _CATALOGUES[kind] = values, frozenset(values)
     for module in _MODULES.values():
         for value in defined(module, kind):
             add(value)
@@ -106,14 +106,13 @@ def add(value: Any) -> str:
     Raises:
         InvalidValueError: The package has another value of that name.
     """
-    for each in _CATALOGUES:
-        if isinstance(value, each.kind):
-            if value.name in each.of_package and each.values[value.name] != value:
-                kind = each.kind.__name__
+    for kind, (values, of_package) in _CATALOGUES.items():
+        if isinstance(value, kind):
+            if value.name in of_package and values[value.name] != value:
                 raise InvalidValueError(
-                    f"the package has another {kind} called '{value.name}'; rename yours."
+                    f"the package has another {kind.__name__} called '{value.name}'; rename yours."
                 )
-            each.values[value.name] = value
+            values[value.name] = value
     return value.name
 
 
@@ -122,13 +121,6 @@ def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
     for value in tuple(vars(module).values()):
         values = value if isinstance(value, tuple) else (value,)
         yield from (each for each in values if isinstance(each, kind))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Catalogue:
-    kind: type  #: Type of its values.
-    values: dict[str, Any]  #: Values by name.
-    of_package: frozenset[str]  #: Names of the package's values.
 
 
 def _announced() -> list[str]:

@@ -56,7 +56,7 @@ WORKCELLS = (replace(UR5E_ALLEGRO, name="nearer", robots=(replace(robot, pos=(0.
 @contextmanager
 def new_process() -> Iterator[None]:
     """Forget the files of one's own before and after, as a process of its own does."""
-    before = [(each.values, dict(each.values)) for each in own_files._CATALOGUES]
+    before = [(values, dict(values)) for values, _ in own_files._CATALOGUES.values()]
     variable = os.environ.get(VARIABLE, "")
     os.environ[VARIABLE] = ""
     try:
