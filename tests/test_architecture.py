@@ -97,11 +97,3 @@ def test_files_and_functions_are_short(path: Path):
 def test_shapes_are_checked_while_testing():
     with pytest.raises(TypeCheckError):
         pixel_features(torch.zeros(2, 4), torch.zeros(2, 3), RGB_CAMERA)
-
-
-def test_continuous_integration_runs_everything():
-    lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    words = [word for line in lines if line.startswith("make ") for word in line.split()[1:]]
-    targets = [word for word in words if not word.startswith("-") and not word.isdigit()]
-    assert targets == ["setup", "check", "docs", "wheel", "test"]
-    assert "set -euo pipefail" in lines

@@ -73,23 +73,17 @@ def test_the_compiled_model_is_what_it_was(workcell: str):
             np.testing.assert_allclose(now[field], value, rtol=1e-9, atol=1e-12, err_msg=f"{name}: {field}")
 
 
-def same_outcomes(policy_name: str) -> None:
+SLOW = {name: [pytest.mark.slow] * (name != DEFAULT_POLICY) for name in sorted(shipped_policies())}
+
+
+@pytest.mark.parametrize("policy_name", [pytest.param(name, marks=marks) for name, marks in SLOW.items()])
+def test_shipped_policies_catch_the_same_throws(policy_name: str):
     now, then = outcomes(policy_name), json.loads(THROWS.read_text())[policy_name]
     for name, flags in then.items():
         differences = sum(a != b for a, b in zip(flags, now[name], strict=True))
         assert differences <= 3, (
             f"{name}: another processor's rounding changes a throw or two, not {differences}"
         )
-
-
-def test_the_shipped_policy_catches_the_same_throws():
-    same_outcomes(DEFAULT_POLICY)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("policy_name", sorted({*shipped_policies()} - {DEFAULT_POLICY}))
-def test_every_shipped_policy_catches_the_same_throws(policy_name: str):
-    same_outcomes(policy_name)
 
 
 if __name__ == "__main__":

@@ -247,18 +247,12 @@ def options(value: Any, name: str) -> Iterator[str]:
     """Yield every field of a configuration but the dynamics as an option with its values."""
     if is_dataclass(value):
         for field in fields(value):
-            if field.name not in ("dynamics", "variants"):
+            if field.name not in ("dynamics", "variants", "pose_covariance"):
                 yield from options(getattr(value, field.name), f"{name}.{field.name}")
-    elif name.endswith("pose_covariance"):
-        for number, entry in enumerate(value):
-            yield from options(entry, f"{name}.{number}")
     else:
+        entries = value if isinstance(value, tuple) else (value,)
         yield name
-        yield from (str(part) for part in flat(value))
-
-
-def flat(value: Any) -> tuple[Any, ...]:
-    return tuple(part for each in value for part in flat(each)) if isinstance(value, tuple) else (value,)
+        yield from (str(part) for each in entries for part in (each if isinstance(each, tuple) else (each,)))
 
 
 def test_every_field_of_a_task_is_an_option(capsys: pytest.CaptureFixture[str]):
