@@ -57,16 +57,9 @@ class OperatorPage:
     ) -> None:
         """Serve it.
 
-        Args:
-            cfg: Where it is served.
-            title: Title in the browser.
-            profile: Topics and names of the robot's drivers.
-            transport: The node of the page.
-            clock: The clock of the deployment.
-            console: Sends the requests; its owner calls `watch`.
-            button: The switch on the page; none beside a pedal.
-            words: Robot, profile, network and clock of this program.
-            more: Handles requests besides `REQUESTS`, or raises DeploymentError.
+        The owner of the console calls `watch`. The button is the switch on the page, none beside a pedal.
+        `words` are robot, profile, network and clock of this program. `more` handles requests besides
+        `REQUESTS`, or raises DeploymentError.
         """
         self._console, self._clock, self._camera = console, clock, profile.camera
         self._button, self._more, self._title, self._words = button, more, title, words

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from importlib.resources import files
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import PurePath
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -67,9 +67,9 @@ class RequestCheck:
     cookie: str = ""  #: Name of that cookie.
 
     @classmethod
-    def of(cls, host: str) -> "RequestCheck":
-        """Return the check for a server that listens on this address."""
-        if ip_address_of(host).is_loopback:
+    def of(cls, host: str, *, is_loopback: bool) -> "RequestCheck":
+        """Return the check for a server that listens on this host."""
+        if is_loopback:
             return cls(names=(*LOOPBACK_NAMES, host))
         return cls(names=(), token=secrets.token_urlsafe(24), cookie=f"pixel2catch_{secrets.token_hex(4)}")
 
@@ -138,46 +138,35 @@ def open_server(cfg: PageCfg, title: str, talk: Talk | None = None) -> PageServe
     Raises:
         InvalidValueError: This machine cannot listen on that address.
     """
-    require_address(cfg)
-    check = RequestCheck.of(cfg.host)
+    address = listening_address(cfg.host)
+    check = RequestCheck.of(cfg.host, is_loopback=address.is_loopback)
     with contextlib.redirect_stdout(io.StringIO()), _checked(check, talk):
         server = viser.ViserServer(cfg.host, cfg.port, label=title, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-    name = "localhost" if ip_address_of(cfg.host).is_unspecified else cfg.host
+    name = "localhost" if address.is_unspecified else cfg.host
     place = f"[{name}]" if ":" in name else name
     token = f"/?token={check.token}" if check.token else ""
     return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{token}")
 
 
-def ip_address_of(host: str) -> Any:
-    """Return the IP address of a host's name.
+def listening_address(host: str) -> IPv4Address | IPv6Address:
+    """Return the IP address of a host on which this machine can listen.
+
+    On any other address viser would try a thousand ports and then hang.
 
     Raises:
-        InvalidValueError: It has none.
+        InvalidValueError: It has no address, or is not this machine.
     """
     try:
-        return ip_address(socket.getaddrinfo(host, None)[0][4][0])
+        address = ip_address(socket.getaddrinfo(host, None)[0][4][0])
+        family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
+        socket.create_server((host, 0), family=family).close()
     except (OSError, ValueError) as error:
         raise InvalidValueError(
-            f"the page's host is '{host}', which has no address ({error}): give one of this machine's own, "
-            "127.0.0.1 for itself or 0.0.0.0 for all."
-        ) from None
-
-
-def require_address(cfg: PageCfg) -> None:
-    """Require an address on which a server can listen; viser would try a thousand ports and then hang.
-
-    Raises:
-        InvalidValueError: It is not one of this machine.
-    """
-    family = socket.AF_INET6 if ip_address_of(cfg.host).version == 6 else socket.AF_INET
-    try:
-        socket.create_server((cfg.host, 0), family=family).close()
-    except OSError as error:
-        raise InvalidValueError(
-            f"this machine cannot listen on '{cfg.host}' ({error}): give one of its own addresses, 127.0.0.1 "
+            f"this machine cannot listen on '{host}' ({error}): give one of its own addresses, 127.0.0.1 "
             "for itself or 0.0.0.0 for all."
         ) from None
+    return address
 
 
 @contextlib.contextmanager

@@ -1,7 +1,8 @@
 """Throws one by one in one environment, with disturbances; each can be shown again."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, Episode, failure
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_steps
+from pixel2catch.evaluation.protocol import EvaluationCfg, round_steps
 from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
@@ -60,7 +61,7 @@ class ThrowPlayer:
     def __init__(self, dynamics: Path | None = None, camera: Path | None = None) -> None:
         """Load nothing yet; dynamics and camera files are those of `task_of`."""
         self._dynamics, self._camera = dynamics, camera
-        self._policies: dict[str, tuple[Policy, Method]] = {}
+        self._loaded: Callable[[str], tuple[Policy, Method]] = cache(lambda name: load_policy(Path(name)))
         self._running: tuple[CatchEnv, ThrowOrder] | None = None
         self.num_throws = 0  #: Throws so far.
 
@@ -99,7 +100,10 @@ class ThrowPlayer:
             throw.steps.append(ThrowStep(exposure=exposure, box=step.measurement.box[0].numpy().copy()))
             yield throw
         if last is not None:
-            _decide(throw, last)
+            throw.is_success = bool(last.record.is_success)
+            caught = "caught and held" if bool(last.is_verified) else "caught, not held"
+            missed = FAILURES[int(failure(last.record))].replace("_", " ")
+            throw.outcome = caught if throw.is_success else missed
 
     def close(self) -> None:
         """Free the environment."""
@@ -114,20 +118,6 @@ class ThrowPlayer:
             cfg = EvaluationCfg(objects=objects, num_envs=1, seed=seed, task=self.task(order))
             self._running = cfg.make_env(method), order
         return self._running[0]
-
-    def _loaded(self, policy: str) -> tuple[Policy, Method]:
-        if policy not in self._policies:
-            self._policies[policy] = load_policy(Path(policy))
-        return self._policies[policy]
-
-
-def _decide(throw: PlayedThrow, state: RoundState) -> None:
-    """Set the outcome of a throw."""
-    throw.is_success = bool(state.record.is_success)
-    if throw.is_success:
-        throw.outcome = "caught and held" if bool(state.is_verified) else "caught, not held"
-    else:
-        throw.outcome = FAILURES[int(failure(state.record))].replace("_", " ")
 
 
 def _flight(episode: Episode) -> FlightPath:

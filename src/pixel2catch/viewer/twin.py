@@ -22,7 +22,7 @@ from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer import PageCfg
 from pixel2catch.viewer.operator_page import OperatorPage
-from pixel2catch.viewer.server import require_address
+from pixel2catch.viewer.server import listening_address
 from pixel2catch.viewer.visitors import HeldButton
 
 REQUESTS = "catch, seed, show, prepare, throw, protective_stop, resume"  #: Requests of the twin's page.
@@ -121,7 +121,7 @@ def twin_page(cfg: PageCfg, profile: Profile, rate: float) -> Iterator[None]:
     Raises:
         InvalidValueError: This machine cannot listen on the page's address.
     """
-    require_address(cfg)
+    listening_address(cfg.host)
     process = get_context("spawn").Process(target=_serve, args=(cfg, profile, rate), daemon=True)
     process.start()
     try:
