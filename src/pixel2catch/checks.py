@@ -24,11 +24,7 @@ class Requirement(ABC):
 
     @abstractmethod
     def require(self, name: str, value: Any) -> None:
-        """Raise if the value of the field with this name does not meet the condition.
-
-        Raises:
-            InvalidValueError: With the value, what is valid, and the fix.
-        """
+        """Raise InvalidValueError if the value of the field with this name does not meet the condition."""
 
 
 @final
@@ -141,11 +137,7 @@ DynamicsPath = CameraPath = Annotated[Path, InputFile()]  #: Files that `identif
 def require_valid(values: Any, path: str = "") -> None:
     """Check all fields of a dataclass, and those of dataclasses in it, against their declared types.
 
-    Errors name a field by its path, such as `env.randomization.friction`.
-
-    Args:
-        values: The dataclass.
-        path: Name of the dataclass itself; empty at the top.
+    Errors name a field by its path, such as `env.randomization.friction`, behind that of the dataclass.
 
     Raises:
         InvalidValueError: A value is of another type, outside its range, or in the wrong order.

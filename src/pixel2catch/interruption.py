@@ -17,16 +17,16 @@ class Terminated(KeyboardInterrupt):
 
 def raise_on_termination() -> AbstractContextManager[None]:
     """Raise `Terminated` in this context, in the main thread, when a termination signal arrives."""
-    return _handling(_terminations(), _terminate)
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        raise Terminated
+
+    return _handling(_terminations(), terminate)
 
 
 def on_signals(handler: Handler) -> AbstractContextManager[None]:
     """Call a handler in this context, in the main thread, for each signal that ends a program in order."""
     return _handling((signal.SIGINT, *_terminations()), handler)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
 
 
 def _terminations() -> list[signal.Signals]:
