@@ -138,11 +138,7 @@ def test_a_policy_with_weights_that_are_not_finite_is_not_exported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("args", "named"),
-    [
-        (["--out", "policy.bin"], "policy.bin"),
-        (["--out", "{file}"], "{file}"),
-    ],
+    ("args", "named"), [(["--out", "policy.bin"], "policy.bin"), (["--out", "{file}"], "{file}")]
 )
 def test_mistakes(args: list[str], named: str, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", *(arg.format(file=file) for arg in args)]) == 2

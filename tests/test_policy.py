@@ -9,7 +9,7 @@ import torch
 
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.mdp.observations import PIXEL_FEATURES
-from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
+from pixel2catch.methods import METHODS, Method, find_method
 from pixel2catch.policy import Policy, PolicyContract, contract_of, method_of
 from pixel2catch.workcells import find_workcell
 
@@ -100,18 +100,6 @@ def test_contract_of_every_method(method: Method) -> None:
         assert terms["last_action[t]"] == len(agent.joints)
     assert set(contract.pixel_features) <= set(PIXEL_FEATURES)
     assert PolicyContract.from_dict(json.loads(json.dumps(contract.to_dict()))) == contract
-
-
-@pytest.mark.parametrize("memory", MEMORIES)
-def test_contract_of_a_method_with_a_memory(memory: str) -> None:
-    """It has the terms of the memory behind the two frames; the frames are those without it."""
-    remembering = contract_of(find_method(f"proposed+{memory}"))
-    for agent, found in remembering.agents.items():
-        terms = tuple((f"{term.__name__}[t]", found.observation[-1][1]) for term in MEMORIES[memory].terms)
-        assert found.observation == (*CONTRACT.agents[agent].observation, *terms)
-    assert remembering.method == f"proposed+{memory}"
-    with pytest.raises(PolicyMismatchError, match=r"agents.*observation"):
-        remembering.require(CONTRACT)
 
 
 def test_a_mismatch_names_the_fields() -> None:

@@ -13,12 +13,7 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step, rows, summary
 
-from pixel2catch.errors import (
-    CheckpointError,
-    InvalidValueError,
-    NonFiniteError,
-    PolicyMismatchError,
-)
+from pixel2catch.errors import CheckpointError, InvalidValueError, NonFiniteError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.gradient_step import GradientStep
 from pixel2catch.learning.log import CsvLog

@@ -7,7 +7,6 @@ import torch
 
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.scene.scene import SceneCfg, build_model, export
@@ -21,16 +20,6 @@ LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint 
 def model(request) -> mujoco.MjModel:
     """The scene with either hand."""
     return build_model(SceneCfg(workcell=request.param))
-
-
-def test_masses(model):
-    arm = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
-    masses = [model.body(name).mass[0] for name in arm]
-    np.testing.assert_allclose(masses, (3.761, 8.058, 2.846, 1.37, 1.3, 0.365))
-    finger = 0.0119 + 0.065 + 0.0355 + 0.0264
-    thumb = 0.0176 + 0.0119 + 0.038 + 0.0556
-    assert model.body("palm").subtreemass[0] == pytest.approx(0.58 + 3 * finger + thumb)
-    assert model.body("object").mass[0] == pytest.approx(0.03)
 
 
 def test_weight_of_the_stretched_arm_on_its_shoulder():
@@ -130,15 +119,6 @@ def test_exported_model_reloads(tmp_path, suffix):
         expected.sensor(i).name for i in range(expected.nsensor)
     ]
     assert model.opt.integrator == expected.opt.integrator
-
-
-def test_bad_values_are_named(tmp_path):
-    with pytest.raises(UnknownNameError, match="sphere_s"):
-        build_model(SceneCfg(), "sphere")
-    with pytest.raises(InvalidValueError, match="physics_hz"):
-        build_model(SceneCfg(physics_hz=100.0))
-    with pytest.raises(InvalidValueError, match=r"\.mjb"):
-        export(tmp_path / "scene.urdf", SceneCfg())
 
 
 TABLE_SPOT = np.array((-0.25, 0.2, 0.81))

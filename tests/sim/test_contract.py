@@ -16,10 +16,7 @@ from pixel2catch.sim.engine import EngineSimulation
 from pixel2catch.sim.simulation import Simulation
 
 GRAVITY = 9.81
-DATA_FIELDS = (
-    *copies.STATE,
-    *("time", "xpos", "xquat", "xmat", "site_xpos", "sensordata", "actuator_force"),
-)
+DATA_FIELDS = (*copies.STATE, *("time", "xpos", "xquat", "xmat", "site_xpos", "sensordata", "actuator_force"))
 ONLY_FIRST = torch.tensor([True, False, False, False])
 
 

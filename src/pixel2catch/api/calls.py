@@ -175,12 +175,7 @@ def train(
 
 
 def run(
-    experiment: Experiment,
-    method: Method,
-    out: Path,
-    *,
-    resume: bool = False,
-    preset: str | None = None,
+    experiment: Experiment, method: Method, out: Path, *, resume: bool = False, preset: str | None = None
 ) -> TrainResult:
     """Train a method to the end.
 

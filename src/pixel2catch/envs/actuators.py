@@ -104,10 +104,7 @@ class JointActuators:
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
         state = ActuatorState(
-            joint_pos=self._qpos,
-            joint_vel=self._qvel,
-            stiffness=self._stiffnesses,
-            damping=self._dampings,
+            joint_pos=self._qpos, joint_vel=self._qvel, stiffness=self._stiffnesses, damping=self._dampings
         )
         self._ctrl.copy_(self._limits.limited(aim, state))
         if self._dry_friction is None:

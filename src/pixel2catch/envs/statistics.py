@@ -22,10 +22,7 @@ class EpisodeStatistics:
     """Sums over ended episodes, and over the reward terms of every step, since the last `pop`."""
 
     def __init__(
-        self,
-        object_names: tuple[str, ...],
-        reward_names: Mapping[str, tuple[str, ...]],
-        device: torch.device,
+        self, object_names: tuple[str, ...], reward_names: Mapping[str, tuple[str, ...]], device: torch.device
     ) -> None:
         """Start empty.
 

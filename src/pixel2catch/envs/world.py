@@ -1,7 +1,6 @@
 """Robot, object and camera in simulation."""
 
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,7 +18,6 @@ from pixel2catch.mdp.terminations import reach_of
 from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
 from pixel2catch.scene.objects import OBJECTS, surface_points
@@ -39,43 +37,13 @@ MASS_POWER = {
 }
 """Exponent by field: a change of the object's mass by a factor changes the field by factor ** exponent."""
 
-
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.
-
 
 FIELDS = (
     *("qpos", "qvel", "qacc_warmstart", "xfrc_applied", "qfrc_applied", "actuator_force"),
     *("sensordata", "site_xpos", "site_xmat", "geom_xpos"),
 )
 """Live tensors of the simulation that are bound once."""
-
-
-class ContactColumns(NamedTuple):
-    """Columns of `sensordata` with the numbers of contacts and the least distances."""
-
-    found: slice  #: Numbers of contacts, a column a sensor.
-    dist: slice  #: Least distances, likewise.
-    touching: slice  #: Sensors of palms and fingers with the object, among those columns.
-    anything: int  #: The sensor of the object with anything.
-    table: slice  #: Sensors of the robots with the table.
-    robots: slice  #: Sensors of the robots with themselves and each other.
-    others: slice  #: Sensors of the robots with each other.
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
-        """Return the columns of sensors that follow each other, two numbers each."""
-        names = [*contact_sensors(workcell)]
-        first, last = (int(model.sensor(name).adr[0]) for name in (names[0], names[-1]))
-        anything, num_robots = names.index("object_any"), len(workcell.robots)
-        return cls(
-            found=slice(first, last + 2, 2),
-            dist=slice(first + 1, last + 2, 2),
-            touching=slice(0, anything),
-            anything=anything,
-            table=slice(anything + 1, anything + 1 + num_robots),
-            robots=slice(anything + 1 + num_robots, len(names)),
-            others=slice(anything + 1 + 2 * num_robots, len(names)),
-        )
 
 
 class Occluders:
@@ -147,7 +115,10 @@ class CatchWorld:
         tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
-        self._sensors = ContactColumns.of(model, workcell)
+        sensors = [*contact_sensors(workcell)]  # each has the number of contacts and the least distance
+        first = int(model.sensor(sensors[0]).adr[0])
+        self._contacts = slice(first, first + 2 * len(sensors))
+        self._anything, self._num_robots = sensors.index("object_any"), len(workcell.robots)
         self.arms = merged(workcell.of_role("arm"))
         sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
         starts = np.cumsum([0, *sizes[:-1]]).tolist()
@@ -311,16 +282,15 @@ class CatchWorld:
         write(mask, value.to(field.dtype).expand_as(field), field)
 
     def _read_log(self) -> StepExtremes:
-        fields = self._fields
-        found = fields.sensordata[:, self._sensors.found] > 0
-        depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
-        sensors = self._sensors
+        fields, anything, num_robots = self._fields, self._anything, self._num_robots
+        number, distance = fields.sensordata[:, self._contacts].unflatten(1, (-1, 2)).unbind(dim=-1)
+        of_object, of_robots = (number[:, : anything + 1] > 0), (number[:, anything + 1 :] > 0)
         return StepExtremes(
-            is_touching=found[:, sensors.touching],
-            is_robot_on_table=found[:, sensors.table].any(dim=-1),
-            is_self_contact=found[:, sensors.robots].any(dim=-1),
-            is_robot_contact=found[:, sensors.others].any(dim=-1),
-            penetration=depth[:, sensors.anything],
+            is_touching=of_object[:, :anything],
+            is_robot_on_table=of_robots[:, :num_robots].any(dim=-1),
+            is_self_contact=of_robots[:, num_robots:].any(dim=-1),
+            is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
+            penetration=-torch.clamp(distance[:, anything], max=0.0).float(),
             joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
             torque_share=(fields.actuator_force.abs() / self._actuators.effort_limit).amax(dim=-1).float(),
         )

@@ -58,10 +58,7 @@ def sha256(file: Path) -> str:
 
 
 def task_of(
-    policy: Policy,
-    physics_hz: float = PHYSICS_HZ,
-    dynamics: Path | None = None,
-    camera: Path | None = None,
+    policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None, camera: Path | None = None
 ) -> CatchEnvCfg:
     """Return the paper's task with the robot and the camera that a policy was trained with.
 

@@ -29,11 +29,7 @@ from pixel2catch.shipped import shipped_policies
 from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
-EVENTS = {
-    "tracking_rate": "is_tracked",
-    "success_rate": "is_success",
-    "verified_hold_rate": "is_verified",
-}
+EVENTS = {"tracking_rate": "is_tracked", "success_rate": "is_success", "verified_hold_rate": "is_verified"}
 """Rates that are compared throw by throw, with the name of the event of each throw."""
 
 

@@ -22,10 +22,7 @@ UNTRAINED = "†"  #: Mark of a setting that a policy was not trained on.
 
 
 def result_rows(
-    policies: Sequence[PolicyEntry],
-    settings: Sequence[Setting],
-    out: Path,
-    home_of: Callable[[Setting], str],
+    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path, home_of: Callable[[Setting], str]
 ) -> list[Row]:
     """Return a row for each result that there is in the folder of a study, setting by setting.
 

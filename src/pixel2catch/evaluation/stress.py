@@ -222,10 +222,7 @@ COMBINED = {
 CLOCKS = _sensing("clock_error", (10, 20, 40), 1e-3, "{:g} ms") | {
     "no stamps": part("sensing", unstamped=1.0)
 }
-BOTH_LATE = {
-    "2.5 and 0.5": together(_latency(2.5), _delay(0.5)),
-    "3 and 1": together(_latency(3), _delay(1)),
-}
+BOTH_LATE = {"2.5 and 0.5": together(_latency(2.5), _delay(0.5)), "3 and 1": together(_latency(3), _delay(1))}
 RESTITUTIONS = {f"{e:g}": part("randomization", restitution=(e, e)) for e in (0, 0.25, 0.5, 0.75)}
 LATENCIES = {f"{steps:g}": _latency(steps) for steps in (0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5)}
 

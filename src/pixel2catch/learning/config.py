@@ -4,15 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pixel2catch.checks import (
-    Count,
-    Device,
-    PhysicsRate,
-    Seed,
-    Share,
-    Within,
-    require_valid,
-)
+from pixel2catch.checks import Count, Device, PhysicsRate, Seed, Share, Within, require_valid
 from pixel2catch.errors import InvalidValueError
 
 Transitions = Annotated[int, Within(1, 1_000_000_000_000)]  #: Control steps of all environments.

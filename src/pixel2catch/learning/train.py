@@ -138,11 +138,7 @@ class _Training:
     def _open_log(self) -> TrainingLog:
         is_first = self.workers.is_first
         if is_first:
-            config = {
-                "train": dataclasses.asdict(self.cfg),
-                "policy": self.contract.to_dict(),
-                **self.record,
-            }
+            config = {"train": dataclasses.asdict(self.cfg), "policy": self.contract.to_dict(), **self.record}
             self.folder.describe(config, self.workers.size)
         return TrainingLog(self.cfg, self.folder.path, self.progress.transitions, is_silent=not is_first)
 

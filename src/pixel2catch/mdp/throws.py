@@ -58,10 +58,7 @@ class Throw:
 
 
 def sample_throws(
-    cfg: ThrowCfg,
-    num_envs: int,
-    generator: torch.Generator,
-    drag: Float[Tensor, " num_envs"] | None = None,
+    cfg: ThrowCfg, num_envs: int, generator: torch.Generator, drag: Float[Tensor, " num_envs"] | None = None
 ) -> Throw:
     """Draw throws on the generator's device.
 

@@ -45,9 +45,5 @@ Command, gains and noise of actions: as the UR5e's.
 """
 
 FR3 = RobotSpec(
-    name="fr3",
-    mjcf=Path(__file__).with_name("fr3.xml"),
-    root="fr3_link0",
-    groups=(ARM,),
-    mount="fr3_flange",
+    name="fr3", mjcf=Path(__file__).with_name("fr3.xml"), root="fr3_link0", groups=(ARM,), mount="fr3_flange"
 )

@@ -45,15 +45,10 @@ paper, Sec. IV-D; gains and noise of actions: paper, Table I; bias: release.
 """
 
 UR5E = RobotSpec(
-    name="ur5e",
-    mjcf=Path(__file__).with_name("ur5e.xml"),
-    root="base_link",
-    groups=(ARM,),
-    mount="tool0",
+    name="ur5e", mjcf=Path(__file__).with_name("ur5e.xml"), root="base_link", groups=(ARM,), mount="tool0"
 )
 
 UR5E_OF_RELEASE = replace(
-    UR5E,
-    groups=(replace(ARM, joints=tuple(replace(joint, effort_limit=200.0) for joint in ARM.joints)),),
+    UR5E, groups=(replace(ARM, joints=tuple(replace(joint, effort_limit=200.0) for joint in ARM.joints)),)
 )
 """With the release's largest torques; of the wrists they are seven times UR's."""
