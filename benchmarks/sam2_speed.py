@@ -47,7 +47,7 @@ def times_of(segmenter: Sam2Segmenter, count: int) -> np.ndarray:
     for index in range(count):
         image, is_start = images[index % len(images)], index % THROW_IMAGES == 0
         begin = time.perf_counter()
-        _ = segmenter.start(image, BOX) if is_start else segmenter.track(image)
+        segmenter.find(image, prompt=BOX if is_start else None)
         if not is_start:
             times[index] = 1000.0 * (time.perf_counter() - begin)
     return times

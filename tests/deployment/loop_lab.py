@@ -16,6 +16,7 @@ from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipel
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.segmenter import (
+    BoxPrompt,
     ColorRange,
     ColorThreshold,
     ImageMotion,
@@ -55,7 +56,9 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
 class EverythingRed(ColorThreshold):
     """Finds everything that is red."""
 
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
         return Segmentation(mask=RED.mask(image), score=1.0)
 
 

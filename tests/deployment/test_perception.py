@@ -261,11 +261,13 @@ class SuspendedSegmenter(ColorThreshold):
         super().__init__(RED)
         self.has_begun, self.may_go_on, self.settled_by = Event(), Event(), SimpleQueue[str]()
 
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
         self.has_begun.set()
         assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()
-        return super().track(image, motion)
+        return super().find(image, motion, prompt)
 
     def settle(self) -> None:
         self.settled_by.put(current_thread().name)

@@ -43,18 +43,12 @@ class Follower:
         self.segmenter = segmenter or BackgroundSubtraction()
         self.foreground = Foreground()
 
-    def start(self, image: Pixels, prompt: BoxPrompt, ignored: Mask | None = None) -> Segmentation:
-        motion = self.foreground.reveal(self.foreground.step(image, ignored), prompt)
-        return self._kept(self.segmenter.start(image, prompt, motion))
-
-    def track(self, image: Pixels, ignored: Mask | None = None) -> Segmentation:
-        return self._kept(self.segmenter.track(image, self.foreground.step(image, ignored)))
-
-    def settle(self) -> None:
-        self.foreground.settle()
-        self.segmenter.settle()
-
-    def _kept(self, found: Segmentation) -> Segmentation:
+    def find(
+        self, image: Pixels, prompt: BoxPrompt | None = None, ignored: Mask | None = None
+    ) -> Segmentation:
+        motion = self.foreground.step(image, ignored)
+        motion = motion if prompt is None else self.foreground.reveal(motion, prompt)
+        found = self.segmenter.find(image, motion, prompt)
         self.foreground.keep(found.mask)
         return found
 

@@ -27,14 +27,11 @@ def errors(
     for step, image in enumerate(filmed.images(discs, len(truth[0].path))):
         ignored = None if robot is None else robot.mask(step)
         if step < NUM_EMPTY:
-            segmenter.track(image, ignored)
+            segmenter.find(image, ignored=ignored)
             continue
         mask = np.logical_or.reduce([disc.mask(step) for disc in truth])
-        if step == NUM_EMPTY:
-            given = prompt or BoxPrompt(box=tuple(filmed.box_of(mask).tolist()))
-            found = segmenter.start(image, given, ignored)
-        else:
-            found = segmenter.track(image, ignored)
+        given = prompt or BoxPrompt(box=tuple(filmed.box_of(mask).tolist())) if step == NUM_EMPTY else None
+        found = segmenter.find(image, given, ignored)
         if found.mask is None:
             worst.append(np.inf if mask.any() else np.nan)
         else:
@@ -166,6 +163,6 @@ def test_a_flight_is_followed_only_if_it_resembles_the_lost_object():
         segmenter = Follower()
         gone = Disc(path=BALL.path[:NUM_STEPS], radius=9.0)
         for step, image in enumerate(filmed.images((gone,), NUM_STEPS)):
-            _ = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+            segmenter.find(image, held_box() if step == NUM_EMPTY else None)
         image = next(filmed.images((others[color],), 1))
-        assert (segmenter.start(image, guess).mask is not None) == is_taken
+        assert (segmenter.find(image, guess).mask is not None) == is_taken

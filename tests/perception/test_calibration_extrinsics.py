@@ -100,8 +100,8 @@ def test_finds_the_camera_in_spite_of_noise_and_a_wrong_row():
     distance, angle = errors(result)
     assert distance < 5e-3
     assert angle < np.radians(0.3)
-    assert [view.name for view in result.views if not view.is_used] == ["view4"]
-    assert result.views[4].rms > 10.0
+    assert result.left_out == ("view4",)
+    assert result.errors["view4"] > 10.0
     # A distance of two coordinates is √2 times their noise; 12 of 132 numbers were fitted.
     assert result.rms == pytest.approx(np.sqrt(2) * NOISE * np.sqrt(1 - 12 / 132), rel=0.2)
 

@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(segmenter: Sam2Segmenter, images: list[np.ndarray], prompt: BoxPrompt = BOX) -> list[Segmentation]:
-    return [segmenter.start(images[0], prompt), *(segmenter.track(image) for image in images[1:])]
+    return [segmenter.find(images[0], prompt=prompt), *map(segmenter.find, images[1:])]
 
 
 def assert_equal(results: list[Segmentation], expected: list[Segmentation]) -> None:
@@ -67,7 +67,7 @@ def test_a_new_start_deletes_the_past(folder: Path) -> None:
     segmenter, other = Sam2Segmenter(folder, "cpu"), Sam2Segmenter(folder, "cpu")
     expected = run(segmenter, images)
     run(other, random_images(6, seed=1), OTHER)
-    assert other.track(images[-1]).score != expected[-1].score
+    assert other.find(images[-1]).score != expected[-1].score
     assert_equal(run(other, images), expected)
 
 
@@ -75,10 +75,10 @@ def test_a_lost_object_is_found_again(folder: Path) -> None:
     """Forced by the bias of the head that says whether the object is there; the memory stays as large."""
     segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(24)
     head = segmenter._model.mask_decoder.pred_obj_score_head.proj_out
-    results, sizes = [segmenter.start(images[0], BOX)], []
+    results, sizes = [segmenter.find(images[0], prompt=BOX)], []
     for step, image in enumerate(images[1:], start=1):
         head.bias.fill_(-CERTAIN if 18 <= step < 21 else CERTAIN)
-        results.append(segmenter.track(image))
+        results.append(segmenter.find(image))
         sizes.append(remembered_bytes(segmenter))
     assert [result.mask is None for result in results] == 18 * [False] + 3 * [True] + 3 * [False]
     assert len(set(sizes[17:])) == 1
@@ -108,7 +108,7 @@ def test_prompts_reach_the_encoder_in_its_coordinates(folder: Path, monkeypatch:
     monkeypatch.setattr(
         embedding, "forward", lambda coords, shape: (seen.append(coords), embed(coords, shape))[1]
     )
-    segmenter.start(random_images(1)[0], BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)))
+    segmenter.find(random_images(1)[0], prompt=BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)))
     # The encoder's own last point is padding.
     assert seen[0][0, 0, :-1].tolist() == [[SIZE / 4, SIZE / 2], [SIZE, SIZE]]
     assert segmenter._session is not None
@@ -123,10 +123,10 @@ def test_a_prompt_off_the_image_and_an_image_of_another_size_change_nothing(fold
     results = run(segmenter, images[:2])
     for left in (-40.0, float("nan")):
         with pytest.raises(PerceptionError, match=f"not on the image of {WIDTH} by {HEIGHT} px"):
-            segmenter.start(images[0], BoxPrompt(box=(left, 5.0, left + 10.0, 15.0)))
+            segmenter.find(images[0], prompt=BoxPrompt(box=(left, 5.0, left + 10.0, 15.0)))
     with pytest.raises(PerceptionError, match=rf"must be \({HEIGHT}, {WIDTH}, 3\)"):
-        segmenter.track(np.zeros((WIDTH, HEIGHT, 3), np.uint8))
-    assert_equal([*results, *(segmenter.track(image) for image in images[2:])], expected)
+        segmenter.find(np.zeros((WIDTH, HEIGHT, 3), np.uint8))
+    assert_equal([*results, *(segmenter.find(image) for image in images[2:])], expected)
 
 
 def test_pixels_are_standardised_and_square(folder: Path) -> None:
@@ -134,7 +134,7 @@ def test_pixels_are_standardised_and_square(folder: Path) -> None:
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     image[:, WIDTH // 2 :] = (255, 128, 0)
     image.flags.writeable = False
-    segmenter.track(image)
+    segmenter.find(image)
     pixels = segmenter._pixels(image)
     assert pixels.shape == (1, 3, SIZE, SIZE)
     for column, color in ((0, (0, 0, 0)), (-1, (255, 128, 0))):

@@ -130,7 +130,7 @@ def test_a_red_ball_is_followed_past_another_that_lies_still():
     segmenter = ColorThreshold(REDS)
     for step, image in enumerate(filmed.images((other, BALL), NUM_STEPS)):
         prompt = BoxPrompt(box=(11.0, 191.0, 29.0, 209.0))
-        found = segmenter.start(image, prompt) if step == 0 else segmenter.track(image)
+        found = segmenter.find(image, prompt=None if step else prompt)
         assert found.mask is not None
         assert found.mask[BALL.mask(step)].mean() > 0.9
         if not (BALL.mask(step) & other.mask(step)).any() and abs(step - 10) > 4:

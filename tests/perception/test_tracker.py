@@ -77,7 +77,9 @@ def test_repeated_and_older_images_hold_the_box():
 class EverythingRed(ColorThreshold):
     """Returns all that is red, in one piece or several."""
 
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
         return Segmentation(mask=REDS.mask(image), score=1.0)
 
 

@@ -1,6 +1,7 @@
 """`pixel2catch calibrate`: the camera's pose, its uncertainty, and what it means for a policy."""
 
 import io
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -113,7 +114,7 @@ class Calibrate:
         hear = saying_changes()
         with self._robot() as (transport, _, profile, joints), StopRequest() as stop:
             capture = Capture(self.capture, CharucoBoard(self.square), joints)
-            for image in topic_images(transport, profile, joints):
+            for image in topic_images(transport, profile, joints, deque(maxlen=1)):
                 missing = "no image: does the camera's driver run, on this network?"
                 hear(missing if image is None else capture.look(image))
                 if capture.is_done or stop.is_set:
@@ -200,8 +201,8 @@ class Calibrate:
 def _print_result(result: "Calibration", comparison: "Comparison") -> None:
     """Print the errors of the images, the camera, and what to do."""
     table = Table("image", "RMS [px]", "used", title="seen and computed corners")
-    for view in sorted(result.views, key=lambda view: -view.rms):
-        table.add_row(Text(view.name), f"{view.rms:.2f}", "yes" if view.is_used else "left out")
+    for name, rms in sorted(result.errors.items(), key=lambda each: -each[1]):
+        table.add_row(Text(name), f"{rms:.2f}", "left out" if name in result.left_out else "yes")
     console = results_console()
     console.print(table)
     for line in _sentences(result, comparison):
@@ -214,11 +215,11 @@ def _sentences(result: "Calibration", comparison: "Comparison") -> Iterator[str]
     x, y, z = result.file.camera.pos
     dx, dy, dz = (100 * std for std in result.file.pose_std[:3])
     turns = " ".join(f"±{degrees(std):.2f}°" for std in result.file.pose_std[3:])
-    used = [view for view in result.views if view.is_used]
     yield f"Camera at x {x:.3f} m ±{dx:.2f} cm, y {y:.3f} m ±{dy:.2f} cm, z {z:.3f} m ±{dz:.2f} cm"
     yield f"and turned with {turns} about x, y, z (one standard deviation)."
-    worst = max(used, key=lambda view: view.rms)
-    yield f"Reprojection error: {result.rms:.2f} px RMS, worst image {worst.name} with {worst.rms:.2f} px."
+    worst = max(result.errors.keys() - result.left_out, key=lambda name: result.errors[name])
+    error = f"worst image {worst} with {result.errors[worst]:.2f} px"
+    yield f"Reprojection error: {result.rms:.2f} px RMS, {error}."
     ratio, std = result.square_ratio
     yield f"By the arm's motion the squares are {ratio:.3f} ± {std:.3f} times as large as --square says."
     if result.rms > LARGEST_RMS:

@@ -79,23 +79,17 @@ class BackgroundSubtraction(Segmenter):
         self._size: Size | None = None
         self._later: partial[None] | None = None
 
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        """Start at a prompt, and learn its colours: see `Segmenter.start`.
-
-        A guess that does not resemble the last object is ignored.
-        """
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
+        """See `Segmenter.find`. A guess that does not resemble the last object is ignored."""
         self.settle()
-        if self._track is not None and prompt.is_guess and not self._resembles(image, prompt.box):
-            return self.track(image, motion)
+        is_known = self._track is not None and prompt is not None and prompt.is_guess
+        if prompt is None or (is_known and not self._resembles(image, prompt.box)):
+            return self._follow(motion, None)
         self._track = ImageTrack(center=prompt.center, limits=self.limits)
-        self._appearance = Appearance()
-        self._size, self._num_still = None, inf
+        self._appearance, self._num_still, self._size = Appearance(), inf, None
         return self._follow(motion, prompt)
-
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
-        """See `Segmenter.track`."""
-        self.settle()
-        return self._follow(motion, None)
 
     def settle(self) -> None:
         """See `Segmenter.settle`: learn the colours."""
@@ -115,8 +109,10 @@ class BackgroundSubtraction(Segmenter):
         maybe = None
         if prompt is not None:
             inside, maybe = prompted(prompt.box, motion.image)
-            is_cut = any(blob.is_cut for blob in regions(maybe))
-            self._size = None if is_cut else _prompted_size(prompt.box)
+            if not any(blob.is_cut for blob in regions(maybe)):  # the size of an ellipse that fills the box
+                xmin, ymin, xmax, ymax = prompt.box
+                width, height = max(xmax - xmin, 1.0), max(ymax - ymin, 1.0)
+                self._size = np.array((width, height, 0.25 * pi * width * height))
             self._learn(motion, inside, maybe)
         blobs, blob = self._object(motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
@@ -293,12 +289,6 @@ def _spread(histogram: Histogram) -> Histogram:
 
 def _size(blob: Blob) -> Size:
     return np.array((blob.width, blob.height, blob.area), dtype=float)
-
-
-def _prompted_size(box: Edges) -> Size:
-    """Size of an ellipse that fills a box."""
-    width, height = max(box[2] - box[0], 1.0), max(box[3] - box[1], 1.0)
-    return np.array((width, height, 0.25 * pi * width * height))
 
 
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Pixels) -> Window:

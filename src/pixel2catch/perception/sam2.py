@@ -1,8 +1,8 @@
 """SAM 2.1, an image segmenter with a memory, for a stream of images.
 
     segmenter = Sam2Segmenter(Path("sam2.1-hiera-tiny"), "cuda")
-    segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
-    segmentation = segmenter.track(next_image)
+    segmenter.find(image, prompt=BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
+    segmentation = segmenter.find(next_image)
 
 It has only run with random weights here. It needs transformers, the extra `sam2`, and a checkpoint in a local
 folder. It never uses the network.
@@ -135,10 +135,23 @@ class Sam2Segmenter(Segmenter):
         """Side of the square that the model gets [px]."""
         return cast("int", self._model.image_size)
 
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        """See `Segmenter.start`. Each session has one prompt, because the model keeps all prompts."""
-        self._check(image)
-        height, width, _ = image.shape
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
+        """See `Segmenter.find`."""
+        height, width = self._size or image.shape[:2]
+        check_image(image, width, height)
+        self._size = (height, width)
+        if prompt is not None:
+            self._start(width, height, prompt)
+        return NOT_FOUND if self._session is None else self._segment(self._session, image)
+
+    def reset(self) -> None:
+        """See `Segmenter.reset`."""
+        self._session = None
+
+    def _start(self, width: int, height: int, prompt: BoxPrompt) -> None:
+        """Begin a session. Each one has one prompt, because the model keeps all prompts."""
         u, v = prompt.center
         if not (0.0 <= u <= width and 0.0 <= v <= height):
             raise PerceptionError(
@@ -157,18 +170,6 @@ class Sam2Segmenter(Segmenter):
         inputs = {"point_coords": corners * scale - 0.5, "point_labels": labels}
         self._session.add_point_inputs(index, self._frame_idx, inputs)
         self._session.obj_with_new_inputs = [OBJECT]
-        return self._segment(self._session, image)
-
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
-        """See `Segmenter.track`."""
-        self._check(image)
-        if self._session is None:
-            return NOT_FOUND
-        return self._segment(self._session, image)
-
-    def reset(self) -> None:
-        """See `Segmenter.reset`."""
-        self._session = None
 
     def seconds_an_image(self, num_images: int) -> float:
         """Return the median time of an image [s], of so many blank ones of the policies' camera.
@@ -176,16 +177,14 @@ class Sam2Segmenter(Segmenter):
         It discards the object and the size of the images.
         """
         image = np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
-        times = []
+        times, prompt = [], BoxPrompt(box=(0.0, 0.0, 16.0, 16.0))
         self._size = None
-        self.start(image, BoxPrompt(box=(0.0, 0.0, 16.0, 16.0)))
-        for _ in range(num_images):
+        for i in range(num_images + 1):
             begin = time.perf_counter()
-            self.track(image)
+            self.find(image, prompt=None if i else prompt)
             times.append(time.perf_counter() - begin)
-        self.reset()
-        self._size = None
-        return median(times)
+        self._session = self._size = None
+        return median(times[1:])
 
     @torch.inference_mode()
     @sdpa_kernel(ATTENTION)
@@ -218,11 +217,6 @@ class Sam2Segmenter(Segmenter):
         for kind in outputs.values():
             if self._frame_idx in kind:
                 del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
-
-    def _check(self, image: Pixels) -> None:
-        height, width = self._size or image.shape[:2]
-        check_image(image, width, height)
-        self._size = (height, width)
 
 
 def compile_modules(model: nn.Module) -> None:
@@ -268,7 +262,12 @@ def load_sam2(
         raise InvalidValueError(
             f"the image size must be a positive multiple of {SIZE_STEP}, not {image_size}."
         )
-    _require_checkpoint(folder)
+    try:
+        kind = read_json_object(folder / "config.json").get("model_type")
+    except (OSError, ValueError) as error:
+        raise _unusable(folder, f"there is no SAM 2 checkpoint in {folder}: {error}") from error
+    if kind != (wanted := Sam2VideoConfig.model_type):  # transformers would read it with new weights
+        raise _unusable(folder, f"{folder} holds a model of type '{kind}', not '{wanted}'")
     disable_progress_bar()
     try:
         config = Sam2VideoConfig.from_pretrained(folder, local_files_only=True)
@@ -288,16 +287,6 @@ def load_sam2(
     if missing:
         raise _unusable(folder, f"{folder} lacks {len(missing)} weights of SAM 2, such as {missing[0]}")
     return model.eval().requires_grad_(False).to(device)
-
-
-def _require_checkpoint(folder: Path) -> None:
-    """Refuse another kind of model, which transformers would read with new weights."""
-    try:
-        kind = read_json_object(folder / "config.json").get("model_type")
-    except (OSError, ValueError) as error:
-        raise _unusable(folder, f"there is no SAM 2 checkpoint in {folder}: {error}") from error
-    if kind != (wanted := Sam2VideoConfig.model_type):
-        raise _unusable(folder, f"{folder} holds a model of type '{kind}', not '{wanted}'")
 
 
 def _unusable(folder: Path, problem: str) -> PerceptionError:

@@ -53,31 +53,25 @@ NOT_FOUND = Segmentation(mask=None, score=0.0)
 
 
 class Segmenter(ABC):
-    """Follows one object through a stream of images.
-
-    Every image of the stream is passed once to `start` or to `track`, in order. All images have the size of
-    the first. A segmenter changes neither its inputs nor what it has returned.
-    """
+    """Follows one object through a stream of images of one size; it changes neither inputs nor results."""
 
     uses_motion: ClassVar[bool] = False  #: Whether it needs an `ImageMotion` for every image.
     limits = USUAL  #: What can be the object. Set it before the first image.
 
     @abstractmethod
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        """Start to follow the object of a prompt, and discard the object before.
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
+        """Find the object in the next image; it is not found before the first prompt.
 
         Args:
-            image: The image of the prompt.
-            prompt: Where the object is.
-            motion: What moves in the image; None where `uses_motion` is false.
+            image: The next image of the stream.
+            motion: What moves in it; None where `uses_motion` is false.
+            prompt: Where the object is in it; the object before is discarded. None follows that one.
 
         Raises:
             PerceptionError: The array is no image, or its size differs from the images before.
         """
-
-    @abstractmethod
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
-        """Find the object in the next image, as `start`; it is not found before a start."""
 
     def settle(self) -> None:
         """Do the work that the last result did not need, such as learning; else the next image does it."""
@@ -235,13 +229,12 @@ class ColorThreshold(Segmenter):
         self._colors = colors
         self._track: ImageTrack | None = None
 
-    def start(self, image: Pixels, prompt: BoxPrompt, motion: ImageMotion | None = None) -> Segmentation:
-        """See `Segmenter.start`."""
-        self._track = ImageTrack(center=prompt.center, limits=self.limits)
-        return self.track(image)
-
-    def track(self, image: Pixels, motion: ImageMotion | None = None) -> Segmentation:
-        """See `Segmenter.track`."""
+    def find(
+        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+    ) -> Segmentation:
+        """See `Segmenter.find`."""
+        if prompt is not None:
+            self._track = ImageTrack(center=prompt.center, limits=self.limits)
         if self._track is None:
             return NOT_FOUND
         blobs = find_blobs(self._colors.mask(image))

@@ -289,15 +289,14 @@ class ObjectTracker:
         is_lost = state.num_lost >= PATIENCE and not state.is_at_robot
         needs_prompt = is_lost or not state.is_prompted
         if not (needs_prompt or self._segmenter.uses_motion):
-            return self._segmenter.track(image), ""
+            return self._segmenter.find(image), ""
         motion = self._foreground.step(image, ignored)
         prompt = self._prompter.look(image, motion) if needs_prompt else None
-        if prompt is not None and self._has_begun:
+        prompt = prompt if self._has_begun else None
+        if prompt is not None:
             state.is_prompted, state.is_continued, state.num_lost = True, False, 0
             motion = self._foreground.reveal(motion, prompt)
-            segmentation = self._segmenter.start(image, prompt, motion)
-        else:
-            segmentation = self._segmenter.track(image, motion)
+        segmentation = self._segmenter.find(image, motion, prompt)
         self._foreground.keep(segmentation.mask)
         return segmentation, motion.doubt if self._segmenter.uses_motion else ""
 

@@ -2,14 +2,12 @@
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, MutableSequence, Sequence
 from pathlib import Path
 from typing import final
 
 import cv2
 import numpy as np
-from jaxtyping import Float
 
 from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.errors import DeploymentError
@@ -37,15 +35,6 @@ LEAST_CHANGE = 15.0
 WAIT = 0.2  #: Longest wait for an image [s]. Source: ours.
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Taken:
-    """A view that was taken."""
-
-    name: str  #: Name of its image.
-    view: BoardView  #: The corners.
-    joint_pos: Float[np.ndarray, " num_joints"]  #: Positions of the arm's joints [rad].
-
-
 def blur(image: Pixels, view: BoardView) -> float:
     """Return the standard deviation of the spread of the edges about the corners of a board [px].
 
@@ -66,8 +55,9 @@ class Capture:
 
     def __init__(self, folder: Path, board: CharucoBoard, joints: Sequence[str]) -> None:
         """Start without images."""
-        self.taken: list[Taken] = []
-        self._folder, self._board, self._joints = folder, board, joints
+        self.taken: list[BoardView] = []
+        self._folder, self._board = folder, board
+        self._rows: list[list[str]] = [["image", *joints]]
         self._before: tuple[Image, BoardView] | None = None
         self._still_since = -np.inf
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,10 +79,12 @@ class Capture:
             return "hold still"
         if (spread := blur(image.pixels, view)) > LARGEST_BLUR:
             return f"blurred ({spread:.1f} px): hold still, focus, expose for a shorter time"
-        if twin := next((each for each in self.taken if _is_alike(each.view, view)), None):
-            return f"like {twin.name}: move or tilt the board"
-        name = f"pose{len(self.taken) + 1:02d}.png"
-        self._take(image.pixels, Taken(name=name, view=view, joint_pos=image.joint_pos))
+        for (name, *_), taken in zip(self._rows[1:], self.taken, strict=True):
+            if len(taken.pixels) == len(view.pixels) and _change(taken, view) < LEAST_CHANGE:
+                return f"like {name}: move or tilt the board"
+        self.taken.append(view)
+        name = f"pose{len(self.taken):02d}.png"
+        self._write(name, image.pixels, image.joint_pos)
         return f"{len(self.taken)} of {NUM_VIEWS}: wrote {name}"
 
     def _is_still(self, image: Image, view: BoardView | None) -> bool:
@@ -102,48 +94,62 @@ class Capture:
             self._still_since = image.stamp
             return False
         last, seen = before
-        is_moving = np.abs(view.pixels - seen.pixels).max() > STILL_PIXELS
+        is_moving = _change(view, seen) > STILL_PIXELS
         if image.joint_pos is not None and last.joint_pos is not None:
             is_moving |= np.abs(image.joint_pos - last.joint_pos).max() > STILL_JOINTS
         if is_moving:
             self._still_since = image.stamp
         return image.stamp - self._still_since >= STILL_TIME
 
-    def _take(self, pixels: Pixels, view: Taken) -> None:
-        """Write the image, then the table."""
+    def _write(self, name: str, pixels: Pixels, joint_pos: np.ndarray) -> None:
+        """Write an image, then the table with its row."""
         content = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
-        write_atomically({self._folder / view.name: content})
-        self.taken.append(view)
+        write_atomically({self._folder / name: content})
+        self._rows.append([name, *map(repr, joint_pos.tolist())])
         text = io.StringIO()
-        rows = [[each.name, *map(repr, each.joint_pos.tolist())] for each in self.taken]
-        csv.writer(text).writerows([["image", *self._joints], *rows])
+        csv.writer(text).writerows(self._rows)
         write_atomically({self._folder / TABLE: text.getvalue().encode()})
 
 
-def _is_alike(view: BoardView, other: BoardView) -> bool:
-    if len(view.pixels) != len(other.pixels):
-        return False
-    return bool(np.linalg.norm(view.pixels - other.pixels, axis=-1).max() < LEAST_CHANGE)
+def _change(view: BoardView, other: BoardView) -> float:
+    """Largest motion of a corner between two views of as many corners [px]."""
+    return float(np.linalg.norm(view.pixels - other.pixels, axis=-1).max())
 
 
-def topic_images(transport: Transport, profile: Profile, joints: Sequence[str]) -> Iterator[Image | None]:
-    """Yield the newest images of a robot's camera as they arrive, or None after `WAIT` without one.
+def topic_images(
+    transport: Transport,
+    profile: Profile,
+    joints: Sequence[str],
+    states: MutableSequence[tuple[float, np.ndarray]],
+    most: int = 1,
+) -> Iterator[Image | None]:
+    """Yield images of a robot's camera as they arrive, or None after `WAIT` without one.
 
     Each has the newest positions of some joints, once all of them have been received.
+
+    Args:
+        transport: The network.
+        profile: Names of the topics.
+        joints: Names of the joints.
+        states: Gets stamps [s] and positions of the joints [rad], of which the last is used here.
+        most: Most images that wait; older ones are left out.
+
+    Raises:
+        DeploymentError: The images have another format than the profile's.
     """
     parts = [part for part in profile.robots if {*part.joints} & {*joints}]
-    states = [(part, transport.subscription(part.state_topic, 64)) for part in parts]
-    images = transport.subscription(profile.camera.image, 1)
+    subscriptions = [(part, transport.subscription(part.state_topic, 512)) for part in parts]
+    images = transport.subscription(profile.camera.image, most)
     order = list(profile.robots[0].joint_order)
-    columns = [order.index(joint) for joint in joints]
-    joint_pos = np.full(len(order), np.nan)
+    columns, joint_pos = [order.index(joint) for joint in joints], np.full(len(order), np.nan)
     while True:
         transport.wait(WAIT)
-        for part, subscription in states:
+        for part, subscription in subscriptions:
             for message in subscription.take():
-                part.merge(messages.read_joint_state(message.data), joint_pos)
-        newest = images.take()[-1:]
-        known = joint_pos[columns].copy() if np.isfinite(joint_pos[columns]).all() else None
+                reading = messages.read_joint_state(message.data)
+                if len(part.merge(reading, joint_pos)) and np.isfinite(joint_pos[columns]).all():
+                    states.append((reading.stamp, joint_pos[columns].copy()))
+        newest, known = images.take()[-most:], states[-1][1] if states else None
         for message in newest:
             image = messages.read_image(message.data)
             if wrong := profile.camera.wrong_format(image):

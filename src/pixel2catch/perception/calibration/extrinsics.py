@@ -81,21 +81,13 @@ class HandView:
     palm_rates: Float[np.ndarray, "num_joints 4 4"] = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class ViewError:
-    """Error of one image."""
-
-    name: str  #: Name of the image.
-    rms: float  #: Root mean square distance of seen and computed corners [px].
-    is_used: bool  #: Whether the fit uses it.
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """A camera and the evidence for it."""
 
     file: CameraFile  #: The camera and its uncertainty.
-    views: tuple[ViewError, ...]  #: The error of each image.
+    errors: dict[str, float]  #: Root mean square distance of seen and computed corners in each image [px].
+    left_out: tuple[str, ...]  #: Names of the images that the fit does not use.
     #: Edge of the squares by the arm's motion over the given edge, and its standard deviation.
     square_ratio: tuple[float, float]
     rms: float  #: Root mean square distance of seen and computed corners in the images used [px].
@@ -185,7 +177,7 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     square_ratio = _square_ratio(used, poses)
     fit = _fit_with_common(used, poses, SQUARE_ERROR)
     errors = used.errors(fit.camera, fit.board, fit.common)
-    every = corners.rms(fit.camera, fit.board, fit.common)
+    every, names = corners.rms(fit.camera, fit.board, fit.common), [view.name for view in views]
     x, y, z = fit.camera[:3, 3].tolist()
     rotation = Rotation.from_matrix(fit.camera[:3, :3])
     qw, qx, qy, qz = rotation.as_quat(canonical=True, scalar_first=True).tolist()
@@ -193,10 +185,8 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     covariance = tuple(map(tuple, _covariance(fit, used, lens).tolist()))
     return Calibration(
         file=replace(lens, camera=camera, pose_covariance=covariance),
-        views=tuple(
-            ViewError(name=view.name, rms=float(rms), is_used=bool(used))
-            for view, rms, used in zip(views, every, is_used, strict=True)
-        ),
+        errors=dict(zip(names, every.tolist(), strict=True)),
+        left_out=tuple(name for name, used in zip(names, is_used, strict=True) if not used),
         square_ratio=square_ratio,
         rms=float(np.sqrt((errors**2).sum(-1).mean())),
     )

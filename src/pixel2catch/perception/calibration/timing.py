@@ -7,23 +7,21 @@ in the joint positions fits the corners best.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
 
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.camera.image import Image
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.calibration.capture import topic_images
 from pixel2catch.perception.calibration.lens import BoardView, CharucoBoard
-from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 
 SECONDS = 20.0  #: Duration of the motion [s]. Source: ours.
 LEAST_IMAGES = 100  #: Smallest number of images with the board. Source: ours, five for each coefficient.
 LEAST_SHARE = 0.8  #: Share of the views of the best corner that a corner must have. Source: ours.
-LEAST_MOTION = (
-    0.002  #: Standard deviation from which the joints count as moved in a direction [rad]. Source: ours.
-)
+LEAST_MOTION = 0.002  #: Standard deviation from which joints moved in a direction [rad]. Source: ours.
 LARGEST_STD = 1e-3  #: Standard deviation up to which a time counts as measured [s]. Source: ours.
 STEP, NUM_STEPS = 1e-3, 5  #: Step of a difference [s] and number of steps of the fit. Source: ours.
 
@@ -111,11 +109,8 @@ class BoardMotion:
 
 def _polynomial(values: Float[np.ndarray, "num size"]) -> Float[np.ndarray, "num terms"]:
     """Return all products of up to three values."""
-    terms, last = [np.ones((len(values), 1))], [(0, np.ones(len(values)))]
-    for _ in range(3):
-        last = [(j, product * values[:, j]) for i, product in last for j in range(i, values.shape[1])]
-        terms += [product[:, None] for _, product in last]
-    return np.concatenate(terms, axis=1)
+    choices = [each for n in range(4) for each in combinations_with_replacement(range(values.shape[1]), n)]
+    return np.stack([values[:, each].prod(axis=1) for each in choices], axis=1)
 
 
 def watch(
@@ -124,25 +119,12 @@ def watch(
     """Collect views of a board and positions of some joints for `SECONDS`.
 
     Raises:
-        PerceptionError: The images have another format than the profile's.
+        DeploymentError: The images have another format than the profile's.
     """
-    parts = [part for part in profile.robots if {*part.joints} & {*joints}]
-    states = [(part, transport.subscription(part.state_topic, 512)) for part in parts]
-    images, motion = transport.subscription(profile.camera.image, 8), BoardMotion()
-    order = list(profile.robots[0].joint_order)
-    columns, joint_pos = [order.index(joint) for joint in joints], np.full(len(order), np.nan)
-    end = clock.now() + SECONDS
-    while clock.now() < end:
-        transport.wait(0.05)
-        for part, subscription in states:
-            for message in subscription.take():
-                reading = messages.read_joint_state(message.data)
-                if len(part.merge(reading, joint_pos)) and np.isfinite(joint_pos[columns]).all():
-                    motion.joints.append((reading.stamp, joint_pos[columns].copy()))
-        for message in images.take():
-            image: Image = messages.read_image(message.data)
-            if wrong := profile.camera.wrong_format(image):
-                raise PerceptionError(wrong)
-            if view := board.find(image.pixels):
-                motion.views.append((image.stamp, view))
+    motion, end = BoardMotion(), clock.now() + SECONDS
+    for image in topic_images(transport, profile, joints, motion.joints, 8):
+        if image is not None and (view := board.find(image.pixels)):
+            motion.views.append((image.stamp, view))
+        if clock.now() >= end:
+            break
     return motion
