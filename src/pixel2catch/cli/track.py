@@ -182,13 +182,13 @@ def _truth_rows(truth: dict[str, Any]) -> Iterator[Cells]:
 
 
 def _sentences(summary: dict[str, Any]) -> "Iterator[str]":
-    from pixel2catch.perception.foreground import Weakness
+    from pixel2catch.perception.foreground import REMEDIES
 
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
     yield f"{summary['num_steps']} control steps in {summary['seconds']:.1f} s: {counts}"
-    remedies = {str(weakness): f"; {weakness.remedy}" for weakness in Weakness}
+    remedies: dict[str, str] = {**REMEDIES}
     for doubt, count in summary["doubts"].items():
-        yield f"In {count} images: {doubt}{remedies.get(doubt, '')}."
+        yield f"In {count} images: {doubt}; {remedies[doubt]}."
     share = summary["seen_since_first"]
     yield (
         "The object was never seen: point it out with --box or --color, at the time --at."

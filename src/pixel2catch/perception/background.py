@@ -21,30 +21,19 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
 )
 
-LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
-"""Largest and smallest area of the object, relative to before. Where the robot or the image's edge may hide a
-part, any smaller area is possible. Source: ours."""
+LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5  #: Largest and smallest area of the object over before. Source: ours.
+LEAST_KNOWN = 0.2  #: Least share of a region with the object's colours, the rest being unseen. Source: ours.
+LEAST_OWN = 0.5  #: Share of own colours from which a thing without them is another one. Source: ours.
+LARGEST_RATIO = 4.0  #: Of the areas of a lost object and of a flight that is taken for it. Source: ours.
 
-LEAST_KNOWN = 0.2
-"""Smallest share of a region with the object's colours if the rest is an unseen side of it. Source: ours."""
-
-LEAST_OWN = 0.5
-"""Share of the object with colours of its own from which a moving thing without them is another one. Source:
-ours."""
-
-LARGEST_RATIO = 4.0
-"""Largest ratio of the areas of a lost object and of a flight that is taken for it. Source: ours: half or
-twice as far from the camera."""
-
+#: Largest weight of the earlier width, height and area of the object, in every image. Source: ours.
 SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
-"""Largest weight of the earlier width, height and area of the object, in every image. Source: ours."""
 
 AREA_WEIGHT = 0.6
 """Weight of a change of the area, relative to a change of a side. Source: ours; the area is less certain
 where the object is as bright as the background."""
 
-#: Distance up to which still things beside the object are learned as other things [px]. Source: ours.
-NEAR = 10.0
+NEAR = 10.0  #: Distance up to which still things are learned as other things [px]. Source: ours.
 THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
 
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
@@ -55,19 +44,17 @@ SHIFT = 4  #: A colour is the upper four bits of each channel: 16 levels. Source
 LEVELS = 256 >> SHIFT
 FADE = 0.8  #: Weight of the earlier colours, in every image. Source: ours; five images.
 LEAST_COUNT = 0.1  #: Pixels of a colour and its neighbours below which it is unknown. Source: ours.
-
 Size = Float[np.ndarray, "3"]  #: Width, height [px] and area [px²].
 Colors = UInt8[np.ndarray, "_ 3"]  #: Red, green and blue of some pixels.
 Histogram = Float32[np.ndarray, " num_colors"]  #: Pixels of each colour; older images count less.
 
 
 class BackgroundSubtraction(Segmenter):
-    """Follows what has the object's colours, or moves, near the object's expected place; needs no weights.
+    """Follows what has the object's colours, or moves, near the object's expected place.
 
-    The camera must not move. The colours (`Appearance`) are learned from the prompt and during the flight.
-    They separate the object from an arm that moves beside it, and show it at the robot, where motion is
-    ignored. An object without colours of its own is followed by its motion alone. It never becomes
-    background.
+    The camera must not move. The colours are learned from the prompt and during the flight. They separate
+    the object from an arm beside it, and show it at the robot, where motion is ignored. An object without
+    colours of its own is followed by its motion alone.
     """
 
     uses_motion = True
@@ -132,15 +119,17 @@ class BackgroundSubtraction(Segmenter):
         """Return the regions of the image, and the one that is the object; None if none is.
 
         First come regions with the object's colours, then smaller ones, then whatever moves. A region is a
-        whole moving thing, its part with the object's or new colours, or its part with the object's colours
-        alone. The one whose size is nearest to the object's is chosen, so that no hand is added and no
-        blurred rim is lost; a region far from the expected place only if none is near. In a person's box
+        whole moving thing, its part with the object's or new colours, or that with its colours alone: the
+        one of the object's size is chosen, near the expected place if there is one. In a person's box
         `within`, the object may fill little of it, as a cross does.
         """
-        window = _window((track.center, track.expected), track.reach + REACH, motion.image)
+        shape, reach = motion.moving.shape, track.reach + REACH
+        places = np.clip((track.center, track.expected), 0.0, np.array(shape[::-1]) - 1.0)
+        first = np.maximum(places.min(0) - reach, 0.0).astype(int)
+        last = (places.max(0) + reach + 1.0).astype(int)
+        window = slice(first[1], last[1]), slice(first[0], last[0])
         alone, whole, alike = self._resembling(motion, window)
         surely = alike & (motion.moving[window] | motion.unknown[window])
-        shape = motion.moving.shape
         everywhere = slice(0, shape[0]), slice(0, shape[1])
         choices = ((alone, whole, alike), window), ((surely,), window), ((motion.moving,), everywhere)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
@@ -148,7 +137,7 @@ class BackgroundSubtraction(Segmenter):
             found = []
             for mask in masks:
                 blobs = regions(mask if within is None else mask & within[place], place, shape)
-                blob = self._first(track, blobs, motion, least, is_alike=place is window)
+                blob = self._first(track, blobs, motion.unknown, least, is_alike=place is window)
                 found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
@@ -156,12 +145,16 @@ class BackgroundSubtraction(Segmenter):
         return blobs, None if within is None else next(iter(blobs), None)
 
     def _first(
-        self, track: ImageTrack, blobs: list[Blob], motion: ImageMotion, least: float, *, is_alike: bool
+        self, track: ImageTrack, blobs: list[Blob], unknown: Mask, least: float, *, is_alike: bool
     ) -> Blob | None:
         """The likeliest region of a suitable size; without the object's own colours, only where expected."""
         anywhere = is_alike or self._appearance.own_share < LEAST_OWN
-        likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
-        return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
+        for blob in track.candidates(blobs):
+            share = 1.0 if self._size is None else blob.area / float(self._size[2])
+            is_whole = share >= least or blob.is_cut or _touches(blob, unknown)
+            if (anywhere or track.leads_to(blob)) and share <= LARGEST_GROWTH and is_whole:
+                return blob
+        return None
 
     def _change(self, blob: Blob) -> float:
         """Difference of a region's sides or area from the object's, in logarithms; the larger of the two."""
@@ -185,13 +178,6 @@ class BackgroundSubtraction(Segmenter):
             growth = np.max((learned / before)[:2], initial=1.0, where=np.array(blob.is_whole))
             learned = before * (growth, growth, growth**2)
         self._size = learned
-
-    def _fits(self, blob: Blob, unknown: Mask, least: float) -> bool:
-        """Whether a region has the object's area, or less where the robot or the edge may hide a part."""
-        if self._size is None:
-            return True
-        share = blob.area / float(self._size[2])
-        return share <= LARGEST_GROWTH and (share >= least or blob.is_cut or _touches(blob, unknown))
 
     def _resembling(self, motion: ImageMotion, window: Window) -> tuple[Mask, Mask, Mask]:
         """Three masks of a window, of pixels that differ from the background or have none.
@@ -218,8 +204,7 @@ class BackgroundSubtraction(Segmenter):
     def _learn(self, motion: ImageMotion, mask: Mask, maybe: Mask) -> None:
         """Learn the colours of the object and of other things.
 
-        Other things are ignored pixels, what else moves, and, unless the object moved lately, what is beside
-        it.
+        These are ignored pixels, what else moves, and, unless the object moved lately, what is beside it.
         """
         image, ignored = motion.image, motion.ignored
         box = window_of(mask)
@@ -235,11 +220,7 @@ class BackgroundSubtraction(Segmenter):
 
 
 class Appearance:
-    """Two colour histograms: of the object, and of everything with which it could be confused.
-
-    They count pixels. A colour belongs to the object only if the object has more of it than everything else:
-    a black ball over a black hand has no colour of its own.
-    """
+    """Histograms of the object's colours and of all other things'. A colour is of that with more pixels."""
 
     def __init__(self) -> None:
         """Start without colours."""
@@ -289,15 +270,6 @@ def _spread(histogram: Histogram) -> Histogram:
 
 def _size(blob: Blob) -> Size:
     return np.array((blob.width, blob.height, blob.area), dtype=float)
-
-
-def _window(places: tuple[tuple[float, float], ...], reach: float, image: Pixels) -> Window:
-    """Rows and columns within reach of places, which are clipped to the image first [px]."""
-    ends = (
-        sorted(min(max(place[axis], 0.0), image.shape[1 - axis] - 1.0) for place in places) for axis in (1, 0)
-    )
-    rows, columns = (slice(max(int(low - reach), 0), int(high + reach) + 1) for low, high in ends)
-    return rows, columns
 
 
 def _touches(blob: Blob, mask: Mask) -> bool:

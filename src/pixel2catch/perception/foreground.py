@@ -27,8 +27,8 @@ from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
 
 LEARNING_IMAGES = 30
-"""Images in which a pixel must be seen without the robot before it can differ from the background, and images
-after which a new thing that stands still becomes background. Source: ours: 1 s."""
+"""Images of a pixel without the robot before it can differ from the background, and images after which a new
+thing that stands still becomes background. Source: ours: 1 s."""
 
 LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
 """Smallest difference from the background [levels], and as a multiple of the pixel's usual difference.
@@ -36,9 +36,7 @@ Source: ours; five standard deviations of noise are 3.8 times the mean of the la
 
 USUAL_WEIGHT, BUSY_WEIGHT = 0.05, 0.003
 """Weight of a new image in the usual difference of a pixel that does not differ, and of one that does.
-
-Source: ours: 20 images, and 10 s. A place that always moves is then ignored, a place where a thing passes is
-not."""
+Source: ours: 20 images, and 10 s: a place that always moves is ignored, one where a thing passes is not."""
 
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
 """Levels of the pixels that measure the gain of the light, and how many are needed. Source: ours: above the
@@ -47,42 +45,33 @@ noise, and not saturated with a sixth more light."""
 LEAST_GAIN = 0.004  #: Smaller changes of the light are not compensated: one level in 255.
 
 FLICKER, FLICKER_IMAGES = 0.01, 10
-"""Relative change of the light between two images that counts as flicker, and number of images whose median
-is taken. Source: ours: an automatic exposure changes few images, or each by less."""
+"""Median relative change of the light from image to image that is flicker, of so many images. Source: ours:
+an automatic exposure changes few images, or each by less."""
 
 SMOOTHED = np.ones((3, 3), dtype=np.uint8)  #: Pixels that are averaged for each smoothed one.
 SAMPLING = 12  #: Distance of the rows and columns that measure light and noise of an image [px].
 
 EDGE, BRIGHT = 0.3, 80.0
-"""The edge of a thing is where the difference is this share of the difference inside, which is this
-percentile of its region. Source: ours: more than compression adds around it, and less than half, the edge of
-a blurred thing."""
+"""The edge of a thing has this share of the difference at this percentile of its region. Source: ours: more
+than compression adds around it, and less than half, the edge of a blurred thing."""
 
 RIM, LEAST_PART = 0.125, 0.2
-"""Widest rim of a thing, as a share of its width and height, and smallest area of another thing beside it, as
-a share of its area. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
+"""Widest rim of a thing over its width and height, and smallest area of another thing beside it over its
+area. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
 
 INNER = 0.8  #: Share of width and height of a prompted box that the object surely fills. Source: ours.
-
-LEAST_MOVING = 0.2
-"""Smallest share of a prompted object that differs from the background; with less it was learned as
-background. Source: ours."""
+LEAST_MOVING = 0.2  #: Share of a prompted object that differs, unless it is background. Source: ours.
 
 Shift = tuple[float, float]  #: Of an image, in columns and rows [px].
 
 LARGEST_SHIFT = 4  #: Along columns and rows [px]. Source: ours: twice that of a bad stand.
 SPACING = 10  #: Distance of the rows and columns that measure the shift [px]. Source: ours.
 NUM_ROUNDS = 5  #: Iterations of the shift, because brightness is linear for a pixel or two only.
-
-LEAST_SLOPE, LEAST_STEEP = 3.0, 50
-"""Smallest slope of the brightness at a pixel that measures the shift [levels/px], and number of such pixels
-that are needed. Source: ours: four times the noise."""
-
+LEAST_SLOPE = 3.0  #: Of the brightness at a pixel that measures it [levels/px]. Source: ours: 4 times noise.
+LEAST_STEEP = 50  #: Fewest such pixels. Source: ours.
 LARGEST_RESIDUAL = 2.5  #: Largest difference of a background pixel, in medians. Source: ours.
 LEAST_SHIFT = 0.05  #: Smaller shifts are not compensated [px]. Source: ours: five times the error.
-
-EXPLAINED = 0.7
-"""A shift is used if it lowers the median difference to at most this share. Source: ours."""
+EXPLAINED = 0.7  #: Largest share of the median difference that a shift leaves. Source: ours.
 
 
 class Weakness(StrEnum):
@@ -91,20 +80,17 @@ class Weakness(StrEnum):
     FEW_IMAGES = "few images of the room"
     FLICKER = "the light flickers"
 
-    @property
-    def remedy(self) -> str:
-        """What the user can do."""
-        return {
-            Weakness.FEW_IMAGES: "let the camera see the room for a second before the object is pointed out",
-            Weakness.FLICKER: "expose for a multiple of 10 ms at 50 Hz of mains, of 8.33 ms at 60 Hz",
-        }[self]
+
+REMEDIES = {
+    Weakness.FEW_IMAGES: "let the camera see the room for a second before the object is pointed out",
+    Weakness.FLICKER: "expose for a multiple of 10 ms at 50 Hz of mains, of 8.33 ms at 60 Hz",
+}
 
 
 class Foreground:
     """Finds the pixels that differ from the background in a stream of images.
 
-    Ignored pixels are not learned. A waiting robot does not become background, and the place that it leaves
-    is no moving thing.
+    Ignored pixels are not learned: a waiting robot does not become background.
     """
 
     def __init__(self) -> None:
@@ -225,8 +211,8 @@ class Foreground:
 def sharpened(motion: ImageMotion, window: Window) -> Mask:
     """Return what moves in a part of the image, without the dim rims of things.
 
-    The rim is removed where it is equally wide on opposite sides. Where one side would lose more, the thing
-    is nearly as bright as the background: it loses at most `RIM` there, unless it falls into two things.
+    A side that would lose more than the opposite one is nearly as bright as the background: it loses at most
+    `RIM`, unless the thing falls into two.
     """
     moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
     for blob in regions(moving):
@@ -257,12 +243,7 @@ def shift_between(image: Pixels, before: Pixels, known: Mask) -> Shift:
     """Return by how much an image is shifted from another one; (0, 0) if no shift explains the differences.
 
     Least squares of the differences of brightness over its slopes, at steep pixels of a grid (Lucas and
-    Kanade, 1981), without pixels that differ much more than the median.
-
-    Args:
-        image: The shifted image.
-        before: The other image, of the same size.
-        known: Pixels that show the background.
+    Kanade, 1981) that are known background, without pixels that differ much more than the median.
     """
     rim, (height, width) = LARGEST_SHIFT + 1, known.shape
 

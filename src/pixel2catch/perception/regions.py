@@ -19,19 +19,12 @@ from pixel2catch.scene import shapes
 from pixel2catch.scene.constants import OBJECT_RADIUS, RGB_CAMERA, CameraSpec
 
 NUM_NEIGHBORS = 8  #: Pixels that touch at a corner belong to one region.
-
-SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-"""Regions smaller than this cross are noise."""
-
-GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-"""Pieces that are closer to each other than this ellipse belong to one thing."""
+SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))  #: Smaller regions are noise.
+GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))  #: Pieces that are closer belong to one thing.
 
 NEAREST = 0.05  #: Nearer points are left out [m].
-
 MARGIN = 4  #: Margin around the robot [px]. Source: ours, for errors of camera and clocks.
-
-HIDDEN = 0.002
-"""A geom that protrudes less than this from another one of its body is left out [m]. Source: ours."""
+HIDDEN = 0.002  #: A geom that protrudes less from another one of its body is left out [m]. Source: ours.
 
 Window = tuple[slice, slice]  #: Rows and columns of a part of an image.
 
@@ -40,9 +33,8 @@ Window = tuple[slice, slice]  #: Rows and columns of a part of an image.
 class PlausibilityCfg:
     """Limits of what can be the object. Source: ours, from 1,500 rendered images of 16 catches.
 
-    In the task a flight moves a box by at most 70 px in a control step, and a person's throw by at most 77 px
-    in 999 of 1,000 steps. Its sides grow by at most 5 px. An object that the robot hid can reappear with
-    sides up to 33 px longer (24 rendered throws).
+    A flight of the task moves a box by at most 70 px in a control step, a person's throw by at most 77 px in
+    999 of 1,000 steps. An object that the robot hid can reappear with sides up to 33 px longer.
     """
 
     least_area: int = 6  #: Fewest pixels.
@@ -67,14 +59,10 @@ USUAL = PlausibilityCfg()  #: Limits for the paper's objects.
 
 
 def is_jump(cfg: PlausibilityCfg, box: Edges, before: Edges, steps: float) -> bool:
-    """Return whether a box moved or grew more in these control steps than a thrown object can.
-
-    It may shrink by any factor, because the robot may hide a part of the object.
-    """
+    """Return whether a box moved or grew more in these control steps than a thrown object can."""
     xmin, ymin, xmax, ymax = (edge - old for edge, old in zip(box, before, strict=True))
-    steps = max(steps, 1.0)
     moved, growth = 0.5 * hypot(xmin + xmax, ymin + ymax), max(xmax - xmin, ymax - ymin)
-    return moved > cfg.largest_jump * steps or growth > cfg.largest_growth * steps
+    return moved > cfg.largest_jump * max(steps, 1.0) or growth > cfg.largest_growth * max(steps, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,10 +125,7 @@ class Blob:
 def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
     """Return the connected regions of a mask, the largest first.
 
-    Args:
-        mask: Of an image, or of a window of it.
-        window: That window; None if the mask is of the whole image.
-        shape: Height and width of the image if there is a window [px].
+    The mask is of an image, or of a window of an image with a shape [px].
     """
     part = window_of(mask)
     if not mask[part].size:
@@ -237,11 +222,8 @@ class RobotMask:
         # OpenCV fills a pixel if the hull reaches its middle, which is (0, 0) in the first pixel.
         pixels = points[..., :2] / np.where(is_near, points[..., 2], np.inf)[..., None] - 0.5
         rounded = np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)
-        canvas = np.zeros(self._size, dtype=np.uint8)
-        in_front = (
-            rounded if is_near.all() else (row[seen] for row, seen in zip(rounded, is_near, strict=True))
-        )
-        hulls = [cv2.convexHull(corners) for corners in in_front if len(corners)]
+        canvas, pairs = np.zeros(self._size, dtype=np.uint8), zip(rounded, is_near, strict=True)
+        hulls = [cv2.convexHull(corners[seen]) for corners, seen in pairs if seen.any()]
         for hull in hulls:
             cv2.fillConvexPoly(canvas, hull, 1)
         if self._margin:

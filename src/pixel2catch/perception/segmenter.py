@@ -99,19 +99,13 @@ def check_image(image: np.ndarray, width: int, height: int) -> None:
 
 REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
 """Largest distance of the object from the line between its last and its expected place, its growth with every
-image without the object, and its limit [px]. Source: ours; a release moves the object by up to 30 px in an
-image interval."""
+image without the object, and its limit [px]. Source: ours; a release moves it by up to 30 px an image."""
 
-FIRST_REACH = 90.0
-"""The same while its velocity is unknown [px]. Source: ours: the largest jump of `PlausibilityCfg`."""
-
-LARGEST_CHANGE = 12.0
-"""Largest change of a flying object's motion between two images [px]. Source: ours; gravity and approach
-cause up to 10."""
-
-LONGEST_STEP = 20.0
-"""Largest motion of another thing between two images with which it is recognised [px]. Source: ours."""
-
+FIRST_REACH = 90.0  #: The same without a velocity [px]. Source: ours: the jump of `PlausibilityCfg`.
+LARGEST_CHANGE = (
+    12.0  #: Of a flight's motion in an image interval [px]. Source: ours; gravity makes up to 10.
+)
+LONGEST_STEP = 20.0  #: Largest motion in an interval with which another thing is known [px]. Source: ours.
 LONGEST_COAST = 3  #: Image intervals for which an unseen object keeps its velocity. Source: ours.
 
 
@@ -163,9 +157,8 @@ class ImageTrack:
         They have an object's size and are near the line from its last place to there, because a hand may have
         stopped it. Regions that continue another thing of the last image are left out.
         """
-        sized = (blob for blob in blobs if blob.is_plausible(self.limits))
-        plausible = (blob for blob in sized if not self._is_other(blob, blobs))
-        near = (blob for blob in plausible if self._distance(blob.center) <= self.reach)
+        sized = [blob for blob in blobs if blob.is_plausible(self.limits) and not self._is_other(blob, blobs)]
+        near = (blob for blob in sized if self._distance(blob.center) <= self.reach)
         return sorted(near, key=lambda blob: blob.distance(self.expected))
 
     def leads_to(self, blob: Blob) -> bool:
@@ -185,11 +178,7 @@ class ImageTrack:
         return hypot(point[0] - u - share * du, point[1] - v - share * dv)
 
     def _is_other(self, blob: Blob, blobs: list[Blob]) -> bool:
-        """Whether a region continues another thing.
-
-        It does not cover the object's expected place, and it is the nearest region to that thing's last
-        place.
-        """
+        """Whether a region without the object's expected place is the nearest one to another thing's last."""
         (u, v), (end_u, end_v) = blob.center, self.expected
         if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
             return False

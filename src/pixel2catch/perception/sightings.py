@@ -17,9 +17,7 @@ from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.tracker import ObjectTracker
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
-LARGEST_AGE = 2.5 * CONTROL_DT
-"""Age up to which a box is fresh [s]. Source: release; in training boxes are one or two steps old."""
-
+LARGEST_AGE = 2.5 * CONTROL_DT  #: Of a fresh box [s]. Source: release; in training they are 1 or 2 steps old.
 STAGES = ("robot", "segment", "box", "total")  #: Timed stages of the tracker, in order; total has all.
 BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
@@ -99,8 +97,7 @@ def follow(
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the numbers of a table of sightings for programs.
 
-    `stages_ms` has percentiles of the durations of the stages [ms], over the control steps whose image was
-    processed. It is fast enough if 99 % of these images took less than a control step.
+    It is fast enough if 99 % of the images that were processed took less than a control step.
     """
     new = [row for row in rows if row["verdict"] is not Verdict.REPEATED]
     stages = {}
@@ -124,21 +121,16 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-Canvas = UInt8[np.ndarray, "rows columns 3"]
-
-SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
-"""Colours of a new box, of a held one, and of one that is too old."""
-
-UNKNOWN, OUTLINE = (120, 120, 120), (255, 80, 255)
+#: Colours of a new box, of a held one, of one that is too old, of text without a box, and of the outline.
+SEEN, HELD, STALE, UNKNOWN = (80, 255, 80), (255, 190, 60), (255, 80, 80), (120, 120, 120)
+OUTLINE = (255, 80, 255)
 HEADER = 24  #: Height of the line of text [px].
 
 
-def annotated(sighting: Sighting, camera: CameraSpec = RGB_CAMERA) -> Canvas:
+def annotated(sighting: Sighting, camera: CameraSpec = RGB_CAMERA) -> UInt8[np.ndarray, "rows columns 3"]:
     """Return the image with box and outline, and a line of text above; an image of another size is black."""
-    box = sighting.box
-    color = UNKNOWN
-    if box.is_valid:
-        color = SEEN if box.verdict is Verdict.SEEN else HELD if sighting.is_fresh else STALE
+    box, held = sighting.box, HELD if sighting.is_fresh else STALE
+    color = (SEEN if box.verdict is Verdict.SEEN else held) if box.is_valid else UNKNOWN
     age = f"{1e3 * box.age:.0f} ms old" if box.is_valid else "never seen"
     took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
     words = [f"{sighting.time:7.2f} s", str(box.verdict), age, f"score {box.score:.2f}", took, box.doubt]

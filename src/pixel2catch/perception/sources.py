@@ -34,8 +34,6 @@ camera of 30 Hz makes no tick miss its image."""
 
 LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
-IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-
 OPTIONS = {
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif",
     "protocol_whitelist": "file",
@@ -118,12 +116,8 @@ def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterat
 def on_control_clock(
     images: Iterable[Image], notes: list[str], fit: ImageFit | None = None
 ) -> Iterator[Tick]:
-    """Yield a tick in every control step of a stream, with its newest image, which may be scaled.
-
-    Problems with the stamps are added to the notes.
-    """
-    newest, num_older, start = None, 0, 0.0
-    tick = 0
+    """Yield a tick in every control step, with the newest image; problems with stamps are added to notes."""
+    newest, num_older, start, tick = None, 0, 0.0, 0
     for image in images:
         if newest is not None and not image.stamp > newest.stamp:
             num_older += 1
@@ -212,18 +206,16 @@ def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterat
         PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
     with opened_bag(path) as reader:
-        images = connections_of(path, reader.connections, IMAGE_TYPES, topic)
-        num_damaged, reason = 0, ""
+        images = connections_of(path, reader.connections, (IMAGE, COMPRESSED_IMAGE), topic)
+        damaged: list[str] = []
         for message in decoded(reader, images):
             stamp = (message.stamp or message.received) / 1e9
-            pixels = _pixels(message)
-            if pixels is None:
-                num_damaged += 1
-                reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
-                continue
-            yield Image(pixels=pixels, stamp=stamp)
-        if num_damaged:
-            notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
+            if (pixels := _pixels(message)) is None:
+                damaged.append(f"of {len(message.content.data)} bytes at {stamp:.3f} s")
+            else:
+                yield Image(pixels=pixels, stamp=stamp)
+        if damaged:
+            notes.append(f"damaged images, passed over: {len(damaged)}; the last {damaged[-1]}.")
 
 
 def connections_of(

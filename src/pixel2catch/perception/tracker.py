@@ -38,12 +38,11 @@ LEAST_SPEED, LARGEST_SPEED = 8.0, 90.0
 """Smallest and largest motion of a flying thing between two images [px]. Source: ours; a throw begins with 10
 or more, and rendered catches move by 61 at most."""
 
-LARGEST_GROWTH = 2.5
-"""Largest ratio of the areas of a flying thing in two of three images. Source: ours."""
+LARGEST_GROWTH = 2.5  #: Largest ratio of the areas of a flying thing in two of three images. Source: ours.
 
 MOST_CANDIDATES, MOST_IMAGES = 20, 5
-"""Most moving things of an object's size in an image in which flights are searched, and most images of a
-flight. Source: ours; a crowd of specks is noise, and the work grows with the square of their number."""
+"""Most moving things of an object's size in an image, and most images, in which flights are searched. Source:
+ours; a crowd of specks is noise, and the work grows with the square of their number."""
 
 LARGEST_CHANCE = 0.005
 """Largest number of flights per image that things at random places may make. Source: ours: with three things
@@ -53,10 +52,8 @@ an image, a flight needs three images, with ten it needs four."""
 class Prompter:
     """Points the object out before it is found, and after a loss.
 
-    A box or a point from a person comes first, best while the object is held still. Then comes the largest
-    thing of its colour, then what flies: a thing of an object's size that moved by about the same between
-    three images, or more if many things move. Flights are found once the camera has seen the background for a
-    second.
+    A person's box comes first, then the largest thing of its colour, then what flies: a thing of an object's
+    size that moved by about the same between three images, or more if many things move.
     """
 
     def __init__(
@@ -66,13 +63,7 @@ class Prompter:
         colors: ColorRange | None = None,
         region: Edges | None = None,
     ) -> None:
-        """Start before the first throw.
-
-        Args:
-            prompt: Where the object is when a throw begins, such as on a stand; None without such a place.
-            colors: The object's colours, if they are known.
-            region: Where it is searched by colour or flight; None for the whole image.
-        """
+        """Set where each throw begins, the object's colours, and the region in which it is searched."""
         self._usual, self._colors, self._region = prompt, colors, region
         self.limits = USUAL  #: What can be the object.
         self.reset()
@@ -87,21 +78,11 @@ class Prompter:
         self._given = prompt
 
     def look(self, image: Pixels, motion: ImageMotion | None = None) -> BoxPrompt | None:
-        """Return where the object is in the newest image, or None.
-
-        Args:
-            image: The newest image.
-            motion: What moves in it; None if nothing does.
-        """
+        """Return where the object is in the newest image, in which some things may move, or None."""
         given, self._given = self._given, None
         flying = self._flying(motion)  # for every image, because it compares several
-        return given or self._colored(image) or flying
-
-    def _colored(self, image: Pixels) -> BoxPrompt | None:
-        if self._colors is None:
-            return None
-        blobs = self._sized(self._colors.mask(image))
-        return BoxPrompt(box=blobs[0].box) if blobs else None
+        colored = self._sized(self._colors.mask(image)) if self._colors and not given else []
+        return given or (BoxPrompt(box=colored[0].box) if colored else flying)
 
     def _flying(self, motion: ImageMotion | None) -> BoxPrompt | None:
         if motion is None or motion.doubt == Weakness.FEW_IMAGES:
@@ -128,9 +109,7 @@ class Prompter:
 def _num_images(counts: list[int], area: int) -> int | None:
     """Images that a flight needs to be distinguished from chance; None if there are too few.
 
-    Args:
-        counts: Number of things in the last images, the newest first.
-        area: Number of pixels of an image.
+    The counts are of things in the last images, the newest first; the area is of an image [px²].
     """
     if len(counts) < 3:
         return None
@@ -166,9 +145,7 @@ class TrackState:
     has_jumped: bool = False  #: Whether a box since the last accepted one was refused as a jump.
     is_prompted: bool = False  #: Whether the segmenter has got a prompt.
     is_continued: bool = False  #: Whether the box is one of the thing of the last prompt.
-    #: Whether the box touched the robot. An object that vanishes there is taken to be in its hand: only the
-    #: segmenter can find it again, the prompter does not look for another one.
-    is_at_robot: bool = False
+    is_at_robot: bool = False  #: Whether the box touched the robot: no other object is searched then.
 
     def update(self, found: Box, stamp: float, ignored: Mask | None) -> None:
         """Take over the result for an image; without a new box, the last one is held."""
@@ -195,15 +172,9 @@ class ObjectTracker:
         limits: PlausibilityCfg = USUAL,
         waits: bool = False,
     ) -> None:
-        """Start before the first throw.
+        """Start before the first throw; the motion of the robot's pixels is ignored.
 
-        Args:
-            segmenter: Finds the object's pixels.
-            prompter: Points the object out.
-            robot: Marks the robot's pixels, whose motion is ignored; None to ignore no motion.
-            camera: Takes the images.
-            limits: What can be the object.
-            waits: Only learn the background before the first reset.
+        If it `waits`, it only learns the background before the first reset.
         """
         self.durations: dict[str, float] = {}  #: Duration of each stage of the last step [s].
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
@@ -273,7 +244,7 @@ class ObjectTracker:
     def _find(self, image: Image) -> Box:
         """Find the object in an image of the camera's size, and update the state."""
         ignored = None
-        if self._robot is not None and image.joint_pos is not None:
+        if self._robot and image.joint_pos is not None:
             with self._stage("robot"):
                 ignored = self._robot.at(image.joint_pos)
         with self._stage("segment"):
