@@ -108,7 +108,7 @@ class Calibrate:
 
     def _take(self) -> None:
         """Take images of the board and write views.csv until there are enough images, or until Ctrl-C."""
-        from pixel2catch.perception.calibration.capture import Capture, topic_images
+        from pixel2catch.perception.calibration.capture import NUM_VIEWS, Capture, topic_images
         from pixel2catch.perception.calibration.lens import CharucoBoard
 
         hear = saying_changes()
@@ -117,7 +117,7 @@ class Calibrate:
             for image in topic_images(transport, profile, joints, deque(maxlen=1)):
                 missing = "no image: does the camera's driver run, on this network?"
                 hear(missing if image is None else capture.look(image))
-                if capture.is_done or stop.is_set:
+                if len(capture.taken) >= NUM_VIEWS or stop.is_set:
                     break
         say(f"wrote {self.capture}: {len(capture.taken)} images and views.csv")
 

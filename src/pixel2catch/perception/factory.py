@@ -1,7 +1,4 @@
-"""How the object is found, as options of commands, and what is made of them.
-
-OpenCV and SAM 2 are optional packages: they are imported where something is made.
-"""
+"""How the object is found, as options of commands; OpenCV and SAM 2 are imported where they are used."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -81,27 +78,23 @@ class PerceptionArgs:
         if self.segmenter == "background":
             return BackgroundSubtraction()
         if self.segmenter == "color":
-            if (colors := self._colors()) is None:
-                raise InvalidValueError(
-                    "the segmenter color needs the object's hues: --color 340 20 for red."
-                )
-            return ColorThreshold(colors)
+            if colors := self._colors():
+                return ColorThreshold(colors)
+            raise InvalidValueError("the segmenter color needs the object's hues: --color 340 20 for red.")
         if self.checkpoint is None:
             raise InvalidValueError("the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model.")
         from pixel2catch.perception.sam2 import Sam2Segmenter
 
         sam2 = Sam2Segmenter(self.checkpoint, self.device, self.image_size, is_compiled=self.compile)
-        if is_live or say is not None:
-            took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)
-            cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {sam2.image_size} px on {self.device}"
-            if is_live and took > LONGEST_IMAGE_TIME:
-                raise InvalidValueError(
-                    f"{cost}, and a camera gives one every {1e3 * CONTROL_DT:.0f} ms: take --device cuda, a "
-                    "smaller --image-size or --segmenter background, or record a video and track that."
-                )
-            if say is not None:
-                use = "fast enough for a camera" if took < CONTROL_DT else "a camera gives one every 33 ms"
-                say(f"{cost}: {use}.")
+        took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES) if is_live or say else 0.0
+        cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {sam2.image_size} px on {self.device}"
+        if is_live and took > LONGEST_IMAGE_TIME:
+            raise InvalidValueError(
+                f"{cost}, and a camera gives one every {1e3 * CONTROL_DT:.0f} ms: take --device cuda, a "
+                "smaller --image-size or --segmenter background, or record a video and track that."
+            )
+        if say is not None:
+            say(f"{cost}; a camera gives one every {1e3 * CONTROL_DT:.0f} ms.")
         return sam2
 
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
@@ -113,22 +106,17 @@ class PerceptionArgs:
         from pixel2catch.perception.segmenter import BoxPrompt
         from pixel2catch.perception.tracker import Prompter
 
-        prompt = self.box and BoxPrompt(box=_on_image("box", self.box, camera))
-        region = self.region and _on_image("region", self.region, camera)
-        return Prompter(prompt, colors=self._colors(), region=region)
+        for name, place in (("box", self.box), ("region", self.region)):
+            xmin, ymin, xmax, ymax = place or (0, 0, 1, 1)
+            if not (0.0 <= xmin < xmax <= camera.width and 0.0 <= ymin < ymax <= camera.height):
+                raise InvalidValueError(
+                    f"the {name} {xmin:g} {ymin:g} {xmax:g} {ymax:g} is not on the image of {camera.width} "
+                    f"by {camera.height} px: count pixels from the upper left corner."
+                )
+        prompt = self.box and BoxPrompt(box=self.box)
+        return Prompter(prompt, colors=self._colors(), region=self.region)
 
     def _colors(self) -> "ColorRange | None":
         from pixel2catch.perception.segmenter import ColorRange
 
         return self.color and ColorRange(hue=self.color)
-
-
-def _on_image(name: str, box: Edges, camera: CameraSpec) -> Edges:
-    """The box; InvalidValueError if it is not on the image."""
-    xmin, ymin, xmax, ymax = box
-    if 0.0 <= xmin < xmax <= camera.width and 0.0 <= ymin < ymax <= camera.height:
-        return box
-    raise InvalidValueError(
-        f"the {name} {' '.join(f'{edge:g}' for edge in box)} is not on the image of {camera.width} by "
-        f"{camera.height} px: count pixels from the upper left corner."
-    )

@@ -134,14 +134,9 @@ class Foreground:
         moving = opened(differs) & known
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
-        return ImageMotion(
-            image=shifted(smooth, self._shift),
-            difference=shifted(difference, self._shift),
-            moving=shifted(moving, self._shift),
-            unknown=shifted(unknown, self._shift),
-            ignored=ignored,
-            doubt=self.weakness or "",
-        )
+        arrays = {"image": smooth, "difference": difference, "moving": moving, "unknown": unknown}
+        arrays = {name: shifted(each, self._shift) for name, each in arrays.items()}
+        return ImageMotion(**arrays, ignored=ignored, doubt=self.weakness or "")
 
     def settle(self) -> None:
         """Learn from the last image; else the next step does it."""

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 from xml.etree import ElementTree
 
+import numpy as np
+
 from pixel2catch.camera.camera_file import LARGEST_IMAGE
 from pixel2catch.camera.image import Edges
 from pixel2catch.errors import InvalidValueError
@@ -22,9 +24,7 @@ FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older
 SAME_TIME = 0.002
 """Stamps that differ by less are those of one image [s]. Source: ours, a third of a period at 150 Hz."""
 
-Phase = Literal["held", "flight", "near the hand"]
-"""Part of a throw: in the thrower's hand, in the air, at or in the robot's hand."""
-
+Phase = Literal["held", "flight", "near the hand"]  #: In the thrower's, in no, in the robot's hand.
 PHASES: tuple[Phase, ...] = get_args(Phase)
 
 
@@ -155,13 +155,10 @@ def _labels(marks: list[_Mark], stamps: list[float], size: Size) -> Iterator[Lab
         if not 0 <= image < len(stamps):
             raise InvalidValueError(f"it labels image {image}, the video has {len(stamps)} images, from 0")
         named: list[Phase] = [each for each in PHASES if each in (mark.phase, mark.name)]
-        box = mark.box and (
-            max(mark.box[0], 0.0),
-            max(mark.box[1], 0.0),
-            min(mark.box[2], float(size[0])),
-            min(mark.box[3], float(size[1])),
-        )
-        yield Label(image=image, time=stamps[image], phase=named[0] if named else "flight", box=box)
+        xmin, ymin, xmax, ymax = mark.box or (0.0,) * 4
+        box = max(xmin, 0.0), max(ymin, 0.0), min(xmax, float(size[0])), min(ymax, float(size[1]))
+        phase: Phase = named[0] if named else "flight"
+        yield Label(image=image, time=stamps[image], phase=phase, box=box if mark.box else None)
 
 
 def _mark(image: int, name: str, phase: str, box: Iterable[Any], rotation: Any) -> _Mark:
@@ -177,18 +174,17 @@ def _between(mark: _Mark, following: _Mark, num_images: int, *, is_visible: bool
     for image in range(mark.image + 1, min(following.image, num_images)):
         box = None
         if is_visible and mark.box and following.box:
-            share = (image - mark.image) / (following.image - mark.image)
-            xmin, ymin, xmax, ymax = (
-                a + share * (b - a) for a, b in zip(mark.box, following.box, strict=True)
-            )
+            ends = [mark.image, following.image]
+            pairs = zip(mark.box, following.box, strict=True)
+            xmin, ymin, xmax, ymax = (float(np.interp(image, ends, pair)) for pair in pairs)
             box = xmin, ymin, xmax, ymax
         yield replace(mark, image=image, box=box)
 
 
 def _cvat(text: str, num_images: int) -> tuple[Size, list[_Mark]]:
-    """Read 'CVAT for video 1.1' or 'CVAT for images 1.1'.
+    """Read 'CVAT for video 1.1' or 'CVAT for images 1.1'. Source: docs.cvat.ai, XML annotation format.
 
-    Source: docs.cvat.ai, XML annotation format. A box that is `outside` ends a track until its next box.
+    A box that is `outside` ends a track until its next box.
     """
     if "<!DOCTYPE" in text:
         raise InvalidValueError("it declares a document type, which no export of CVAT does")
@@ -213,10 +209,8 @@ def _cvat(text: str, num_images: int) -> tuple[Size, list[_Mark]]:
         marks += found
         for mark, following in pairwise(found):
             marks += _between(mark, following, num_images, is_visible=mark.box is not None)
-    sized = root.find(".//original_size")
-    if sized is not None:
-        return (int(sized.findtext("width", "")), int(sized.findtext("height", ""))), marks
-    first = next(root.iter("image")).attrib
+    sizes = [{side.tag: side.text or "" for side in each} for each in root.iter("original_size")]
+    first = sizes[0] if sizes else next(root.iter("image")).attrib
     return (int(first["width"]), int(first["height"])), marks
 
 
@@ -268,9 +262,6 @@ def _label_studio(tasks: list[Any], video: str, size: Size, num_images: int) -> 
 
 def _number(file_name: str) -> int:
     """Return the number of an image: the last one in the name of its file."""
-    numbers = re.findall(r"\d+", Path(file_name).stem)
-    if not numbers:
-        raise InvalidValueError(
-            f"the image '{file_name}' has no number in its name; name it frame_000000.png"
-        )
-    return int(numbers[-1])
+    if numbers := re.findall(r"\d+", Path(file_name).stem):
+        return int(numbers[-1])
+    raise InvalidValueError(f"the image '{file_name}' has no number in its name; name it frame_000000.png")

@@ -197,12 +197,10 @@ class RobotMask:
         self._model = bare_model(workcell, visuals=True)
         self._data = mujoco.MjData(self._model)
         corners = [_corners(self._model, geom) for geom in range(self._model.ngeom)]
-        self._geoms = _outermost(self._model, corners)
-        most = max(map(len, corners))
+        self._geoms, most = _outermost(self._model, corners), max(map(len, corners))
         # All geoms get the same number of corners: the last one is repeated, which does not change the hull.
-        self._corners = np.stack(
-            [np.pad(corners[geom], ((0, most - len(corners[geom])), (0, 0)), "edge") for geom in self._geoms]
-        )
+        padded = [np.pad(each, ((0, most - len(each)), (0, 0)), "edge") for each in corners]
+        self._corners = np.stack(padded)[self._geoms]
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
         """Return the pixels of the robot at joint positions, in joint order [rad].

@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from pixel2catch.camera.image import Pixels
@@ -49,20 +49,16 @@ except (ImportError, RuntimeError) as import_error:
     ) from import_error
 
 MODEL_ID = "facebook/sam2.1-hiera-tiny"  #: Public name of the smallest checkpoint.
-
-STRIDES = (4, 8, 16)
-"""Image pixels per cell of the encoder's three feature maps. Source: the model's architecture."""
-
+STRIDES = (4, 8, 16)  #: Image pixels per cell of the encoder's feature maps. Source: the architecture.
 SIZE_STEP = 32  #: The side of the model's image is a multiple of this [px]. Source: its coarsest feature map.
-
 COMPILERS = ("gcc", "clang")  #: One of them is needed. Source: PyTorch.
 
+#: Parts of the model that can be compiled.
 MODULES = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
-"""Parts of the model that can be compiled."""
 
 ATTENTION = [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
-"""Kernels for attention, in order of preference. Without cuDNN's, PyTorch's first choice on an H100, where
-the memory attention takes 0.75 ms a layer with it and 0.37 ms without (28,736 keys of 256 in bfloat16)."""
+"""Kernels for attention, in order of preference. cuDNN's, PyTorch's first choice on an H100, take twice as
+long for the memory attention."""
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of red, green, blue over ImageNet, in [0, 1]. Source: the model's training."""
@@ -72,7 +68,6 @@ WARM_UP_FRAMES = 24
 compiled on its own. Source: ours: timings are steady after 20."""
 
 OBJECT = 0  #: Index of the only object of a session.
-
 BOX_LABELS = (2, 3)  #: Labels of the two corners of a box. Source: the model's prompt encoder.
 
 
@@ -97,8 +92,8 @@ class Sam2Segmenter(Segmenter):
         Args:
             folder: The checkpoint in the format of transformers.
             device: "cpu", "cuda" or "cuda:N".
-            image_size: Side of the square that the model gets [px], a multiple of 32; None is the
-                checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
+            image_size: Side of the square that the model gets [px]; None is the checkpoint's 1024. Half of
+                it is a quarter of the work, and masks are half as fine.
             is_compiled: Whether `torch.compile` fuses the kernels, and on CUDA records them as graphs.
             dtype: Of weights and computation; None is bfloat16 on CUDA, and float32 else.
 
@@ -119,11 +114,13 @@ class Sam2Segmenter(Segmenter):
         dtype = dtype or (torch.bfloat16 if is_cuda else torch.float32)
         self._model = load_sam2(folder, self._device, dtype, image_size)
         self._has_graphs = is_compiled and is_cuda
-        if is_compiled:
-            compile_modules(self._model)
-        self._mean, self._deviation = (
-            torch.tensor(each, device=self._device).view(3, 1, 1) for each in (MEAN, DEVIATION)
-        )
+        for name in MODULES if is_compiled else ():
+            module: Any = torch.compile(getattr(self._model, name), mode="reduce-overhead")
+            # Without copies the next image would overwrite the memory of the earlier ones.
+            module.register_forward_hook(lambda module, inputs, output: _copied(output))
+            setattr(self._model, name, module)
+        norm = torch.tensor((MEAN, DEVIATION), device=self._device)[..., None, None]
+        self._mean, self._deviation = norm
         self._size: tuple[int, int] | None = None  # of the images: height and width
         self._session: Sam2VideoInferenceSession | None = None
         self._frame_idx = 0
@@ -172,10 +169,7 @@ class Sam2Segmenter(Segmenter):
         self._session.obj_with_new_inputs = [OBJECT]
 
     def seconds_an_image(self, num_images: int) -> float:
-        """Return the median time of an image [s], of so many blank ones of the policies' camera.
-
-        It discards the object and the size of the images.
-        """
+        """Return the median time [s] of blank images of the policies' camera; discard object and size."""
         image = np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
         times, prompt = [], BoxPrompt(box=(0.0, 0.0, 16.0, 16.0))
         self._size = None
@@ -217,17 +211,6 @@ class Sam2Segmenter(Segmenter):
         for kind in outputs.values():
             if self._frame_idx in kind:
                 del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
-
-
-def compile_modules(model: nn.Module) -> None:
-    """Compile the parts of a model; on CUDA they run as graphs, whose outputs are copied.
-
-    Without copies the next image would overwrite the memory of the earlier ones.
-    """
-    for name in MODULES:
-        module: Any = torch.compile(getattr(model, name), mode="reduce-overhead")
-        module.register_forward_hook(lambda module, inputs, output: _copied(output))
-        setattr(model, name, module)
 
 
 def _copied(output: Any) -> Any:
@@ -272,14 +255,8 @@ def load_sam2(
     try:
         config = Sam2VideoConfig.from_pretrained(folder, local_files_only=True)
         config = config if image_size is None else _with_image_size(config, image_size)
-        loaded: Any = Sam2VideoModel.from_pretrained(
-            folder,
-            config=config,
-            dtype=dtype,
-            local_files_only=True,
-            use_safetensors=True,
-            output_loading_info=True,
-        )
+        options: Any = {"use_safetensors": True, "output_loading_info": True, "local_files_only": True}
+        loaded: Any = Sam2VideoModel.from_pretrained(folder, config=config, dtype=dtype, **options)
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, StrictDataclassError) as error:
         raise _unusable(folder, f"{folder} cannot be read as SAM 2: {error}") from error
     model, report = loaded

@@ -29,9 +29,7 @@ LARGEST_BLUR = 1.25
 """Largest standard deviation of an edge's spread in a sharp image [px]. Source: ours; sharp images have 0.6
 to 1, and from 1.5 on a far board is not found."""
 
-LEAST_CHANGE = 15.0
-"""Smallest motion of a corner from every image that was taken to a new one [px]. Source: ours."""
-
+LEAST_CHANGE = 15.0  #: Smallest motion of a corner from each image that was taken [px]. Source: ours.
 WAIT = 0.2  #: Longest wait for an image [s]. Source: ours.
 
 
@@ -61,11 +59,6 @@ class Capture:
         self._before: tuple[Image, BoardView] | None = None
         self._still_since = -np.inf
         folder.mkdir(parents=True, exist_ok=True)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether there are enough views."""
-        return len(self.taken) >= NUM_VIEWS
 
     def look(self, image: Image) -> str:
         """Take an image if it is suitable; return what was done, or what is wrong with it."""

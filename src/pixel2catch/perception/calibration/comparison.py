@@ -17,10 +17,7 @@ from pixel2catch.scene.constants import CameraSpec, Vec3
 
 NUM_DRAWS = 100  #: Cameras that are drawn to estimate the effect of the uncertainty.
 
-LARGEST_LENS_ERROR = 1.0
-"""Displacement by the lens from which images should be rectified [px]. Source: ours, a fifth of the noise in
-training."""
-
+LARGEST_LENS_ERROR = 1.0  #: By the lens without rectified images [px]. Source: ours, 1/5 of training's noise.
 LARGEST_UNSEEN = 0.02  #: Largest share of the paths out of the image. Source: ours.
 
 
@@ -49,24 +46,24 @@ def compare(
     drawn = calibrated.sample(NUM_DRAWS, torch.Generator().manual_seed(0))
     everywhere = torch.from_numpy(points).float().expand(NUM_DRAWS, -1, -1)
     spread = drawn.pixels(everywhere)[0].numpy() - straight
-    move = np.array(policy.pos) - np.array(calibrated.camera.pos)
+    turn = (_rotation(calibrated.camera).inv() * _rotation(policy)).as_rotvec()
     return Comparison(
         mean=float(distance.mean()),
         largest=float(distance.max()),
         unseen=1.0 - float(is_seen.mean()),
         lens=float(np.linalg.norm(bent, axis=-1).max()),
         uncertainty=float(np.sqrt((spread**2).sum(-1).mean())),
-        move=_vector(move),
-        turn=_vector((_rotation(calibrated.camera).inv() * _rotation(policy)).as_rotvec()),
+        move=tuple(np.subtract(policy.pos, calibrated.camera.pos).tolist()),
+        turn=tuple(turn.tolist()),
     )
 
 
 def advice(comparison: Comparison) -> Iterator[str]:
     """Yield what to do, sentence by sentence."""
-    noise = SensingCfg().corner_noise
-    if comparison.unseen > LARGEST_UNSEEN:
+    noise, is_unseen = SensingCfg().corner_noise, comparison.unseen > LARGEST_UNSEEN
+    if is_unseen:
         yield f"{100 * comparison.unseen:.0f} % of the paths that the policy would see are out of the image."
-    if comparison.unseen > LARGEST_UNSEEN or comparison.mean > noise:
+    if is_unseen or comparison.mean > noise:
         x, y, z = (100 * metres for metres in comparison.move)
         up, right, clockwise = (degrees(angle) for angle in comparison.turn)
         yield (
@@ -107,8 +104,3 @@ def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
 
 def _rotation(camera: CameraSpec) -> Rotation:
     return Rotation.from_quat(camera.quat, scalar_first=True)
-
-
-def _vector(values: np.ndarray) -> Vec3:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -3,11 +3,8 @@
 With the palm's pose A from the robot's joints, a corner c of the board is at A Y c in the world, where Y is
 the board's pose in the hand. A camera with the pose X sees it at X⁻¹ A Y c. X and Y minimise the squared
 distances between seen and computed pixels, of all corners at once. Images with much larger errors than the
-others are left out. The world frame is that of the robot's
-kinematics, as for the policies.
-
-The first guess is in closed form (A X = Z B of robotics): with B the board's pose in the camera, A Y = X B in
-every image. It tolerates some wrong images.
+others are left out. The first guess is in closed form (A X = Z B of robotics): with B the board's pose in the
+camera, A Y = X B in every image. It tolerates some wrong images.
 
 The size of the squares and constant errors of the joints are the same in all images. They are fitted as far
 as the images determine them. What they and the lens leave uncertain is part of the stated uncertainty.
@@ -34,34 +31,22 @@ Common = Float[np.ndarray, " num_common"]
 NUM_POSES = 12  #: Parameters of the poses of camera and board.
 
 NUM_DRAWS, NUM_DRAWN = 40, 3
-"""Number of random first guesses, and number of images for each guess. Source: ours; if a third of the images
-is wrong, 8 (of 6 images) to 12 (of many) guesses use right images only."""
+"""Random first guesses, and images for each. Source: ours; if a third of the images is wrong, 8 (of 6 images)
+to 12 (of many) guesses use right images only."""
 
 LEAST_DEPTH = 1e-3  #: Nearer points, and points behind the camera, get this distance from its plane [m].
 MIN_VIEWS = 6  #: Fewest images for a pose. Source: ours; three would do without errors.
-
-OUTLIER_FACTOR = 3.0
-"""An image is left out if its error is larger than this multiple of the median. Source: ours."""
+OUTLIER_FACTOR = 3.0  #: Error from which an image is left out, in medians. Source: ours.
 
 ERRORS_USED, ERRORS_WRONG = 1.0, 5.0
 """Images with a smaller error are always used, those with a larger one never [px]. Source: ours; the corners
 of a sharp image are found within a few tenths of a pixel, and errors of 3 mrad in each joint make 1 px."""
 
 JOINT_ERROR = 1e-3  #: Standard deviation of a constant error of each joint [rad]. Source: release.
-
-SQUARE_ERROR = 0.005
-"""Standard deviation of the edge of a square as measured, relative. Source: ours, 0.3 mm of 60."""
-
-LARGEST_SQUARE_ERROR = 0.03
-"""Largest relative error of the edge of a square. Source: ours, six times that of a ruler; 3 % move the
-camera by 14 mm."""
-
+SQUARE_ERROR = 0.005  #: Relative standard deviation of a square's edge. Source: ours, 0.3 mm of 60.
+LARGEST_SQUARE_ERROR = 0.03  #: Of a square's edge, relative. Source: ours; it moves the camera by 14 mm.
 SURE = 3.0  #: Standard deviations from which an error of the square is significant. Source: ours.
-
-FOCAL_ERROR = 0.002
-"""Standard deviation of the focal length if the lens states none, relative. Source: ours; of a lens from 20
-images of a board."""
-
+FOCAL_ERROR = 0.002  #: Relative deviation of a focal length without one. Source: ours, of 20 images.
 LEAST_NOISE = 0.05  #: Smallest assumed error of corners [px]. Source: ours.
 ROBUST_SCALE = 1.0  #: Residuals far above this have less weight in the first fit [px].
 
@@ -132,9 +117,8 @@ class _Corners:
 class _Fit:
     """The poses of camera and board with the smallest errors, and the common parameters.
 
-    The columns of the Jacobian are position and turn of the camera, then of the board, then the common
-    parameters if they were fitted. For each of these a row follows those of the corners: its weighted
-    distance from 0 [px].
+    The columns of the Jacobian are position and turn of the camera, of the board, then the common parameters.
+    For each of these a row follows those of the corners: its weighted distance from 0 [px].
     """
 
     camera: Pose
@@ -178,10 +162,8 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     fit = _fit_with_common(used, poses, SQUARE_ERROR)
     errors = used.errors(fit.camera, fit.board, fit.common)
     every, names = corners.rms(fit.camera, fit.board, fit.common), [view.name for view in views]
-    x, y, z = fit.camera[:3, 3].tolist()
-    rotation = Rotation.from_matrix(fit.camera[:3, :3])
-    qw, qx, qy, qz = rotation.as_quat(canonical=True, scalar_first=True).tolist()
-    camera = replace(lens.camera, pos=(x, y, z), quat=(qw, qx, qy, qz))
+    quat = Rotation.from_matrix(fit.camera[:3, :3]).as_quat(canonical=True, scalar_first=True)
+    camera = replace(lens.camera, pos=tuple(fit.camera[:3, 3].tolist()), quat=tuple(quat.tolist()))
     covariance = tuple(map(tuple, _covariance(fit, used, lens).tolist()))
     return Calibration(
         file=replace(lens, camera=camera, pose_covariance=covariance),
@@ -207,10 +189,7 @@ def _require_enough(number: int, what: str) -> None:
 
 
 def _first_guess(corners: _Corners) -> tuple[Pose, Pose]:
-    """Poses of the camera in the world and of the board in the hand.
-
-    Of guesses from three images each, the one with the smallest median error over all images.
-    """
+    """Camera in the world, board in the hand: of guesses from three images, that with the least median."""
     boards: dict[int, Pose] = {}
     for i in range(len(corners.palms)):
         points, pixels = (each[corners.owner == i] for each in (corners.points, corners.pixels))
@@ -233,8 +212,7 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose]) -> tuple[Pose, Pose]:
     """Camera X and board Y from some images: A Y = X B, first the rotations, then the positions.
 
     The rotations are the singular vector of the smallest singular value of (1 ⊗ A) vec Y - (Bᵀ ⊗ 1) vec X,
-    which is zero for exact ones, replaced by the nearest rotations. OpenCV 5.0 has no binding of its
-    `calibrateRobotWorldHandEye`.
+    replaced by the nearest rotations. OpenCV 5.0 has no binding of its `calibrateRobotWorldHandEye`.
     """
     one = np.eye(3)
     rows = [
@@ -253,11 +231,7 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose]) -> tuple[Pose, Pose]:
 def _fit(
     corners: _Corners, camera: Pose, board: Pose, weights: Common | None = None, loss: str = "linear"
 ) -> _Fit:
-    """Minimise the errors, from approximate poses.
-
-    With weights, the common parameters are fitted, too: each is expected to be 0, with this weight [px per
-    unit].
-    """
+    """Minimise the errors, from approximate poses; with weights [px/unit] also the common parameters."""
     weights = np.zeros(0) if weights is None else weights
 
     def residuals(step: np.ndarray) -> np.ndarray:
@@ -279,13 +253,14 @@ def _fit(
 def _fit_with_common(corners: _Corners, poses: _Fit, square_error: float) -> _Fit:
     """Fit the common parameters, too, with this standard deviation of the square; infinite if unknown.
 
-    Corners of one image err together. The noise is therefore scaled up by the ratio of the scatter of the
-    poses to the scatter that independent corners would cause.
+    Corners of one image err together: the noise is scaled up by the poses' scatter over that of independent
+    corners.
     """
     spare = max(len(poses.residuals) - NUM_POSES, 1)
     noise = max(float(np.linalg.norm(poses.residuals)) / np.sqrt(spare), LEAST_NOISE)
     alone = noise**2 * np.diagonal(np.linalg.inv(poses.jacobian.T @ poses.jacobian))
-    noise *= max(np.sqrt(float(np.median(_deviations(poses, corners.owner) ** 2 / alone))), 1.0)
+    scatter = np.diagonal(_jackknife(poses, corners.owner))
+    noise *= max(np.sqrt(float(np.median(scatter / alone))), 1.0)
     stds = np.array([square_error, *(JOINT_ERROR,) * corners.palm_rates.shape[1]])
     return _fit(corners, poses.camera, poses.board, noise / stds)
 
@@ -297,7 +272,8 @@ def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
         PerceptionError: The given edge is significantly wrong.
     """
     fit = _fit_with_common(corners, poses, np.inf)
-    error, std = float(fit.common[0]), float(_deviations(fit, corners.owner)[NUM_POSES])
+    variance = _jackknife(fit, corners.owner)[NUM_POSES, NUM_POSES]
+    error, std = float(fit.common[0]), float(np.sqrt(variance))
     if abs(error) > max(LARGEST_SQUARE_ERROR, SURE * std):
         raise PerceptionError(
             f"by the arm's motion the squares are {1.0 + error:.3f} ± {std:.3f} times as large as --square "
@@ -325,17 +301,11 @@ def _covariance(fit: _Fit, corners: _Corners, lens: CameraFile) -> np.ndarray:
     return total[:6, :6]
 
 
-def _deviations(fit: _Fit, owner: np.ndarray) -> np.ndarray:
-    """Standard deviations of all parameters, by the images alone."""
-    return np.sqrt(np.diagonal(_jackknife(fit, owner)))
-
-
 def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
     """Covariance of all parameters, from the changes when each image is left out.
 
     Images are independent, corners of one image are not: they share its blur and the arm's error. Two images
-    determine the poses. For few images the covariance is enlarged, so that a normal distribution has the
-    variance of Student's t with the remaining degrees of freedom.
+    determine the poses. The covariance has the variance of Student's t with the other degrees of freedom.
     """
     numbers, num_common = np.unique(owner), len(fit.residuals) - 2 * len(owner)
     rows = np.concatenate((np.repeat(owner, 2), np.full(num_common, -1)))

@@ -24,8 +24,7 @@ from pixel2catch.ros2.bags import is_bag, opened_bag
 from pixel2catch.ros2.messages import CAMERA_INFO, MOST_PIXELS, unpacked_image
 from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
 
-MIN_CORNERS = 5
-"""Fewest corners that define the board's pose. Of five, four are such that no three of them are in a line."""
+MIN_CORNERS = 5  #: Fewest for the board's pose: of five, four have no three in a line.
 
 SQUARES = (3, 4)
 """Columns and rows of the board. Source: ours; of the boards that fit on A4 (3 x 4, 4 x 5 and 5 x 7 squares,
@@ -37,10 +36,7 @@ PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
 SQUARE_PIXELS = 480  #: Edge of a square in the picture of the board [px].
 MOST_IMAGE = 2**27  #: Largest image file [bytes]. Source: ours.
 
-
-LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
-"""Lens models of ROS that OpenCV has; an empty name is no distortion."""
-
+LENS_MODELS = ("", "plumb_bob", "rational_polynomial")  #: Of ROS, that OpenCV has; empty: no distortion.
 MIN_VIEWS = 10  #: Fewest images of the board for a lens. Source: OpenCV's tutorial.
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -100,16 +96,13 @@ def sheet() -> Figure:
     """Return the page to print: the board in its size on A4."""
     width, height = PAGE
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH), dpi=PAGE_DPI)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     board_width, board_height = (1e3 * SQUARE * number for number in SQUARES)
-    left, bottom = 0.5 * (width - board_width), 0.5 * (height - board_height)
-    extent = (left, left + board_width, bottom, bottom + board_height)
-    look = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "nearest"}
-    axes.imshow(CharucoBoard().picture(), extent=extent, **look)
-    axes.set(xlim=(0.0, width), ylim=(0.0, height))
+    place = (0.5 - 0.5 * board_width / width, 0.5 - 0.5 * board_height / height)
+    axes = figure.add_axes((*place, board_width / width, board_height / height))
+    axes.imshow(CharucoBoard().picture(), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     axes.set_axis_off()
     words = f"Print at 100 %, glue on a stiff plate, measure a square: {1e3 * SQUARE:g} mm? Else: --square."
-    axes.text(0.5 * width, 0.5 * bottom, words, ha="center", va="center", fontsize=9)
+    figure.text(0.5, 0.5 * place[1], words, ha="center", va="center", fontsize=9)
     return figure
 
 
@@ -167,8 +160,7 @@ def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
     sizes, views = set[tuple[int, int]](), list[BoardView]()
     for image in map(read_image, paths):
         sizes.add((image.shape[1], image.shape[0]))
-        if view := board.find(image):
-            views.append(view)
+        views += [view] if (view := board.find(image)) else []
     if len(views) < MIN_VIEWS:
         raise PerceptionError(
             f"{folder}: {len(views)} of {len(paths)} images show the whole board; {MIN_VIEWS} are needed. "
@@ -177,13 +169,10 @@ def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
     if len(sizes) > 1:
         raise PerceptionError(f"{folder}: images of sizes {sorted(sizes)}; keep those of one resolution.")
     size = sizes.pop()
+    points = [view.points.astype(np.float32) for view in views]
+    pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
     _, matrix, distortion, _, _, deviations, *_ = cv2.calibrateCameraExtended(
-        [view.points.astype(np.float32) for view in views],
-        [view.pixels.astype(np.float32)[:, None] for view in views],
-        size,
-        np.eye(3),
-        np.zeros(5),
-        flags=cv2.CALIB_FIX_K3,
+        points, pixels, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
     focal_std = float(deviations[0, 0] / matrix[0, 0])
     return replace(_lens(size, matrix, distortion.ravel()[:4]), focal_std=focal_std)

@@ -73,12 +73,10 @@ class BoardMotion:
                 left.append(pixels - terms @ np.linalg.lstsq(terms, pixels, rcond=None)[0])
             return np.concatenate(left).ravel()
 
-        fitted, steps, slopes = np.zeros(2), STEP * np.eye(2), np.zeros((2, 0))
-        remaining = residuals(*fitted)
+        fitted, slopes, remaining = np.zeros(2), np.zeros((2, 0)), np.zeros(0)
         for _ in range(NUM_STEPS):
-            slopes = np.stack(
-                [(residuals(*(fitted + step)) - residuals(*(fitted - step))) / (2.0 * STEP) for step in steps]
-            )
+            pairs = ((residuals(*(fitted + step)), residuals(*(fitted - step))) for step in STEP * np.eye(2))
+            slopes = np.stack([(later - earlier) / (2.0 * STEP) for later, earlier in pairs])
             remaining = residuals(*fitted)
             fitted -= np.linalg.lstsq(slopes.T, remaining, rcond=None)[0]
         # Corners of one image share their errors, so that only images count.
