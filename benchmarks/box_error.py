@@ -16,11 +16,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.mdp.sensing import detect
+from pixel2catch.perception.regions import window_of
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS, SEEN, surface_points
@@ -93,7 +93,10 @@ def compare(
     box, _ = detect(points, is_visible, least_visible=0.0)
     in_view = is_in_view(RGB_CAMERA, *project(RGB_CAMERA, points))
     mask = _masks(model, qpos, view)
-    rendered, is_rendered = box_of_mask(mask)
+    windows = [window_of(each) for each in mask.numpy()]
+    edges = [(across.start, down.start, across.stop, down.stop) for down, across in windows]
+    rendered = torch.tensor(edges, dtype=torch.float32)
+    is_rendered = mask.any(-1).any(-1)
     is_comparable = is_rendered & (is_visible & in_view).any(-1)
     return BoxErrors(
         error=torch.where(is_comparable[:, None], box - rendered / magnification, 0.0),

@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.image import Image
 from pixel2catch.evaluation.protocol import RecordedThrow
 from pixel2catch.perception.labels import Phase, Truth
+from pixel2catch.perception.regions import window_of
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robots.geometry import first_chain
@@ -93,7 +93,8 @@ class ThrowFilm:
         name = None if is_empty else self._object_name
         exposure = Exposure(moment=moment, object_name=name, thrower=self._bystanders.joint_pos)
         mask = self._camera.object_mask(exposure)
-        box, _ = box_of_mask(torch.from_numpy(mask)[None])
+        rows, columns = window_of(mask)
+        box = torch.tensor([[columns.start, rows.start, columns.stop, rows.stop]]).float()
         workcell = find_workcell(self._cfg.scene.workcell)
         joint_pos = moment.qpos[: len(workcell.joints)]
         arm = joint_pos[None, workcell.palms[0].carriers]
@@ -113,7 +114,7 @@ class ThrowFilm:
 
     def __exit__(self, *exception: object) -> None:
         """Free the drawing context."""
-        self._camera.close()
+        self._camera.__exit__(*exception)
 
 
 def moments(throw: RecordedThrow) -> list[Moment]:

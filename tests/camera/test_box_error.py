@@ -51,11 +51,6 @@ def test_occluded_boxes_are_close(errors: dict[str, BoxErrors]):
     assert len(hidden.error) >= 60
     assert hidden.worst_edge.median() <= 2.5
     assert hidden.worst_edge.quantile(0.9) <= 9.0
-
-
-def test_what_is_not_rendered_has_no_visible_point(errors: dict[str, BoxErrors]):
-    everything = BoxErrors.concatenate(list(errors.values()))
-    is_rendered = everything.num_pixels > 0
-    is_visible = everything.visible_fraction > 0
+    is_rendered, is_visible = everything.num_pixels > 0, everything.visible_fraction > 0
     assert torch.equal(is_rendered, is_rendered | (everything.visible_fraction > 0.1))
     assert (is_rendered != is_visible).float().mean() < 0.03

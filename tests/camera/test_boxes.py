@@ -3,7 +3,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, perturb_box
+from pixel2catch.camera.boxes import box_of_points, clip_box, perturb_box
 from pixel2catch.mdp.observations import pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -25,15 +25,6 @@ from pixel2catch.scene.constants import RGB_CAMERA
 def test_box_of_points(pixels, num_visible, expected):
     is_visible = torch.arange(len(pixels))[None] < num_visible
     assert box_of_points(torch.tensor([pixels]).float(), is_visible, RGB_CAMERA).tolist() == [expected]
-
-
-def test_box_of_mask_runs_along_the_outer_pixel_edges():
-    mask = torch.zeros(3, 48, 64, dtype=torch.bool)
-    mask[0, 5:9, 10] = True  # rows 5..8, column 10
-    mask[1] = True
-    box, is_seen = box_of_mask(mask)
-    assert box.tolist() == [[10.0, 5.0, 11.0, 9.0], [0.0, 0.0, 64.0, 48.0], [0.0] * 4]
-    assert is_seen.tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(

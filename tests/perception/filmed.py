@@ -13,7 +13,7 @@ from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.labels import FORMAT_VERSION, Labels
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
-from pixel2catch.rendering.video import VideoWriter
+from pixel2catch.rendering.video import write_video
 from pixel2catch.scene.constants import RGB_CAMERA
 from ros_bags import EPOCH, TYPES, Message, header
 
@@ -113,9 +113,7 @@ def box_at(step: int) -> list[str]:
 
 
 def save_video(path: Path, pictures: Iterable[Pixels], fps: int = 30) -> Path:
-    with VideoWriter(path, fps=fps, crf=12) as video:
-        for picture in pictures:
-            video.write(picture)
+    write_video(path, pictures, fps=fps, crf=12)
     return path
 
 

@@ -6,7 +6,6 @@ import pytest
 import torch
 from filmed import Disc
 
-from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.camera.image import Edges
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.tasks import HUMAN_THROWS, SIDEWAYS
@@ -149,8 +148,7 @@ def test_regions_have_the_boxes_of_training_and_are_together_the_mask():
     assert (large.area, large.width, large.height, large.center) == (40, 4, 10, (42.0, 25.0))
     assert (small.area, small.width, small.height, small.center) == (30, 6, 5, (11.0, 7.5))
     for blob in (large, small):
-        box, _ = box_of_mask(torch.from_numpy(blob.mask())[None])
-        assert box[0].tolist() == list(blob.box)
+        assert filmed.box_of(blob.mask()).tolist() == list(blob.box)
     assert not (large.mask() & small.mask()).any()
     assert np.array_equal(large.mask() | small.mask(), two_blobs())
 

@@ -14,37 +14,21 @@ def box_of_points(
 ) -> Float[Tensor, "num_envs 4"]:
     """Return the smallest box around the visible points, as far as they are on the image [px].
 
-    A point below the image moves the lower edge of the box to that of the image. It does not change the left
-    and right edges, because the object may be narrower where the image ends. The same holds for the other
-    sides. Invisible points are behind the camera or hidden. The box is (0, 0, 0, 0) without a visible point
-    on the image.
+    A point below the image moves the lower edge of the box to that of the image, but not the left and right
+    edges, because the object may be narrower there; so with other sides. Without a visible point on the image
+    the box is (0, 0, 0, 0).
     """
     u, v = pixels.unbind(-1)
     is_in_columns = is_visible & (u >= 0.0) & (u <= camera.width)
     is_in_rows = is_visible & (v >= 0.0) & (v <= camera.height)
-    xmin, xmax = _extent(u, u, is_in_rows)
-    ymin, ymax = _extent(v, v, is_in_columns)
+    xmin, xmax = _extent(u, is_in_rows)
+    ymin, ymax = _extent(v, is_in_columns)
     box = clip_box(torch.stack([xmin, ymin, xmax, ymax], dim=-1), camera)
     return torch.where((is_in_columns & is_in_rows).any(-1, keepdim=True), box, 0.0)
 
 
-def box_of_mask(
-    mask: Bool[Tensor, "num_envs height width"],
-) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Return the smallest box around the true pixels of each mask [px], and whether there are any.
-
-    It includes the outer pixels, and is (0, 0, 0, 0) for an empty mask.
-    """
-    columns, rows = mask.any(-2), mask.any(-1)
-    sizes = (columns.shape[-1], rows.shape[-1])
-    u, v = (torch.arange(size, device=mask.device, dtype=torch.get_default_dtype()) for size in sizes)
-    (xmin, xmax), (ymin, ymax) = _extent(u, u + 1.0, columns), _extent(v, v + 1.0, rows)
-    is_seen = rows.any(-1)
-    return torch.where(is_seen[:, None], torch.stack([xmin, ymin, xmax, ymax], dim=-1), 0.0), is_seen
-
-
-def _extent(lower: Tensor, upper: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor, Tensor]:
-    return torch.where(counts, lower, torch.inf).amin(-1), torch.where(counts, upper, -torch.inf).amax(-1)
+def _extent(places: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor, Tensor]:
+    return torch.where(counts, places, torch.inf).amin(-1), torch.where(counts, places, -torch.inf).amax(-1)
 
 
 def clip_box(box: Float[Tensor, "num_envs 4"], camera: CameraSpec) -> Float[Tensor, "num_envs 4"]:

@@ -20,14 +20,10 @@ from pixel2catch.scene.constants import CameraSpec
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
-LENS_SIZES = (0, 4, 5, 8)
-"""Numbers of parameters of the supported lens models: none, and OpenCV's with 4, 5 or 8."""
-
+LENS_SIZES = (0, 4, 5, 8)  #: Numbers of parameters of the lens models: none, and OpenCV's.
 LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
 LARGEST_VARIANCE = 100.0  #: Of a position [m²] and of an orientation [rad²]. Source: ours.
-
 NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose without errors.
-
 
 Covariance = Annotated[tuple[tuple[float, ...], ...], Within(-LARGEST_VARIANCE, LARGEST_VARIANCE)]
 
@@ -36,13 +32,10 @@ Covariance = Annotated[tuple[tuple[float, ...], ...], Within(-LARGEST_VARIANCE, 
 class CameraFile:
     """A calibrated camera and its uncertainty."""
 
-    #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
-    #: 0.5).
-    camera: CameraSpec
+    camera: CameraSpec  #: The camera as a pinhole; the middle of the first pixel is (0.5, 0.5).
     #: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) of OpenCV; () if rectified.
     distortion: tuple[Annotated[float, Within(-1e3, 1e3)], ...] = ()
-    #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
-    #: of the world.
+    #: Covariance (6 x 6) of position [m] and of a small turn about the centre [rad], along the world's axes.
     pose_covariance: Covariance = NO_POSE_ERROR
     focal_std: Share | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
@@ -104,9 +97,8 @@ def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
     """Refuse what is not 6 x 6, symmetric and without negative variances."""
     if len(rows) != 6 or any(len(row) != 6 for row in rows):
         raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
-    matrix = torch.tensor(rows, dtype=torch.float64)
-    if not matrix.isfinite().all() or matrix.abs().max() > LARGEST_VARIANCE:
+    matrix = np.array(rows)
+    if not np.isfinite(matrix).all():
         return  # refused by the range of the field
-    smallest = float(torch.linalg.eigvalsh(matrix)[0])
-    if not torch.allclose(matrix, matrix.T) or smallest < -1e-6 * float(matrix.trace()) - 1e-12:
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < -1e-6 * matrix.trace() - 1e-12:
         raise InvalidValueError("pose_covariance must be symmetric, without negative variances")

@@ -58,11 +58,10 @@ class Projection:
 def project(
     camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
 ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
-    """Project world points [m] into the image.
+    """Return pixels [px], not clipped to the image, and depths [m] of world points [m].
 
-    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame. Pixels [px] are
-    not clipped to the image; depths z are along the optical axis [m]. A pixel with a depth of 0 or less has
-    no meaning.
+    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame and z the depth. A
+    pixel with a depth of 0 or less has no meaning.
     """
     return nominal_projection(camera, points).pixels(points)
 

@@ -23,6 +23,7 @@ from pixel2catch.reports import Cells, circumstances, terminal_table
 from pixel2catch.scene.constants import OBJECT_RADIUS
 
 if TYPE_CHECKING:
+    from pixel2catch.camera.image import Pixels
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.sightings import Sighting
@@ -129,23 +130,25 @@ class Track:
     def _write(self, sightings: "Iterable[Sighting]", camera: "CameraSpec") -> list[dict[str, Any]]:
         """Write a picture and a row for every sighting; return the rows."""
         from pixel2catch.perception.sightings import COLUMNS, annotated
-        from pixel2catch.rendering.video import VideoWriter
+        from pixel2catch.rendering.video import write_video
 
         self.out.mkdir(parents=True, exist_ok=True)
-        said, rows = -inf, list[dict[str, Any]]()
-        with (
-            open(self.out / TABLE, "w", newline="", encoding="utf-8") as file,
-            VideoWriter(self.out / VIDEO) as video,
-        ):
+        rows = list[dict[str, Any]]()
+        with open(self.out / TABLE, "w", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, COLUMNS)
             table.writeheader()
-            for sighting in sightings:
-                rows.append(sighting.row())
-                table.writerow(rows[-1])
-                video.write(annotated(sighting, camera))
-                if time.monotonic() - said > REPORT_SECONDS:
-                    said = time.monotonic()
-                    say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
+
+            def pictures() -> "Iterator[Pixels]":
+                said = -inf
+                for sighting in sightings:
+                    rows.append(sighting.row())
+                    table.writerow(rows[-1])
+                    yield annotated(sighting, camera)
+                    if time.monotonic() - said > REPORT_SECONDS:
+                        said = time.monotonic()
+                        say(f"{sighting.time:.1f} s: {sighting.box.verdict}")
+
+            write_video(self.out / VIDEO, pictures())
         return rows
 
 

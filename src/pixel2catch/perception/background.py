@@ -125,9 +125,9 @@ class BackgroundSubtraction(Segmenter):
         """
         shape, reach = motion.moving.shape, track.reach + REACH
         places = np.clip((track.center, track.expected), 0.0, np.array(shape[::-1]) - 1.0)
-        first = np.maximum(places.min(0) - reach, 0.0).astype(int)
-        last = (places.max(0) + reach + 1.0).astype(int)
-        window = slice(first[1], last[1]), slice(first[0], last[0])
+        left, top = np.maximum(places.min(0) - reach, 0.0).astype(int).tolist()
+        right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
+        window = slice(top, bottom), slice(left, right)
         alone, whole, alike = self._resembling(motion, window)
         surely = alike & (motion.moving[window] | motion.unknown[window])
         everywhere = slice(0, shape[0]), slice(0, shape[1])

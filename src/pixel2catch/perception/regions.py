@@ -84,7 +84,7 @@ class Blob:
 
     @property
     def box(self) -> Edges:
-        """Its box, as `camera.boxes.box_of_mask` defines it [px]."""
+        """The smallest box around its pixels, outer ones included [px]."""
         (u, v), x, y = self.center, 0.5 * self.width, 0.5 * self.height
         return u - x, v - y, u + x, v + y
 

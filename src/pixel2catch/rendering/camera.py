@@ -30,15 +30,10 @@ NOISE_LENGTH = 1 << 21  #: Number of stored noise values; every image begins at 
 class CameraCfg:
     """Exposure and noise of the camera."""
 
-    #: Exposure time [s]. Source: ours, short for a room, as for filming throws; the fastest objects move
-    #: 15 px in it.
-    exposure: float = 0.008
-    #: Largest motion of object and palm between two of the pictures that are averaged over the exposure
-    #: [px]. Source: ours, less than half an object.
-    part_length: float = 4.0
+    exposure: float = 0.008  #: Exposure time [s]. Source: ours; the fastest objects move 15 px in it.
+    part_length: float = 4.0  #: Largest motion between two pictures of an exposure [px]. Source: ours.
     read_noise: float = 1.5  #: Standard deviation of the noise without light [levels]. Source: ours.
-    #: Variance of the noise per level of light [levels²]. Source: ours; in all 3 levels at mid grey.
-    shot_noise: float = 0.05
+    shot_noise: float = 0.05  #: Variance of the noise per level of light [levels²]. Source: ours.
 
 
 FAST_CAMERA = CameraCfg(part_length=8.0)  #: Fewer pictures per exposure: two for the fastest objects.
@@ -63,7 +58,7 @@ class Exposure:
 
 
 class RoomCamera(AbstractContextManager["RoomCamera"]):
-    """Takes images in a room; close it, or use it as a context manager, in the thread that made it.
+    """Takes images in a room; a context manager, in the thread that made it.
 
     Without shadows, the background is drawn once, and every image adds robot, thrower, object and table. With
     shadows, everything is drawn in every image, which is much slower without a GPU.
@@ -84,10 +79,8 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
             DeviceUnavailableError: No OpenGL back end works.
         """
         self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
-        workcell = find_workcell(scene.workcell)
-        self._chains = [
-            (palm.carriers, chain_of(workcell, palm, dtype=torch.float64)) for palm in workcell.palms
-        ]
+        cell = find_workcell(scene.workcell)
+        self._chains = [(palm.carriers, chain_of(cell, palm, dtype=torch.float64)) for palm in cell.palms]
         self._rng = np.random.default_rng(seed)
         self._noise = self._rng.standard_normal(NOISE_LENGTH, dtype=np.float32)
         self._room = build_room(scene, self._objects.names[0], seed if room is None else room)
@@ -126,13 +119,9 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         moment = self._shown(exposure)
         return self._renderer.object_mask(room_positions(self._room, moment, 0.0, exposure.thrower))
 
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Free the drawing context."""
         self._renderer.close()
-
-    def __exit__(self, *exception: object) -> None:
-        """See `close`."""
-        self.close()
 
     def _shown(self, exposure: Exposure) -> Moment:
         """Give the object the shape of the exposure's, or move it away; return the moment to draw."""

@@ -4,7 +4,7 @@ Several throws are shown at once in a grid; a strip has a few stills of one thro
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil, sqrt
@@ -30,13 +30,13 @@ from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
 
+#: Views of robot and thrower, and of the hand, which is in the middle of the picture.
 WIDE = Viewpoint(lookat=(1.12, 0.0, 1.12), distance=2.3, azimuth=52.0, elevation=-11.0)
 CLOSE = Viewpoint(distance=1.05, azimuth=44.0, elevation=-18.0)
-"""Views of robot and thrower, and of the hand, which is in the middle of the picture."""
 
+#: The same of several robots, from the thrower's side and above, so that no arm hides the hands.
 WIDE_OF_SEVERAL = Viewpoint(lookat=(1.3, 0.0, 1.05), distance=3.1, azimuth=110.0, elevation=-17.0)
 CLOSE_OF_SEVERAL = Viewpoint(distance=1.45, azimuth=136.0, elevation=-38.0)
-"""Views of several robots, from the thrower's side and above, so that no arm hides the hands."""
 
 WIDTHS = (800, 480, 400, 320)  #: Width of a throw [px] by the number of throws side by side, from one on.
 DETAIL = 1.5  #: Drawn pixels per pixel of a film, along each side.
@@ -86,14 +86,8 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
     end = max(min(last, decision + AFTER_OUTCOME, catch + LONGEST), catch)
     slow_from, slow_to = max(catch - BEFORE_CATCH, begin), min(catch + AFTER_CATCH, end)
     pace = 1.0 / (FPS * CONTROL_DT)
-    steps = np.concatenate(
-        (
-            np.arange(begin, slow_from, pace),
-            np.arange(slow_from, slow_to, pace / SLOW),
-            np.arange(slow_to, end, pace),
-            (end,),
-        )
-    )
+    spans = ((begin, slow_from, pace), (slow_from, slow_to, pace / SLOW), (slow_to, end, pace))
+    steps = np.concatenate([*(np.arange(*span) for span in spans), (end,)])
     share = np.clip((steps - catch + ZOOM_STEPS) / ZOOM_STEPS, 0.0, 1.0)
     return Storyboard(
         steps=steps,
@@ -121,12 +115,8 @@ def _positions_between(
 def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:
     """Return the control step of the catch, and the smoothed positions of the palm from then on."""
     qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
-    palms = torch.stack(
-        [
-            chain_of(workcell, palm, dtype=torch.float64).pose(qpos[:, palm.carriers])[0]
-            for palm in workcell.palms
-        ]
-    )
+    chains = [(palm.carriers, chain_of(workcell, palm, dtype=torch.float64)) for palm in workcell.palms]
+    palms = torch.stack([chain.pose(qpos[:, carriers])[0] for carriers, chain in chains])
     distances, nearest = (palms - qpos[:, OBJECT_POS]).norm(dim=-1).min(dim=0)
     reached = distances <= max(REACH, float(distances.min()))
     step = int(torch.nonzero(reached)[0])
@@ -136,7 +126,7 @@ def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[nda
 
 
 class FilmRenderer(AbstractContextManager["FilmRenderer"]):
-    """Draws throws in one room; close it, or use it as a context manager."""
+    """Draws throws in one room; a context manager."""
 
     def __init__(self, scene: SceneCfg, width: int) -> None:
         """Build the plain film room of a scene and its renderers, for pictures of this width [px].
@@ -153,17 +143,15 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         self._room.geom_sameframe[self._geoms] = 0  # as in the scene, so that objects can be exchanged
         self._room.vis.quality.numslices, self._room.vis.quality.numstacks = ROUNDNESS
         self._newest: tuple[int, Pixels] | None = None
-        with ExitStack() as stack:
-            wide = replace(self._wide, width=round(DETAIL * width), height=round(DETAIL * self._height))
-            self._outside = stack.enter_context(Renderer(self._room, wide))
-            size = (RGB_VIEW.width // INSET_PART, RGB_VIEW.height // INSET_PART)
-            inside = replace(RGB_VIEW, width=size[0], height=size[1])
-            self._inside = stack.enter_context(Renderer(self._room, inside, shadows=False))
-            self._opened = stack.pop_all()
+        wide = replace(self._wide, width=round(DETAIL * width), height=round(DETAIL * self._height))
+        width, height = RGB_VIEW.width // INSET_PART, RGB_VIEW.height // INSET_PART
+        inside = replace(RGB_VIEW, width=width, height=height)
+        self._outside, self._inside = Renderer(self._room, wide), Renderer(self._room, inside, shadows=False)
 
     def __exit__(self, *exception: object) -> None:
         """Free the drawing contexts."""
-        self._opened.close()
+        self._outside.close()
+        self._inside.close()
 
     def film(self, throw: RecordedThrow) -> Iterator[Pixels]:
         """Yield the pictures of a throw; the last one is repeated."""
@@ -206,12 +194,9 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
 
         far, near = self._wide, self._close
         x, y, z = (between(*each) for each in zip(far.lookat, board.focus[i].tolist(), strict=True))
-        return Viewpoint(
-            lookat=(x, y, z),
-            distance=between(far.distance, near.distance),
-            azimuth=between(far.azimuth, near.azimuth),
-            elevation=between(far.elevation, near.elevation),
-        )
+        names = ("distance", "azimuth", "elevation")
+        turned = {name: between(getattr(far, name), getattr(near, name)) for name in names}
+        return Viewpoint(lookat=(x, y, z), **turned)
 
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:
         """Return the object's path from its release to the catch."""
@@ -246,7 +231,7 @@ def write_throws(
 
     Raises:
         InvalidValueError: The file cannot be written; nothing was drawn.
-        DeviceUnavailableError: Nothing can be drawn on this machine; the message names what to install.
+        DeviceUnavailableError: No OpenGL back end works.
     """
     OutputFile(FORMATS).require("the film", path)
     if path.suffix.lower() == ".png":
@@ -275,11 +260,9 @@ def _grids(
 
 def _add_inset(image: Image.Image, other: Pixels) -> None:
     """Paste a picture with a frame into the lower right corner."""
-    width = round(INSET_SHARE * image.width)
-    inset = Image.fromarray(other).resize(
-        (width, width * other.shape[0] // other.shape[1]), Image.Resampling.BOX
-    )
-    gap = _gap(image)
+    width, gap = round(INSET_SHARE * image.width), _gap(image)
+    size = (width, width * other.shape[0] // other.shape[1])
+    inset = Image.fromarray(other).resize(size, Image.Resampling.BOX)
     x, y = image.width - inset.width - gap, image.height - inset.height - gap
     ImageDraw.Draw(image).rectangle((x - 2, y - 2, x + inset.width + 1, y + inset.height + 1), fill=INK)
     image.paste(inset, (x, y))

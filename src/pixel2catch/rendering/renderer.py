@@ -15,7 +15,7 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Integer
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError
@@ -24,10 +24,7 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
-DRAWN_GROUPS = (0, 1, 2, 3)
-"""Geom groups in a picture: table and floor, object, visual geoms, and collision geoms of bodies without
-visual ones."""
-
+DRAWN_GROUPS = (0, 1, 2, 3)  #: Table and floor, object, visual geoms, collision geoms of bodies without.
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
 _PROBE = """
@@ -44,10 +41,8 @@ context.free()
 class Viewpoint:
     """Point and direction of a view, and the size of its picture."""
 
-    #: Name of a camera of the model, or None for a free camera with the next four fields.
-    camera: str | None = None
-    #: Point in the middle of the picture, world frame [m].
-    lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera: str | None = None  #: A camera of the model, or None for a free one with the next four fields.
+    lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: In the middle of the picture, world frame [m].
     distance: float = 1.0  #: From the camera to that point [m].
     azimuth: float = 0.0  #: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
     elevation: float = 0.0  #: Direction of sight above the horizontal [degrees].
@@ -87,10 +82,10 @@ def _draws(backend: str) -> bool:
     environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE, backend]
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, timeout=60, check=False)
-    except subprocess.TimeoutExpired:
+        subprocess.run(command, env=environment, capture_output=True, timeout=60, check=True)
+    except subprocess.SubprocessError:
         return False
-    return done.returncode == 0
+    return True
 
 
 class Renderer(AbstractContextManager["Renderer"]):
@@ -112,14 +107,11 @@ class Renderer(AbstractContextManager["Renderer"]):
         self.model = copy.copy(model)  #: What is drawn; its geoms may be changed between two pictures.
         self.model.vis.quality.offsamples = 0
         self.model.vis.quality.shadowsize = 1024
-        self.model.vis.global_.offwidth = view.width
-        self.model.vis.global_.offheight = view.height
+        self.model.vis.global_.offwidth, self.model.vis.global_.offheight = view.width, view.height
         seen = np.unique(self.model.geom_bodyid[self.model.geom_group == VISUAL_GROUP])
         is_covered = np.isin(self.model.geom_bodyid, seen) & (self.model.geom_group == COLLISION_GROUP)
         self.model.geom_group[is_covered] = UNDRAWN_GROUP
-        self._data = mujoco.MjData(self.model)
-        self._view = view
-        self._option = mujoco.MjvOption()
+        self._data, self._view, self._option = mujoco.MjData(self.model), view, mujoco.MjvOption()
         self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
         self._renderer = mujoco.Renderer(self.model, view.height, view.width, max_geom=1000)
@@ -128,23 +120,11 @@ class Renderer(AbstractContextManager["Renderer"]):
         flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
 
-    def image(
-        self,
-        qpos: Float[np.ndarray, " nq"],
-        view: Viewpoint | None = None,
-        path: Float[np.ndarray, "num_points 3"] | None = None,
-    ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the picture of the model at these joint positions, red, green, blue, upper row first.
-
-        The view may be another one of the same size. A path [m] is drawn into the scene.
-        """
-        return self._draw(qpos, view, path)
-
     def object_mask(self, qpos: Float[np.ndarray, " nq"]) -> Bool[np.ndarray, "height width"]:
         """Return which pixels show the body `object` at these joint positions, upper row first."""
         self._renderer.enable_segmentation_rendering()
         try:
-            shown, kind = np.moveaxis(self._draw(qpos), -1, 0)
+            shown, kind = np.moveaxis(self.image(qpos), -1, 0)
         finally:
             self._renderer.disable_segmentation_rendering()
         geoms = np.flatnonzero(self.model.geom_bodyid == self.model.body("object").id)
@@ -155,12 +135,19 @@ class Renderer(AbstractContextManager["Renderer"]):
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:
-        """Close the renderer."""
+        """See `close`."""
         self.close()
 
-    def _draw(
-        self, qpos: np.ndarray, view: Viewpoint | None = None, path: np.ndarray | None = None
-    ) -> np.ndarray:
+    def image(
+        self,
+        qpos: Float[np.ndarray, " nq"],
+        view: Viewpoint | None = None,
+        path: Float[np.ndarray, "num_points 3"] | None = None,
+    ) -> Integer[np.ndarray, "height width _"]:
+        """Return the picture of the model at these joint positions, red, green, blue, upper row first.
+
+        The view may be another one of the same size. A path [m] is drawn into the scene.
+        """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)

@@ -19,9 +19,8 @@ WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the wall [lev
 NUM_POSTERS = 6
 
 FILM_FLOOR = (0.64, 0.58, 0.50), (0.62, 0.56, 0.48)  #: Both colours of the floor of a film.
+#: A point [m] and the normal of each wall of a film.
 FILM_WALLS = ((WALL_X, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.0, 0.0))
-"""A point [m] and the normal of each wall of a film."""
-
 FILM_WALL_RGBA = (0.90, 0.91, 0.92, 1.0)
 NUM_LAMPS, LAMP_SPREAD = 2, 0.016  #: Steps of a soft shadow's edge, and its width [rad].
 
@@ -35,17 +34,13 @@ HAND_DROP = 0.085  #: Height of the held object above the middle of the hand [m]
 HAND_RADIUS = 0.045
 SWAY, SWAY_PERIOD = 0.012, 2.9  #: Amplitude [rad] and period [s] of swaying about the feet. Source: ours.
 
+#: Angle of the arm's swing after a release [rad], and its time constant [s]: it begins with 4 m/s.
 FOLLOW_THROUGH, SWING_TIME = 1.0, 0.16
-"""Angle of the arm's swing after a release [rad], and its time constant [s]. Source: ours; the hand begins
-with 4 m/s, as fast as the object."""
-
-BALL_PIVOT, BALL_LENGTH, BALL_RADIUS = (3.4, -0.75, 2.3), 1.2, 0.05
-"""Pivot, length and radius of a hanging ball, as large as the objects and red [m]."""
-
+BALL_PIVOT, BALL_LENGTH, BALL_RADIUS = (3.4, -0.75, 2.3), 1.2, 0.05  #: Of a hanging red ball [m].
 BALL_SWING, BALL_PERIOD = 0.4, 2.2  #: Amplitude [rad] and period [s] of the ball.
 
+#: Joints of the bystanders, the last in `qpos`.
 BYSTANDER_JOINTS = ("thrower_x", "thrower_y", "thrower_z", "thrower_sway", "thrower_arm", "ball_swing")
-"""Their joints, which are the last in `qpos`, in this order."""
 
 ONLY_SEEN = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
 

@@ -1,13 +1,11 @@
 """Video files and animations, and the box of the policy in a picture."""
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image
@@ -23,18 +21,10 @@ FORMATS = (".mp4", ".webp", ".gif", ".png")  #: Endings of the files of a film; 
 def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:
     """Write pictures as a video or a repeating animation, by the file's ending; return their number."""
     if path.suffix.lower() == ".mp4":
-        with VideoWriter(path, fps=fps) as video:
-            return sum(1 for _ in map(video.write, pictures))
+        return write_video(path, pictures, fps=fps)
     first, *others = (Image.fromarray(picture) for picture in pictures)
-    first.save(
-        path,
-        save_all=True,
-        append_images=others,
-        duration=1000 // fps,
-        loop=0,
-        quality=WEBP_QUALITY,
-        method=WEBP_EFFORT,
-    )
+    options = {"duration": 1000 // fps, "loop": 0, "quality": WEBP_QUALITY, "method": WEBP_EFFORT}
+    first.save(path, save_all=True, append_images=others, **options)
     return 1 + len(others)
 
 
@@ -51,47 +41,27 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
         image[rows, columns] = BOX_COLOR
 
 
-class VideoWriter(AbstractContextManager["VideoWriter"]):
-    """Writes pictures of one size to an H.264 file; a context manager."""
+def write_video(
+    path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], *, fps: int = 30, crf: int = 23
+) -> int:
+    """Write pictures to an H.264 file as they come; return their number.
 
-    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
-        """Open the file; its ending names the container, such as .mp4.
+    A lower `crf` is better and gives a larger file.
 
-        Args:
-            path: The file.
-            fps: Pictures per second.
-            crf: Constant rate factor; a lower one is better and gives a larger file.
-
-        Raises:
-            InvalidValueError: The folder does not exist, or the ending names no format.
-        """
-        if not path.parent.is_dir():
-            raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
-        try:
-            self._container = av.open(str(path), "w")
-        except ValueError as error:
-            raise InvalidValueError(f"cannot write '{path}': {error}; end its name in .mp4.") from error
-        options = {"crf": str(crf)}
-        self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
-        self._stream.pix_fmt = "yuv420p"
-        self._is_sized = False
-
-    def write(self, image: UInt8[np.ndarray, "height width 3"]) -> None:
-        """Append one picture (red, green, blue).
-
-        Raises:
-            InvalidValueError: Height or width is odd, which the format cannot store.
-        """
-        height, width = image.shape[:2]
-        if height % 2 or width % 2:
-            raise InvalidValueError(f"video pictures need an even width and height, got {width} x {height}.")
-        if not self._is_sized:
-            self._stream.width, self._stream.height = width, height
-            self._is_sized = True
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-
-    def __exit__(self, *exception: object) -> None:
-        """Write the remaining data and close the file."""
-        if self._is_sized:
-            self._container.mux(self._stream.encode())
-        self._container.close()
+    Raises:
+        InvalidValueError: Height or width is odd, which the format cannot store.
+    """
+    number = 0
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("libx264", rate=Fraction(fps), options={"crf": str(crf)})
+        stream.pix_fmt = "yuv420p"
+        for number, picture in enumerate(pictures, start=1):
+            height, width = picture.shape[:2]
+            if height % 2 or width % 2:
+                raise InvalidValueError(f"a video needs an even width and height, not {width} x {height}.")
+            if number == 1:
+                stream.width, stream.height = width, height
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        if number:
+            container.mux(stream.encode())
+    return number
