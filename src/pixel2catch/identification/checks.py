@@ -14,10 +14,7 @@ MIN_SAMPLES = 50  # least number of measurements (ours, half a second at 100 Hz)
 MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
 MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that of the measurements (ours)
 
-STALL_TIME = 0.01
-"""Least excess of a stall: time that the motion of a step needs beyond the step and one more step [s].
-Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms."""
-
+STALL_TIME = 0.01  # least time of a stall beyond two steps [s] (ours; a real recording had stalls of 40 ms)
 LONG_STEP = 1.5  # least length of a long step, in medians (ours)
 STALL_ANGLE = 2e-3  # least motion in a stall, beyond noise and rounding [rad] (ours)
 NOISE_FACTOR = 4.0  # standard deviations of noise that do not count as motion (ours)
@@ -28,8 +25,7 @@ MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before
 
 LAG_RANGE = (-0.02, 0.3)
 """Plausible lag of the motion behind its command [s]. Source: ours; servoJ with a lookahead of 0.1 s lags by
-0.1 s and a few ms. A log of the controller's own target can appear late by half its step, because commands
-hold until the next one here."""
+as much. A log of the controller's own target can appear late by half its step."""
 
 MOVED_ANGLE = 0.01  # least span of the positions of a joint that moved [rad] (ours)
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
@@ -37,10 +33,7 @@ MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ou
 MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
 PEAK_QUANTILE = 0.995  # of speeds and accelerations, counts as their peak (ours; no single samples)
 
-SMOOTHING = 0.1
-"""Window of the cubic for speed and acceleration [s]. Source: ours; 0.2 mrad of noise at 500 Hz become
-0.07 rad/s², and motion up to about 5 Hz passes."""
-
+SMOOTHING = 0.1  # window of the cubic for speed and acceleration [s] (ours; motion up to 5 Hz passes)
 NEIGHBOURS = 7  # steps whose median speed is that of the middle one (ours)
 ROUNDING = 1e-9  # largest change of positions that is rounding [rad]
 REFINEMENTS = 10  # Gauss-Newton steps for the lag (ours; three are enough for sines)
@@ -84,20 +77,20 @@ def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None
 
 
 def _clocks(recording: Recording) -> Iterator[DataCheck]:
-    longest = float(np.diff(recording.t_meas).max())
-    is_long = bool(np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas))
+    sent, measured = recording.t_cmd, recording.t_meas
+    longest, is_long = float(np.diff(measured).max()), np.ptp(sent) > MAX_SPAN_RATIO * np.ptp(measured)
     meas_faults = {
-        f"; fewer than {MIN_SAMPLES} samples: record longer": len(recording.t_meas) < MIN_SAMPLES,
+        f"; fewer than {MIN_SAMPLES} samples: record longer": len(measured) < MIN_SAMPLES,
         f"; a gap of more than {MAX_GAP} s: split the recording there": longest > MAX_GAP,
     }
     cmd_faults = {"; far longer than the measurements: are both in seconds?": is_long}
-    longest_text = f", longest {1e3 * longest:.1f} ms"
-    for name, time, more, remedy, faults in (
-        ("measurement times", recording.t_meas, longest_text, "the controller's time", meas_faults),
-        ("command times", recording.t_cmd, "", "the time of sending", cmd_faults),
+    for name, time, remedy, faults in (
+        ("measurement times", measured, "the controller's time", meas_faults),
+        ("command times", sent, "the time of sending", cmd_faults),
     ):
         num_equal = int((np.diff(time) == 0).sum())
-        found = f"{len(time)} times in {np.ptp(time):.1f} s, median step {1e3 * time_step(time):.1f} ms{more}"
+        found = f"{len(time)} times in {np.ptp(time):.1f} s, median step {1e3 * time_step(time):.1f} ms"
+        found += f", longest {1e3 * longest:.1f} ms" if time is measured else ""
         wrong = f"; {num_equal} times twice: record {remedy}" if num_equal else ""
         wrong += "".join(text for text, is_there in faults.items() if is_there)
         yield _judged(name, not wrong, found, wrong)
@@ -155,10 +148,8 @@ def _clock_offset(lag: float | None) -> DataCheck:
     if lag is None:
         return DataCheck(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
+    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to times of commands"
     found = f"the motion is {1e3 * lag:.1f} ms behind its command"
-    remedy = (
-        f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the times of the commands"
-    )
     return _judged("clock offset", low <= lag <= high, found, remedy)
 
 
@@ -186,8 +177,7 @@ def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataChe
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:
     """Check that speed, acceleration and reversals of a joint show damping, armature and friction.
 
-    At the least acceleration the armature's torque is the simulated joint's dry friction (ours). Reversals
-    are between speeds of at least `MOVING_SPEED`.
+    At the least acceleration the armature's torque is the simulated joint's dry friction (ours).
     """
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
     signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
@@ -199,10 +189,8 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
         f"{MIN_REVERSALS} reversal": reversals < MIN_REVERSALS,
     }
     lacking = ", ".join(text for text, is_lacking in needs.items() if is_lacking)
-    found = (
-        f"{speed.min():.2f} to {speed.max():.2f} rad/s, {acceleration.min():.1f} to "
-        f"{acceleration.max():.1f} rad/s², {reversals} reversals"
-    )
+    found = f"{speed.min():.2f} to {speed.max():.2f} rad/s, "
+    found += f"{acceleration.min():.1f} to {acceleration.max():.1f} rad/s², {reversals} reversals"
     return _judged("excitation", not lacking, found, f"; needs {lacking}", spec.name)
 
 
@@ -255,7 +243,7 @@ def measured_lag(recording: Recording) -> float | None:
     """Return the lag of the measured motion behind its command [s]; None if nothing moved or was commanded.
 
     The peak of the cross-correlation of the speeds of all joints gives a rough lag, whatever the offset of
-    the clocks; then the lag τ is the one for which q(t) - q_cmd(t - τ) varies least.
+    the clocks; then the lag τ is the one for which q(t) - q_cmd(t - τ), without its mean, is least.
     """
     dt = time_step(recording.t_meas)
     grid_cmd = np.arange(recording.t_cmd[0], recording.t_cmd[-1] + dt, dt)
@@ -268,15 +256,11 @@ def measured_lag(recording: Recording) -> float | None:
     if correlation[peak] <= 0:
         return None
     shift = dt * correlation_lags(len(measured), len(commanded))[peak]
-    return _refined_lag(recording, grid_meas, float(grid_meas[0] - grid_cmd[0] + shift))
-
-
-def _refined_lag(recording: Recording, grid: np.ndarray, lag: float) -> float:
-    """Return the lag near a rough one with the least tracking error, apart from an offset of each joint."""
-    position = _resampled(grid, recording.t_meas, recording.q)
+    lag = float(grid_meas[0] - grid_cmd[0] + shift)
+    position = _resampled(grid_meas, recording.t_meas, recording.q)
     speed, _ = smoothed(recording.t_meas, recording.q)
     for _ in range(REFINEMENTS):
-        sent = grid - lag
+        sent = grid_meas - lag
         is_inside = (sent >= recording.t_cmd[0]) & (sent <= recording.t_cmd[-1])
         if not is_inside.any():
             break

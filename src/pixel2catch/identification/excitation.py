@@ -33,32 +33,21 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-RATE = 125.0
-"""Rate of the targets [Hz]. Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four
-times a policy's 30 Hz."""
-
+RATE = 125.0  # of the targets [Hz] (ours; every fourth cycle of a UR e-series controller)
 STILL = ("start", "pause", "end")  # parts of a trajectory without excitation
 PAUSE = 0.4  # rest in the middle after each kind of motion [s] (ours, three time constants of the arm)
 APPROACH = 1.5  # shortest time from the start pose to the middle of the excitation [s] (ours)
 MIN_MOTION = 12.0  # least time for all kinds of motion [s] (ours, half a second for each turn)
-
-MAX_SECONDS = 600.0
-"""Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
-
+MAX_SECONDS = 600.0  # longest excitation [s] (ours; a fit takes many times as long)
 MAX_TRIES = 10  # most tries to draw a trajectory (ours)
 SPEED_SHARE = 0.8  # share of the speed limit that commands use at full speed (ours; joints move each other)
-NUM_TONES = 9
-BAND = (0.25, 5.0)
+NUM_TONES, BAND = 9, (0.25, 5.0)
 """Number and lowest and highest frequency of the sines [Hz]. Source: ours. Damping over stiffness of the
 joints corresponds to 1.2 Hz (arm) and 4.8 Hz (hand); the drives' inertia shows above."""
 
 FADE = 0.4  # time in which sines fade in and out [s] (ours)
 DWELL = (0.25, 0.65)  # time between a joint's steps [s] (ours, 2 to 5 time constants of the arm)
-
-POLICY_PERIOD = 0.05
-"""Time between two targets like those of a policy [s]. Source: ours, 20 Hz: slower than the policies, so that
-the servos come nearer to the targets."""
-
+POLICY_PERIOD = 0.05  # time between two targets like a policy's [s] (ours; servos come nearer than at 30 Hz)
 SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
 NUM_TURNS = 6  # groups of joints that move in turns: one joint of the arm, and one of each finger
 Row = Float64[np.ndarray, " num_joints"]
@@ -101,18 +90,13 @@ class Envelope:
         shrunk: Mapping[str, float],
         workcell: WorkcellSpec = UR5E_ALLEGRO,
     ) -> "Envelope":
-        """Return the envelope of some joints, in joint order.
-
-        `speed` is a factor on speed, acceleration and jumps; `shrunk` are factors on everything, by joint.
-        """
+        """Return the envelope of some joints; `speed` and `shrunk`, by joint, are factors on their motion."""
         known, groups = specs_of(workcell), groups_of(workcell)
         specs = [known[name] for name in joints]
         ranges = [MOTION_RANGES[groups[name].role] for name in joints]
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
-        margin, swing, acceleration = np.array(
-            [(own.margin, own.swing, own.acceleration) for own in ranges]
-        ).T
+        margin, swing, acceleration = np.array([(e.margin, e.swing, e.acceleration) for e in ranges]).T
         lower, upper = lower + margin, upper - margin
         swing = share * np.minimum(swing, (upper - lower) / 2)
         pace = speed * share
@@ -203,11 +187,8 @@ def approach(envelope: Envelope) -> Offsets:
     """
     way = envelope.home - envelope.center
     distance = np.abs(way)
-    duration = max(
-        APPROACH,
-        float(np.max(15 / 8 * distance / envelope.speed)),
-        float(np.max(np.sqrt(10 / np.sqrt(3) * distance / envelope.acceleration))),
-    )
+    shortest = np.sqrt(10 / np.sqrt(3) * distance / envelope.acceleration)
+    duration = float(np.max((15 / 8 * distance / envelope.speed, shortest), initial=APPROACH))
     share = np.linspace(0.0, 1.0, int(np.ceil(duration * RATE)) + 1)[:, None]
     return way * (1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
 
@@ -238,15 +219,12 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 def find_excitation(
     cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
 ) -> tuple[Trajectory, Assessment]:
-    """Draw a trajectory, and shrink it until a simulated robot follows it without violations.
-
-    Return the motion of that robot, too. `report` gets a line about every try that failed.
+    """Draw a trajectory, and shrink it until a simulated robot follows it; return that robot's motion, too.
 
     Raises:
         InvalidValueError: Even small motion has violations.
     """
-    shrunk: dict[str, float] = {}
-    reasons = ""
+    shrunk, reasons = dict[str, float](), ""
     for _ in range(MAX_TRIES):
         trajectory = draw_excitation(cfg, shrunk)
         assessment = assess(trajectory, dynamics)
@@ -271,21 +249,10 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
     spans = {name: edges[i : i + 2].tolist() for i, (name, _) in enumerate(parts) if name not in STILL}
     positions = envelope.center + np.concatenate([offsets for _, offsets in parts])
-    return Trajectory(
-        workcell=cfg.workcell,
-        joints=envelope.joints,
-        times=np.arange(len(positions)) / RATE,
-        positions=positions,
-        header={
-            "robot": cfg.robot or cfg.workcell.name,
-            "seed": cfg.seed,
-            "speed": cfg.speed,
-            "shrunk": dict(shrunk),
-            "segments": spans,
-            "pixel2catch": importlib.metadata.version("pixel2catch"),
-            "numpy": np.__version__,
-        },
-    )
+    times, robot = np.arange(len(positions)) / RATE, cfg.robot or cfg.workcell.name
+    header = {"robot": robot, "seed": cfg.seed, "speed": cfg.speed, "shrunk": dict(shrunk), "segments": spans}
+    header |= {"pixel2catch": importlib.metadata.version("pixel2catch"), "numpy": np.__version__}
+    return Trajectory(workcell=cfg.workcell, joints=joints, times=times, positions=positions, header=header)
 
 
 def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str, Offsets]]:

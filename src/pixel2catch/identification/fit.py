@@ -1,10 +1,9 @@
 """Fit the joint dynamics under which the simulation moves as the robot did.
 
-Least squares on positions, in logarithms of the parameters (the latency in units of 10 ms), so that every
-parameter has a natural scale and stays positive. A broad prior about the start holds what the recordings do
-not determine. Not `mujoco.sysid`: it compiles a model for every column of the Jacobian and applies commands
-open-loop, without the servos' torque limit and friction. Not `scipy.optimize.least_squares`: a Jacobian takes
-many simulations, so it is used for several steps, and directions of different joints share one simulation.
+Least squares on positions, in logarithms of the parameters (the latency in units of 10 ms). A broad prior
+about the start holds what the recordings do not determine. Not `mujoco.sysid`: it applies commands open-loop,
+without the servos' torque limit and friction. Not `scipy.optimize.least_squares`: a Jacobian takes many
+simulations, so it is used for several steps, and directions of different joints share one simulation.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,14 +24,11 @@ from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import FIT_DT, Encoders, RecordedMotion
 from pixel2catch.robots.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 
-SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency")
-"""Parameters that are fitted where commands reach the servo unfiltered."""
-
-FILTER_PARAMETERS = ("filter_gain", "filter_lookahead", "latency")
-"""Parameters that are fitted of the command path in front of a known servo."""
-
 SCALE = ("stiffness", "damping", "frictionloss", "armature")
 """Parameters that are torques over motion: positions alone leave their common scale open."""
+
+SERVO_PARAMETERS = (*SCALE, "latency")  # fitted where commands reach the servo unfiltered
+FILTER_PARAMETERS = ("filter_gain", "filter_lookahead", "latency")  # fitted in front of a known servo
 
 LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
 """Fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
@@ -53,21 +49,13 @@ MAX_STEPS = 3  # most steps with one Jacobian (ours; each is about a fifth of th
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; their steps are tried at once, the best is taken (ours)
 
 
-LINEAR = {
-    "latency": (LATENCY_UNIT, 0.0, 0.2),
-    "play": (1e-3, 0.0, 0.05),
-    "drift": (2e-4, -5e-3, 5e-3),
-}
+LINEAR = {"latency": (LATENCY_UNIT, 0.0, 0.2), "play": (1e-3, 0.0, 0.05), "drift": (2e-4, -5e-3, 5e-3)}
 """Parameters that are fitted without a logarithm: the unit that counts as a factor e of others, least and
 largest value. Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by
 at most 1e-4, clocks that are just being set by 5e-4."""
 
 CLOCKS = ("latency", "drift")  # the joints of a group share them: their messages come together
-
-DIFFERENCE = 1e-2
-"""Step of the finite differences, in the coordinates of the fit. Source: ours; much less than a 95 % interval
-of what is worth fitting, and more than the kinks that a torque limit makes."""
-
+DIFFERENCE = 1e-2  # step of the finite differences (ours; above the kinks of a torque limit)
 LEAST_RESIDUAL = 1e-6  # least size of residuals in weights [rad] (ours, far below the noise of encoders)
 Point = Float[np.ndarray, "num_joints num_columns"]
 Residuals = Float[np.ndarray, "num_settled num_joints"]
@@ -148,12 +136,9 @@ class Directions:
         """Return the directions by number, in batches of which none affects a joint twice."""
         batches: list[list[int]] = []
         for number, joints in enumerate(self.affected):
-            fitting = (batch for batch in batches if not (self.affected[batch] & joints).any())
-            batch = next(fitting, None)
-            if batch is None:
-                batches.append([number])
-            else:
-                batch.append(number)
+            fitting = [batch for batch in batches if not (self.affected[batch] & joints).any()]
+            batches += [] if fitting else [[]]
+            next(iter(fitting), batches[-1]).append(number)
         return batches
 
 
@@ -237,10 +222,9 @@ class _Problem:
     def directions(self, names: Sequence[str], is_coupled: bool) -> Directions:
         """Return the directions in which some of the parameters can move.
 
-        The joints of a group share the change of latency; every other parameter is a joint's own. All torques
-        over motion move with the stiffness: their common scale shows weakly, and differences of large
-        derivatives would not determine it. Coupled directions also affect the joints that the motion of a
-        joint moves.
+        The joints of a group share the change of latency. All torques over motion move with the stiffness:
+        differences of large derivatives would not determine their common scale. Coupled directions also
+        affect the joints that the motion of a joint moves.
         """
         groups, coupled = self._motion.groups, self._motion.coupled
         together = groups == np.array(list(dict.fromkeys(groups)))[:, None]
