@@ -66,10 +66,9 @@ def test_drawn_box_by_hand():
     assert drawn.sum() == image.any(axis=-1).sum()
 
 
-@pytest.mark.parametrize("name", ["absent/film.mp4", "film.mov"])
-def test_a_file_that_cannot_be_written(name: str, throws: list[RecordedThrow], tmp_path: Path):
-    with pytest.raises(InvalidValueError, match=name):
-        write_throws(tmp_path / name, throws, SceneCfg())
+def test_a_file_that_cannot_be_written(throws: list[RecordedThrow], tmp_path: Path):
+    with pytest.raises(InvalidValueError, match=r"film\.mov"):
+        write_throws(tmp_path / "film.mov", throws, SceneCfg())
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".webp", ".gif"])

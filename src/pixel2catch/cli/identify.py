@@ -116,9 +116,9 @@ class Identify:
 
 def print_checks(name: str, checks: "Sequence[DataCheck]") -> None:
     """Print the data checks of a recording as a table."""
-    from pixel2catch.identification.report import check_rows, check_title
+    from pixel2catch.identification.report import check_table
 
-    results_console().print(terminal_table(check_title(name, checks), check_rows(checks)))
+    results_console().print(terminal_table(*check_table(name, checks)))
 
 
 def _print_result(result: "Identification") -> None:

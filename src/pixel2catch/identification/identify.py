@@ -20,10 +20,7 @@ from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, Joi
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-STIFF_FACTOR = 10.0
-"""Stiffness of the servo behind a command filter over the nominal one. Source: ours; the controller's
-feed-forward makes that servo look stiffer than positions can show."""
-
+STIFF_FACTOR = 10.0  # stiffness of the servo behind a command filter over the nominal one (ours)
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
 LAG = "damping / stiffness"  # name of the ratio that decides how far a joint lags behind its command
 
@@ -82,11 +79,6 @@ class CheckedRecording:
         """Return the compared measurements [rad]."""
         return self.recording.q[-len(self.after) :]
 
-    @property
-    def command(self) -> Positions:
-        """Return the commands at the times of the compared measurements [rad]."""
-        return self.recording.held(self.time)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
@@ -108,7 +100,8 @@ def start_of_fit(
 ) -> FitStart:
     """Return the start of a fit of a part, from a dynamics file if there is one.
 
-    Without a file, the servo behind a filter that is to be fitted is stiff.
+    Without a file, the servo behind a filter that is to be fitted is stiff, as that of a controller with
+    feed-forward.
     """
     joints, groups = joints_of(workcell, part), groups_of(workcell)
     if fits_filter and any(groups[joint].role != "arm" for joint in joints):
@@ -121,17 +114,13 @@ def start_of_fit(
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
-        servo = before if file else stiff(before)
+        stiffness = STIFF_FACTOR * before.stiffness
+        stiff = before.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
+        servo = before if file else stiff
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
     return FitStart(workcell=workcell, robot=part, file=file, before=before, first=first)
-
-
-def stiff(nominal: JointDynamics) -> JointDynamics:
-    """Return the stiff servos of a controller with feed-forward."""
-    stiffness = STIFF_FACTOR * nominal.stiffness
-    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 
 
 def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:
@@ -140,22 +129,17 @@ def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
+    is_last = [0 < number == len(recordings) - 1 for number in range(len(recordings))]
     return [
-        CheckedRecording(
-            recording=recording,
-            checks=tuple(check_recording(recording)),
-            is_held_out=0 < number == len(recordings) - 1,
-        )
-        for number, recording in enumerate(recordings)
+        CheckedRecording(recording=each, checks=tuple(check_recording(each)), is_held_out=last)
+        for each, last in zip(recordings, is_last, strict=True)
     ]
 
 
 def identify(
     sources: Sequence[CheckedRecording], start: FitStart, cfg: FitCfg, report: Callable[[str], None]
 ) -> Identification:
-    """Fit the recordings that are not held out, and simulate all of them before and after.
-
-    Only the last one may be held out.
+    """Fit all recordings but a last one that is held out, and simulate all of them before and after.
 
     Raises:
         RecordingError: A recording fails a check that forbids a fit, or is too short.
@@ -211,14 +195,14 @@ def worse_than_command(motions: Sequence[CheckedRecording]) -> list[str]:
 def tracking_errors(motions: Sequence[CheckedRecording]) -> dict[str, PerJoint]:
     """Return the root mean square of predicted minus measured positions of all motions, per joint [rad].
 
-    The prediction is the `command`, or the simulation `before` or `after` the fit, this one with the play and
-    the drift that were fitted.
+    The prediction is the `command`, or the simulation `before` or `after` the fit with its play and drift.
     """
-    errors = {
-        name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
-        for name in ("command", "before", "after")
+    paths = {"command": [motion.recording.held(motion.time) for motion in motions]}
+    paths |= {name: [getattr(motion, name) for motion in motions] for name in ("before", "after")}
+    measured = np.concatenate([motion.measured for motion in motions])
+    return {
+        name: np.sqrt(np.mean((np.concatenate(each) - measured) ** 2, axis=0)) for name, each in paths.items()
     }
-    return {name: np.sqrt(np.mean(error**2, axis=0)) for name, error in errors.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,8 +244,7 @@ def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLE
 
     They are within the paper's ranges and never a single point. Gains that were not fitted keep their ranges
     `before`. Where the ratio of damping and stiffness is better known than the damping, both are drawn with a
-    common factor: a fit leaves their scale open unless a torque limit or a known inertia fixes it, and a
-    damping fitted at an assumed stiffness is right for that stiffness only.
+    common factor, because a fit leaves their scale open unless a torque limit or a known inertia fixes it.
     """
     unknown = np.full(len(fit.dynamics.joints), np.inf)
     widths = {name: found.half_width for name, found in estimates(fit).items()}
@@ -297,11 +280,10 @@ def open_questions(fit: Fit) -> list[str]:
     known, questions = estimates(fit), []
     for name in fit.free:
         widths = known[name].half_width
-        joints = [short(fit.dynamics.joints[j]) for j in np.flatnonzero(widths > WELL_KNOWN)]
-        if joints:
-            worst = float(widths.max())
-            factor = f"a factor of {np.exp(min(worst, 9.0)):.3g}"
-            width = f"{1e3 * LATENCY_UNIT * worst:.1f} ms" if name == "latency" else factor
+        worst = float(widths.max())
+        width = f"a factor of {np.exp(min(worst, 9.0)):.3g}"
+        width = f"{1e3 * LATENCY_UNIT * worst:.1f} ms" if name == "latency" else width
+        if joints := [short(fit.dynamics.joints[j]) for j in np.flatnonzero(widths > WELL_KNOWN)]:
             questions.append(
                 f"{name} of {', '.join(joints)} is known only to {width}: leave it out of --free, or "
                 f"{REMEDIES[name][1]}."

@@ -94,8 +94,8 @@ def read_rosbag(
 ) -> Recording:
     """Read the motion of those of some joints that a rosbag2 (MCAP or SQLite, its folder or file) measured.
 
-    A topic's times are its header stamps, or the bag's receive times if a header has none. They are counted
-    from the earliest. Several topics of commands become one stream, with a row whenever one of them changes.
+    A topic's times are its header stamps, or the bag's receive times if a header has none, counted from the
+    earliest. Several topics of commands become one stream, with a row whenever one of them changes.
 
     Raises:
         RecordingError: It is not a bag, a topic or command is missing, or a message has impossible motion.
@@ -114,16 +114,10 @@ def read_rosbag(
             require_joints(f"{path}, topic {names.measured_topic}", joints, measured.recorded)
         bag = replace(bag, joints=measured.joints)
         command_ns, q_cmd = _merged(bag, topics)
-    start = min(command_ns[0], measured.times[0])
-    return Recording(
-        name=str(path),
-        workcell=workcell,
-        joints=bag.joints,
-        t_cmd=(command_ns - start) / 1e9,
-        q_cmd=q_cmd,
-        t_meas=(measured.times - start) / 1e9,
-        q=measured.positions,
-    )
+    start, q = min(command_ns[0], measured.times[0]), measured.positions
+    t_cmd, t_meas = (command_ns - start) / 1e9, (measured.times - start) / 1e9
+    robot = {"name": str(path), "workcell": workcell, "joints": bag.joints}
+    return Recording(**robot, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
 
 
 def _only_command_topic(bag: _Bag) -> str:

@@ -20,14 +20,11 @@ LIMIT_DEVIATION = 0.15
 common scale of a joint's torques; viscous friction that the limit does not hold back was 8 % of it
 (`benchmarks/identify_independent_truth.py`)."""
 
-FRICTION_DEVIATION = 0.1
-"""Deviation of dry friction, as a share. Source: ours; friction at rest is 10 to 30 % above that in motion,
-and a fit finds a value in between."""
+FRICTION_DEVIATION = 0.1  # of dry friction, as a share (ours; at rest it is 10 to 30 % above that in motion)
 
 LAG_DEVIATION = 0.003
-"""Deviation of damping over stiffness, as a share. Source: ours: root mean square error of single joints of
-another robot beyond what changes from motion to motion (seeds 30, 31 and 40 of
-`benchmarks/identify_independent_truth.py`)."""
+"""Deviation of damping over stiffness, as a share. Source: ours: error of single joints of another robot
+(seeds 30, 31 and 40 of the same)."""
 
 LATENCY_DEVIATION = 4e-4
 """Deviation of the latency [s], of its change in a recording, and of inertia over damping. Source: ours, of

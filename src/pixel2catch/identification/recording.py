@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,8 @@ from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1  #: Version of the trajectory files.
-
-REST = 1.0
-"""Least time at rest at the beginning and at the end of a trajectory [s]. Source: ours; the first half second
-of a recording is not compared, and a servo settles in about as long."""
-
+ARRAYS = ("joints", "t_cmd", "q_cmd", "t_meas", "q")  # of the file of a recording
+REST = 1.0  # least rest at each end of a trajectory [s] (ours; half of it is not compared, as servos settle)
 TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
 
@@ -64,9 +61,7 @@ def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:
 
 
 def joints_of(workcell: WorkcellSpec, part: str | None) -> tuple[str, ...]:
-    """Return the joints of one of the `parts`, all joints by default.
-
-    The end of a name after an underscore may be left out if this fits one part only.
+    """Return the joints of one of the `parts`, all by default; an end after `_` may be left out if unique.
 
     Raises:
         UnknownNameError: There is no such part.
@@ -92,8 +87,7 @@ def groups_of(workcell: WorkcellSpec) -> dict[str, JointGroup]:
 def largest_step(joint: JointSpec) -> float:
     """Return the largest change of a target [rad] that keeps a joint at rest below its speed limit.
 
-    A servo whose damping dominates moves at stiffness / damping times the distance of its target, see
-    `envs/actuators.py`.
+    A servo whose damping dominates moves at stiffness / damping times the distance of its target.
     """
     return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 
@@ -139,15 +133,12 @@ class Recording:
         """Return the motion of some joints in the given order."""
         require_joints(self.name, joints, self.joints)
         columns = [self.joints.index(joint) for joint in joints]
-        arrays = {
-            name: values if name.startswith("t_") else values[:, columns]
-            for name, values in self._arrays().items()
-        }
-        return Recording(name=self.name, joints=joints, workcell=self.workcell, **arrays)
+        return replace(self, joints=joints, q_cmd=self.q_cmd[:, columns], q=self.q[:, columns])
 
     def save(self, path: Path) -> None:
         """Write an npz file of the arrays, by the names of the fields; raise if the file exists."""
-        write_arrays(path, joints=np.array(self.joints), **self._arrays())
+        arrays = {name: getattr(self, name) for name in ARRAYS[1:]}
+        write_arrays(path, joints=np.array(self.joints), **arrays)
 
     @staticmethod
     def load(
@@ -158,12 +149,10 @@ class Recording:
         Raises:
             RecordingError: The file is not a recording, or has impossible motion.
         """
-        required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
         with reading("recording", path, "Record or convert it again.", RecordingError):
-            arrays = read_arrays(path, required)
-            missing = [name for name in required if name not in arrays]
-            if missing:
-                raise RecordingError(f"no array {', '.join(missing)}; a recording has {', '.join(required)}")
+            arrays = read_arrays(path, ARRAYS)
+            if missing := [name for name in ARRAYS if name not in arrays]:
+                raise RecordingError(f"no array {', '.join(missing)}; a recording has {', '.join(ARRAYS)}")
             joints = tuple((names or {}).get(name, name) for name in _texts(arrays.pop("joints")))
             arrays = {name: _numbers(values) for name, values in arrays.items()}
         known = specs_of(workcell)
@@ -174,9 +163,6 @@ class Recording:
                 f"{', '.join(known)}. Rename these joints in the file, or leave them out."
             )
         return Recording(name=str(path), workcell=workcell, joints=joints, **arrays)
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        return {field.name: getattr(self, field.name) for field in fields(self)[3:]}
 
 
 def _texts(array: np.ndarray) -> tuple[str, ...]:

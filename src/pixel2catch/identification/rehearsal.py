@@ -26,9 +26,7 @@ STALL = 0.05  # share of a loop's turns that stall. Source: the same.
 PERIOD = 0.008  # turn of a loop [s] (ours, a UR e-series controller's fourth cycle)
 NOISE = 2e-4  # standard deviation of a measured position [rad]. Source: a UR's encoders.
 
-LIMIT_TOLERANCE = 0.005
-"""Tolerated excess of a position limit [rad]. Source: ours; in the start pose two joints are at their limits,
-and the motion of others moves them a little."""
+LIMIT_TOLERANCE = 0.005  # excess of a position limit [rad] (ours; in the start pose two joints are at theirs)
 
 
 def turns_of_a_loop(
@@ -52,17 +50,13 @@ def simulated_recordings(
     blanks = []
     for trajectory in trajectories:
         t_cmd = np.append(turns_of_a_loop(rng, trajectory.duration, PERIOD, stall), trajectory.duration)
-        start = rng.uniform(0.0, period)
-        t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
-        blank = Recording(
-            workcell=trajectory.workcell,
-            joints=trajectory.joints,
-            t_cmd=t_cmd,
-            q_cmd=trajectory.at(t_cmd),
-            t_meas=t_meas,
-            q=np.repeat(trajectory.positions[:1], len(t_meas), axis=0),
+        start, robot = (
+            rng.uniform(0.0, period),
+            {"workcell": trajectory.workcell, "joints": trajectory.joints},
         )
-        blanks.append(blank)
+        t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
+        q = np.repeat(trajectory.positions[:1], len(t_meas), axis=0)
+        blanks.append(Recording(**robot, t_cmd=t_cmd, q_cmd=trajectory.at(t_cmd), t_meas=t_meas, q=q))
     motion = RecordedMotion(blanks)
     (simulated,) = motion.simulate([truth])
     recordings = []
@@ -103,10 +97,7 @@ def clearances(
     positions: Float64[np.ndarray, "num_times num_joints"],
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> tuple[Clearance, ...]:
-    """Return the smallest distances in a motion, one for each of `RULES`.
-
-    The joints are at some positions [rad] at some times [s]; others hold the start pose.
-    """
+    """Return the smallest distances in a motion, one for each of `RULES`; other joints hold their start."""
     distances, least = Distances(workcell), list(RULES)
     joint_pos = np.array([joint.home for joint in workcell.joints])
     columns = [workcell.joint_names.index(name) for name in joints]
@@ -140,11 +131,7 @@ class Assessment:
 
 
 def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
-    """Simulate a trajectory and check its limits and distances.
-
-    The motion is simulated as in a fit, without contacts; then the distances of every step are measured in
-    the whole scene. Without violations there would be no contacts.
-    """
+    """Simulate a trajectory as in a fit, without contacts, and check limits and distances of every step."""
     (recording,) = simulated_recordings([trajectory], dynamics, np.random.default_rng(0), is_perfect=True)
     near = clearances(recording.joints, recording.t_meas, recording.q, recording.workcell)
     return Assessment(

@@ -40,8 +40,7 @@ COLORS = {"command": "#9A9A9A", "before": "#E69F00", "measured": "#000000", "aft
 LINES: dict[Any, Any] = {"font.size": 8, "axes.grid": True, "grid.color": "#E9E9E9", "lines.linewidth": 1.0}
 
 NOTHING_HELD_OUT = (
-    "Nothing was held out: the errors are those of fitted motion, and do not show how well other motion is "
-    "simulated. Record at least two motions."
+    "Nothing was held out: the errors are of fitted motion, not of other motion. Record at least two motions."
 )
 TRACKING = (
     "Root mean square of predicted minus measured positions [mrad]. 'command' is the error if the joint were "
@@ -53,26 +52,20 @@ COMMAND_IS_BETTER = (
     "sent. If that motion was held out, the dynamics file is marked, and commands that read it warn."
 )
 
-Content = dict[str, Any]
 
-
-def check_title(name: str, checks: Sequence[DataCheck]) -> str:
-    """Return the title of the table of a recording's checks."""
-    return f"{name}: {sum(check.is_good is False for check in checks)} of {len(checks)} checks failed"
-
-
-def check_rows(checks: Sequence[DataCheck]) -> list[Cells]:
-    """Return a table of checks; joints with the same verdict of a check share a row unless it failed."""
+def check_table(name: str, checks: Sequence[DataCheck]) -> tuple[str, list[Cells]]:
+    """Return title and rows of the checks of a recording; joints with equal verdicts share a row."""
+    title = f"{name}: {sum(check.is_good is False for check in checks)} of {len(checks)} checks failed"
     groups: dict[tuple[str, str, str | None], list[DataCheck]] = {}
     for check in checks:
         alone = check.joint if check.is_good is False else None
         groups.setdefault((check.name, check.verdict, alone), []).append(check)
     rows = []
-    for (title, verdict, _), group in groups.items():
+    for (what, verdict, _), group in groups.items():
         joint = group[0].joint or "" if len(group) == 1 else f"{len(group)} joints"
         detail = group[0].detail if len({check.detail for check in group}) == 1 else ""
-        rows.append({"check": title, "joint": joint, "verdict": verdict, "found": detail})
-    return rows
+        rows.append({"check": what, "joint": joint, "verdict": verdict, "found": detail})
+    return title, rows
 
 
 def error_rows(result: Identification) -> list[Cells]:
@@ -80,7 +73,7 @@ def error_rows(result: Identification) -> list[Cells]:
     columns = {}
     for group, motions in _groups(result).items():
         for name, errors in tracking_errors(motions).items() if motions else ():
-            columns[f"{group}: {name}"] = [*errors, np.sqrt(np.mean(errors**2))]
+            columns[f"{group.replace('_', ' ')}: {name}"] = [*errors, np.sqrt(np.mean(errors**2))]
     joints = [*map(short, result.fit.dynamics.joints), "all joints"]
     return [
         {"joint": joint, **{name: f"{1e3 * values[j]:.2f}" for name, values in columns.items()}}
@@ -107,7 +100,7 @@ def parameter_rows(result: Identification) -> list[Cells]:
 
 
 def _groups(result: Identification) -> dict[str, tuple[CheckedRecording, ...]]:
-    return {"held out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
+    return {"held_out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
 
 
 def _number(name: str, value: float) -> str:
@@ -183,6 +176,7 @@ def report_sections(result: Identification, circumstances: Mapping[str, Any]) ->
     shown = (result.of(is_held_out=True) or result.motions)[-1]
     pictures = {f"{joint}.png": joint_picture(shown, j) for j, joint in enumerate(shown.recording.joints)}
     questions = open_questions(result.fit) or ["Every direction is identified."]
+    tables = (check_table(each.recording.name, each.checks) for each in result.motions)
     return [
         Section(title="What was run", text=_listing(run)),
         Section(title="Warnings", text=_listing(warnings(result) or ["none"])),
@@ -190,10 +184,7 @@ def report_sections(result: Identification, circumstances: Mapping[str, Any]) ->
         Section(title="Parameters with 95 % intervals", rows=parameter_rows(result)),
         Section(title="What is not identified", text=_listing(questions)),
         Section(title=f"Motion: {shown.recording.name} ({roles[shown.is_held_out]})", pictures=pictures),
-        *(
-            Section(title=check_title(each.recording.name, each.checks), rows=check_rows(each.checks))
-            for each in result.motions
-        ),
+        *(Section(title=title, rows=rows) for title, rows in tables),
     ]
 
 
@@ -201,13 +192,18 @@ def _listing(texts: Sequence[str]) -> str:
     return "\n".join(f"- {text}" for text in texts)
 
 
-def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
+def numbers(result: Identification, circumstances: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results as numbers in SI units, by joint."""
-    fit, joints = result.fit, result.fit.dynamics.joints
-    errors = {
-        group.replace(" ", "_"): tracking_errors(motions) if motions else {}
-        for group, motions in _groups(result).items()
-    }
+    fit, joints, known = result.fit, result.fit.dynamics.joints, estimates(result.fit)
+    errors = {group: tracking_errors(own) if own else {} for group, own in _groups(result).items()}
+    parameters: dict[str, dict[str, Any]] = {joint: {} for joint in joints}
+    for name in PARAMETERS:
+        columns = {"value": getattr(fit.dynamics, name), "before": getattr(result.start.before, name)}
+        columns |= {"interval": known[name].interval} if name in known else {}
+        for j, joint in enumerate(joints):
+            row = {key: values[j] for key, values in columns.items()}
+            row = {key: each.tolist() if np.all(np.isfinite(each)) else None for key, each in row.items()}
+            parameters[joint][name] = row
     return {
         "robot": result.start.robot,
         "free": list(fit.free),
@@ -215,27 +211,15 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
             group: {name: dict(zip(joints, values.tolist(), strict=True)) for name, values in found.items()}
             for group, found in errors.items()
         },
-        "parameters": {joint: _parameters(result, j) for j, joint in enumerate(joints)},
+        "parameters": parameters,
         "not_identified": open_questions(fit),
         "warnings": warnings(result),
         "worse_than_command": list(result.file.worse_than_command),
         "recordings": [
-            {"name": motion.recording.name, "is_held_out": motion.is_held_out} for motion in result.motions
+            {"name": each.recording.name, "is_held_out": each.is_held_out} for each in result.motions
         ],
         "circumstances": dict(circumstances),
     }
-
-
-def _parameters(result: Identification, j: int) -> Content:
-    """Return every parameter of a joint, its value before, and its 95 % interval if it was fitted."""
-    found, known = dict[str, Content](), estimates(result.fit)
-    for name in PARAMETERS:
-        value, before = (float(getattr(each, name)[j]) for each in (result.fit.dynamics, result.start.before))
-        content: Content = {"value": value, "before": before}
-        if name in known:
-            content["interval"] = known[name].interval[j].tolist()
-        found[name] = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
-    return found
 
 
 def joint_picture(motion: CheckedRecording, column: int) -> bytes:

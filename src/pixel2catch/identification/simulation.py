@@ -29,16 +29,11 @@ from pixel2catch.robots.joint_dynamics import (
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
 
 FIT_DT = 1.0 / 480.0
-"""Physics time step of a fit [s]. Source: ours; in excitation up to the torque limits, positions of the arm
-are within 0.03 mrad of those at 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone
-they would be off by up to 1.8."""
+"""Physics time step of a fit [s]. Source: ours; at the torque limits, positions of the arm are within
+0.03 mrad of those at 6 kHz, of the hand within 0.08."""
 
 START_WINDOW = 0.1  # measurements whose parabola gives the start of a motion [s] (ours)
-
-SETTLING = 0.5
-"""Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
-stiffness of the slowest joint."""
-
+SETTLING = 0.5  # time in which errors of the start fade [s] (ours, 3.6 damping / stiffness)
 MAX_COPIES = 96  # most copies simulated at once, limits the memory
 THREADED_COPIES = 24  # least copies for which several threads are faster than one (ours)
 
@@ -126,8 +121,8 @@ def step_commands(
     """Return what arrives in every time step: a command, and from some moment on the next one.
 
     They are the mean [rad], which depends smoothly on the latency, first and last command minus the mean
-    [rad], and the share of the step in which the first holds. A servo at its torque limit does not follow
-    the mean, so the moment matters. Where the commands of a step are not such a pair, only the mean counts.
+    [rad], and the share of the step in which the first holds, which matters at a torque limit. Where the
+    commands of a step are not such a pair, only the mean counts.
     """
     end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
     start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
@@ -149,9 +144,8 @@ def step_commands(
 class RecordedServos:
     """Servos of all copies: those of `envs/actuators.py` in the limit of short time steps.
 
-    MuJoCo's implicit damping acts on the speed at the end of a step, as if the armature were larger by
-    damping · dt / 2, which for the arm is as much as the armature itself. So half of it is implicit here,
-    which is the trapezoidal rule, and a servo that stays at its torque limit is a torque alone.
+    MuJoCo's implicit damping acts as if the armature were larger by damping · dt / 2. So half of it is
+    implicit here, the trapezoidal rule, and a servo that stays at its torque limit is a torque alone.
     """
 
     def __init__(

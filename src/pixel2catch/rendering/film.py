@@ -234,6 +234,7 @@ def write_throws(
         DeviceUnavailableError: No OpenGL back end works.
     """
     OutputFile(FORMATS).require("the film", path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".png":
         with FilmRenderer(scene, WIDTHS[-1]) as renderer:
             strips = [renderer.strip(throw) for throw in throws]
