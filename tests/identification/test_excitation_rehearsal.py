@@ -8,7 +8,7 @@ from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.cli.main import main
 from pixel2catch.identification.recording import Recording, Trajectory
-from pixel2catch.identification.rehearsal import assess, clearances, simulated_recordings
+from pixel2catch.identification.rehearsal import assess, clearances
 from pixel2catch.identification.simulation import FIT_DT
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -89,17 +89,6 @@ def test_the_time_at_the_torque_limit_is_that_of_jumps():
     jump = assess(moved("elbow_joint", np.full(125, 0.3)), nominal)
     assert slow.at_torque_limit == {}
     assert 0.0 < jump.at_torque_limit["elbow_joint"] < 0.2
-
-
-def test_both_loops_stall_each_in_its_own_time():
-    bump = moved("elbow_joint", there_and_back(0.2, 1.0))
-    nominal = JointDynamics.nominal(bump.joints)
-    (recording,) = simulated_recordings([bump], nominal, np.random.default_rng(0))
-    assert sorted(set(np.round(np.diff(recording.t_meas), 6))) == [0.008, 0.04]
-    sent, read = (time[:-1][np.diff(time) > 0.03] for time in (recording.t_cmd, recording.t_meas))
-    assert min(len(sent), len(read)) > 3
-    assert not np.isin(np.round(sent, 2), np.round(read, 2)).all()
-    np.testing.assert_array_equal(recording.q_cmd, bump.at(recording.t_cmd))
 
 
 def run(*args: object) -> int:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from identify_independent_truth import judged, recorded
-from independent_robot import Faults, Robot
+from independent_robot import Faults
 from recorded import NOISE, record
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
@@ -110,25 +110,6 @@ def test_correlated_errors_count_less():
     for k in range(1, len(white)):
         white[k, 1] += 0.9 * white[k - 1, 1]
     np.testing.assert_allclose(correlation_time(white), (1.0, 19.0), rtol=0.15)
-
-
-def test_the_independent_robot_sticks_short_of_its_target():
-    """Friction of 0.02 N·m behind 3 N·m/rad: within 6.7 mrad of rest nothing moves it."""
-    finger = Robot(
-        names=("index_joint_1",),
-        stiffness=np.array([3.0]),
-        damping=np.array([0.1]),
-        viscous=np.array([0.002]),
-        frictionloss=np.array([0.02]),
-        armature=np.array([1e-3]),
-        faults=Faults(lost=0.0, play=0.0, stribeck=1.0),
-    )
-    times = np.array((0.0, 0.1))
-    for jump, least, most in ((0.004, 0.0, 0.002), (0.1, 0.0925, 0.1)):
-        sent = [(times, np.array(((0.0,), (jump,))))]
-        path = finger._path(np.random.default_rng(0), sent, 0.6)
-        assert least <= path[-1, 0] <= most
-        assert (path[: round(0.112 / 2.5e-4), 0] == 0.0).all()
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def test_lag_is_found_whatever_the_clocks(offset: float):
     assert lag == pytest.approx(LAG - 0.004 + offset, abs=1.1e-3)
     check = find(check_recording(recording), "clock offset")
     assert check.is_good == (-0.02 <= lag <= 0.3)
-    assert check.is_good or f"add {lag:.3f} s to the times of the commands" in check.detail
+    assert check.is_good or f"add {lag:.3f} s to the command times" in check.detail
 
 
 def test_swapped_and_stopped_joints_are_found():

@@ -223,12 +223,3 @@ def test_a_profile_has_topics_and_names(tmp_path: Path):
         messages += stream(topic, recording.t_cmd, np.array(sent), lambda at, row: array(row))
     path = save_bag(tmp_path / "bag", messages)
     assert_same(read_rosbag(path, ALL, RecordedNames.of(profile, order)), recording, 1e-6)
-
-
-def test_a_bag_of_one_joint_is_read(tmp_path: Path):
-    recording = short().select((ARM[2],))
-    sent = states(recording, recording.joints) + commands(recording, TRAJECTORY)
-    path = save_bag(tmp_path / "bag", sent)
-    assert_same(read_rosbag(path, ARM), recording, NANOSECOND)
-    with pytest.raises(RecordingError, match="no joint index_joint_1"):
-        read_rosbag(path, FINGERS)

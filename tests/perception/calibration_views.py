@@ -1,19 +1,26 @@
 """A board in the hand of a robot, seen by a camera with known pose: corners, and rendered images."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import cache
 
 import cv2
 import numpy as np
+import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.cli.link import Network
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.lens import SQUARE, SQUARES, BoardView, CharucoBoard
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.ur5e import ARM
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -108,6 +115,28 @@ def hand_views(
         view = BoardView(points=CORNERS, pixels=pixels)
         views.append(HandView(name=f"view{i}", view=view, palm=palm(said), palm_rates=rates))
     return views
+
+
+def memory_network(
+    monkeypatch: pytest.MonkeyPatch,
+    shown: Callable[[float], tuple[np.ndarray, np.ndarray]],
+    late: float = 0.0,
+) -> None:
+    """Be a camera and an arm in memory: while a command waits, 0.1 s pass, and joints and image arrive."""
+    profile, broker, clock = Profile.load("ur5e_allegro_v4"), Broker(), StepClock(lambda _: None)
+    node, robot = broker.node(clock), broker.node(clock)
+    image, state = map(robot.publisher, (profile.camera.image, profile.robots[0].state_topic))
+
+    def wait(_: float) -> bool:
+        clock.time += 0.1
+        joint_pos, picture = shown(clock.time)
+        image.publish(messages.image(picture, clock.time + late))
+        state.publish(messages.joint_state([joint.name for joint in ARM.joints], joint_pos, clock.time))
+        return True
+
+    monkeypatch.setattr(node, "wait", wait)
+    joined = lambda *_: nullcontext((node, clock))  # noqa: E731
+    monkeypatch.setattr(Network, "join", joined)
 
 
 @cache

@@ -1,26 +1,26 @@
 """The offset of a camera's stamps and its readout time, by a board that an arm moves."""
 
-from contextlib import nullcontext
-
 import numpy as np
 import pytest
-from calibration_views import CORNERS, HOME, board_in_camera, lens, pixels_of, poses, rendered
+from calibration_views import (
+    CORNERS,
+    HOME,
+    board_in_camera,
+    lens,
+    memory_network,
+    pixels_of,
+    poses,
+    rendered,
+)
 
-from pixel2catch.cli.link import Network
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration import timing
 from pixel2catch.perception.calibration.lens import BoardView
 from pixel2catch.perception.calibration.timing import BoardMotion, Timing
-from pixel2catch.robots.ur5e import ARM
-from pixel2catch.ros2 import messages
-from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
 
 OFFSET, READOUT = 0.0123, 0.0171
-JOINTS = [joint.name for joint in ARM.joints]
 
 
 def arm(time: float, way: float) -> np.ndarray:
@@ -70,22 +70,9 @@ def near(time: float) -> np.ndarray:
 def test_the_command_prints_what_it_measured_on_the_network(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """Board and joint states arrive in memory, while the command waits."""
-    profile, broker, clock = Profile.load("ur5e_allegro_v4"), Broker(), StepClock(lambda _: None)
-    monkeypatch.setattr(timing, "SECONDS", 0.2)
-    node, robot = broker.node(clock), broker.node(clock)
-    image, state = map(robot.publisher, (profile.camera.image, profile.robots[0].state_topic))
-
-    def wait(_: float) -> bool:
-        clock.time += 0.03
-        picture = rendered(board_in_camera(near(clock.time)), np.random.default_rng(0))
-        image.publish(messages.image(picture, clock.time + OFFSET))
-        state.publish(messages.joint_state(JOINTS, near(clock.time), clock.time))
-        return True
-
-    monkeypatch.setattr(node, "wait", wait)
-    joined = lambda *_: nullcontext((node, clock))  # noqa: E731
-    monkeypatch.setattr(Network, "join", joined)
+    monkeypatch.setattr(timing, "SECONDS", 0.5)
+    rng = np.random.default_rng(0)
+    memory_network(monkeypatch, lambda time: (near(time), rendered(board_in_camera(near(time)), rng)), OFFSET)
     monkeypatch.setattr(BoardMotion, "timing", lambda motion, height: measured(motion, height))
     assert main(["calibrate", "--timing"]) == 0
     assert "  stamp_offset: 0.0123 # +- 0.0003 s" in capsys.readouterr().out

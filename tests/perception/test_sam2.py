@@ -1,6 +1,5 @@
 """SAM 2 as a segmenter, and checkpoints and installations that cannot be used."""
 
-import json
 import runpy
 import sys
 from collections.abc import Callable
@@ -73,17 +72,14 @@ def test_a_new_start_deletes_the_past(folder: Path) -> None:
 
 def test_a_lost_object_is_found_again(folder: Path) -> None:
     """Forced by the bias of the head that says whether the object is there; the memory stays as large."""
-    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(24)
+    segmenter, sizes = Sam2Segmenter(folder, "cpu"), []
     head = segmenter._model.mask_decoder.pred_obj_score_head.proj_out
-    results, sizes = [segmenter.find(images[0], prompt=BOX)], []
-    for step, image in enumerate(images[1:], start=1):
+    for step, image in enumerate(random_images(24)):
         head.bias.fill_(-CERTAIN if 18 <= step < 21 else CERTAIN)
-        results.append(segmenter.find(image))
+        found = segmenter.find(image, prompt=None if step else BOX)
+        assert (found.mask is None) == (18 <= step < 21)
         sizes.append(remembered_bytes(segmenter))
-    assert [result.mask is None for result in results] == 18 * [False] + 3 * [True] + 3 * [False]
-    assert len(set(sizes[17:])) == 1
-    # The features of one image, 205 kB, and 16 memories of 7 kB, with some bookkeeping.
-    assert 300_000 < sizes[-1] < 350_000
+    assert len(set(sizes[18:])) == 1
 
 
 @pytest.mark.slow
@@ -160,14 +156,6 @@ def drop_weights(folder: Path) -> None:
     save_file(kept, folder / "model.safetensors", metadata={"format": "pt"})
 
 
-def leave_a_part_of_a_download(folder: Path) -> None:
-    """One of two files is there, and the index that names both."""
-    parts = [f"model-0000{number}-of-00002.safetensors" for number in (1, 2)]
-    files = {name: parts[i % 2] for i, name in enumerate(load_file(folder / "model.safetensors"))}
-    (folder / "model.safetensors").rename(folder / parts[0])
-    (folder / "model.safetensors.index.json").write_text(json.dumps({"metadata": {}, "weight_map": files}))
-
-
 def change_type(folder: Path) -> None:
     config = folder / "config.json"
     config.write_text(config.read_text().replace('"model_type": "sam2_video"', '"model_type": "sam3_video"'))
@@ -177,7 +165,6 @@ def change_type(folder: Path) -> None:
     ("spoil", "message"),
     [
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
-        (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
         (
             lambda folder: (folder / "model.safetensors").unlink(),
             "cannot be read as SAM 2: .*model.safetensors",

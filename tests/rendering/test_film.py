@@ -128,22 +128,6 @@ def test_the_film_is_slow_about_the_catch():
     assert board.decision == 59
 
 
-def test_the_view_stays_on_the_palm_that_rises_and_is_shaken():
-    throw, workcell = falling(90, catch=30), find_workcell("ur5e_allegro")
-    steps = np.arange(90)
-    throw.qpos[:, 1] -= np.interp(steps, (30, 60), (0.0, 0.5)) + 0.05 * (-1.0) ** steps * (steps > 60)
-    palms = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(throw.qpos[:, :6]).float())[0].numpy()
-    board = storyboard(throw, workcell)
-    first = board.steps < board.catch - 8
-    np.testing.assert_allclose(board.focus[first], board.focus[first][0][None].repeat(first.sum(), 0))
-    shown = palms[board.steps.round().astype(int)]
-    late = board.steps >= board.catch
-    assert np.linalg.norm(board.focus - shown, axis=-1)[late].max() < 0.15
-    assert np.linalg.norm(shown[-1] - shown[late][0]) > 0.3
-    shaken = board.steps > 70
-    assert np.ptp(shown[shaken], axis=0).max() > 10.0 * np.ptp(board.focus[shaken], axis=0).max()
-
-
 @pytest.mark.usefixtures("opengl")
 def test_a_still_has_path_caption_and_the_robots_view(throws: list[RecordedThrow]):
     with FilmRenderer(SceneCfg(), width=320) as renderer:

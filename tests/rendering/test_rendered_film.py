@@ -57,15 +57,6 @@ def test_the_true_box_is_where_the_object_projects_to(film: ThrowFilm):
         assert shot.num_pixels > 60
 
 
-@pytest.mark.parametrize("film", [STILL], indirect=True)
-def test_the_lead_in_shows_the_room_and_then_the_object_in_the_hand(film: ThrowFilm):
-    shots = list(film.lead_in(moment(RELEASE, time=-0.5)))
-    assert [shot.num_pixels > 0 for shot in shots] == [False, False, True]
-    assert [shot.image.stamp for shot in shots] == pytest.approx([-0.6, -0.5 - 2 / 30, -0.5 - 1 / 30])
-    reds = [(shot.image.pixels[..., 0] > 1.8 * shot.image.pixels[..., 1]).sum() for shot in shots]
-    assert reds[2] - reds[1] > 0.5 * shots[2].num_pixels
-
-
 @pytest.mark.parametrize("film", [CameraCfg()], indirect=True)
 def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
     first, second = (film.shot(moment(RELEASE)).image.pixels.astype(float) for _ in range(2))

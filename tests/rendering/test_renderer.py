@@ -13,7 +13,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
 from pixel2catch.rendering.camera import Exposure, Moment, RoomCamera, room_positions
-from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, Viewpoint, find_gl_backend
+from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, find_gl_backend
 from pixel2catch.rendering.room import build_room
 from pixel2catch.rendering.video import write_video
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -30,15 +30,6 @@ def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, spee
 def view(opengl: None, request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
     with RoomCamera(SceneCfg(), 0, request.param) as view:
         yield view
-
-
-def test_the_thrower_sways_on_and_the_arm_swings_when_it_lets_go():
-    thrown = replace(THROWER, release=2.0)
-    before, after = (thrown.joint_pos(2.0 + time) for time in (-1e-6, 1e-6))
-    assert after == pytest.approx(before, abs=1e-4)
-    assert thrown.joint_pos(1.0)[4] == 0.0
-    assert thrown.joint_pos(2.3)[4] > 0.5
-    assert thrown.joint_pos(1.0)[3] != thrown.joint_pos(1.5)[3]
 
 
 @pytest.mark.parametrize("view", [STILL], indirect=True)
@@ -120,19 +111,6 @@ def test_pictures_are_taken_by_the_camera_of_the_scene():
     rows, columns = np.nonzero(mask)
     expected = project(camera, torch.tensor([[OBJECT_START]], dtype=torch.float64))[0][0, 0]
     np.testing.assert_allclose((columns.mean() + 0.5, rows.mean() + 0.5), expected, atol=0.5)
-
-
-@pytest.mark.usefixtures("opengl")
-def test_a_path_is_drawn_into_one_picture():
-    """A line through the middle of the picture, 2 m away."""
-    view = Viewpoint(lookat=(0.0, 3.0, 1.5), distance=2.0, azimuth=90.0)
-    path = np.array([(x, 3.0, 1.5) for x in (-0.3, 0.0, 0.3)])
-    with Renderer(SEEN, view, shadows=False) as renderer:
-        before, shown = renderer.image(SEEN.qpos0), renderer.image(SEEN.qpos0, path=path)
-        assert np.array_equal(renderer.image(SEEN.qpos0), before)
-    rows, columns = np.nonzero((np.abs(shown.astype(int) - before) > 20).any(axis=-1))
-    assert 235 <= rows.min() <= rows.max() <= 245
-    assert np.ptp(columns) == pytest.approx(0.6 / (2.0 * 2.0 * np.tan(np.pi / 8)) * 480, abs=12)
 
 
 @pytest.mark.usefixtures("opengl")

@@ -112,7 +112,7 @@ def _motion(recording: Recording) -> DataCheck:
 def _stalls(recording: Recording) -> DataCheck:
     """Check that no step needed more time than its clock shows: Δq against q̇·Δt.
 
-    Steps whose own time is long are left out: their clock shows the stall.
+    Steps whose own time is long are left out.
     """
     excess, angle = excess_time(recording)
     step = time_step(recording.t_meas)
@@ -148,7 +148,7 @@ def _clock_offset(lag: float | None) -> DataCheck:
     if lag is None:
         return DataCheck(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
-    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to times of commands"
+    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command times"
     found = f"the motion is {1e3 * lag:.1f} ms behind its command"
     return _judged("clock offset", low <= lag <= high, found, remedy)
 

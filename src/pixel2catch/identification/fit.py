@@ -94,8 +94,6 @@ def fit_dynamics(
 ) -> Fit:
     """Fit the free parameters of every joint to recordings; `start` also has the other parameters.
 
-    `report` gets lines about the progress.
-
     Raises:
         RecordingError: There is no recording, one is too short, or they are of different joints.
         InvalidValueError: The start is of other joints, or has no filter where one is to be fitted.
@@ -115,14 +113,9 @@ def fit_dynamics(
         dynamics=fine.dynamics(point),
         free=cfg.free,
         covariance=covariance[:, :num, :num],
-        encoders=fine.encoders(point),
-        encoder_deviations=_encoders_of(deviations[:, num:]),
+        encoders=fine.encoders(point * fine.unit),
+        encoder_deviations=fine.encoders(deviations),
     )
-
-
-def _encoders_of(columns: Float[np.ndarray, "num_joints num_columns"]) -> Encoders:
-    """Return encoders from columns: the play of each joint, then the drift in each recording."""
-    return Encoders(play=columns[:, 0].copy(), drift=columns[:, 1:].T.copy())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,8 +202,10 @@ class _Problem:
         columns = {name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
         return self._dynamics.with_values(**columns)
 
-    def encoders(self, point: Point) -> Encoders:
-        return _encoders_of((point * self.unit)[:, self.num_free :])
+    def encoders(self, values: Point) -> Encoders:
+        """Return the encoders' part of values: the play of each joint, then the drift in each recording."""
+        columns = values[:, self.num_free :]
+        return Encoders(play=columns[:, 0].copy(), drift=columns[:, 1:].T.copy())
 
     def bounded(self, point: Point) -> Point:
         """Return the nearest point within the bounds of the fit."""
@@ -273,7 +268,7 @@ class _Problem:
     def residuals(self, points: Sequence[Point]) -> Float[np.ndarray, "num_points num_settled num_joints"]:
         """Return simulated minus measured positions [rad]."""
         dynamics = [self.dynamics(point) for point in points]
-        encoders = [self.encoders(point) for point in points]
+        encoders = [self.encoders(point * self.unit) for point in points]
         return self._motion.simulate(dynamics, encoders) - self._measured
 
     def squares(self, point: Point, residuals: Residuals, weight: Weight) -> float:
@@ -361,7 +356,7 @@ def _information(residuals: Residuals) -> Weight:
 def correlation_time(residuals: Residuals) -> Float[np.ndarray, " num_joints"]:
     """Return how many consecutive samples are one independent sample: 1 for white noise, else more.
 
-    It is 1 plus twice the sum of the autocorrelations up to the first that is not positive.
+    It is 1 plus twice the sum of the autocorrelations before the first that is not positive.
     """
     centered = residuals - residuals.mean(axis=0)
     spectrum = np.abs(np.fft.rfft(centered, n=2 * len(residuals), axis=0)) ** 2

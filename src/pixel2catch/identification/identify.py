@@ -100,8 +100,7 @@ def start_of_fit(
 ) -> FitStart:
     """Return the start of a fit of a part, from a dynamics file if there is one.
 
-    Without a file, the servo behind a filter that is to be fitted is stiff, as that of a controller with
-    feed-forward.
+    Without a file, the servo behind a filter that is to be fitted is stiff.
     """
     joints, groups = joints_of(workcell, part), groups_of(workcell)
     if fits_filter and any(groups[joint].role != "arm" for joint in joints):
@@ -114,13 +113,17 @@ def start_of_fit(
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
-        stiffness = STIFF_FACTOR * before.stiffness
-        stiff = before.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
-        servo = before if file else stiff
+        servo = before if file else stiff(before)
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
     return FitStart(workcell=workcell, robot=part, file=file, before=before, first=first)
+
+
+def stiff(nominal: JointDynamics) -> JointDynamics:
+    """Return the stiff servos of a controller with feed-forward."""
+    stiffness = STIFF_FACTOR * nominal.stiffness
+    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 
 
 def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:

@@ -33,12 +33,10 @@ MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `j
 class RecordedNames:
     """Names of topics and joints in a laboratory's recordings."""
 
-    #: topics of the commands, each with the joints of messages that name none, in their order: by default
-    #: those that are read. If empty, the only topic that can have commands.
+    #: topics of the commands, each with the joints of messages that name none; by default the only topic
     command_topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     measured_topic: str = MEASURED_TOPIC  #: topic of the measurements
-    #: the work cell's names of joints, by the recorded
-    joints: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)  #: the work cell's names, by the recorded ones
 
     def renamed(self, recorded: Sequence[str]) -> tuple[str, ...]:
         """Return the work cell's names of recorded joints; mark other joints that have one of its names."""
@@ -145,11 +143,8 @@ def _merged(bag: _Bag, topics: Mapping[str, tuple[str, ...]]) -> tuple[np.ndarra
     times = streams[0].times
     for stream in streams[1:]:
         times = np.sort(np.concatenate((times, stream.times[~np.isin(stream.times, times)])))
-    columns = {}
-    for stream in streams:
-        row = held(stream.times, stream.positions, times)
-        columns |= dict(zip(stream.joints, row.T, strict=True))
-    return times, np.stack([columns[joint] for joint in bag.joints], axis=-1)
+    rows = np.concatenate([held(stream.times, stream.positions, times) for stream in streams], axis=1)
+    return times, rows[:, [found.index(joint) for joint in bag.joints]]
 
 
 def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:

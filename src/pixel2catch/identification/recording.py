@@ -52,10 +52,11 @@ def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:
     for placed in workcell.robots:
         part = placed.robot
         while part is not None:
-            name = part.name.removesuffix(f"_{part.tool.robot.name}") if part.tool else part.name
+            tool = part.tool.robot if part.tool else None
+            name = part.name.removesuffix(f"_{tool.name}") if tool else part.name
             joints = (joint for group in part.groups for joint in group.joints)
             found[placed.prefix + name] = tuple(placed.prefix + joint.name for joint in joints)
-            part = part.tool.robot if part.tool else None
+            part = tool
     found |= {group.name: tuple(joint.name for joint in group.joints) for group in workcell.groups}
     return found | {workcell.name: tuple(joint.name for joint in workcell.joints)}
 
@@ -237,8 +238,8 @@ def _refuse(
 class Trajectory:
     """Targets of some joints that a robot can follow; it begins and ends at rest in the same pose.
 
-    A target holds until the next one, as a command in a recording does. The file is an npz: `joints` (names),
-    `times` [s], `positions` [rad], and `header`, a JSON text with the work cell and the targets' origin.
+    The file is an npz: `joints` (names), `times` [s], `positions` [rad], and `header`, a JSON text with the
+    work cell and the targets' origin.
 
     Raises:
         InvalidValueError: Joints are not in order, or it is too short.
@@ -266,12 +267,12 @@ class Trajectory:
         _refuse("targets", ("time",), times, is_late, "s: times must begin at 0 and increase")
         specs = [known[name] for name in self.joints]
         lower, upper, largest = np.array([(spec.lower, spec.upper, largest_step(spec)) for spec in specs]).T
-        excess = np.maximum(lower - positions, positions - upper)
         steps = np.abs(np.diff(positions, axis=0, prepend=positions[:1]))
         is_end = (self.times <= REST) | (self.times >= self.duration - REST)
+        is_beyond = np.maximum(lower - positions, positions - upper) > TOLERANCE
         moves = (np.abs(positions - positions[0]) > TOLERANCE) & is_end[:, None]
         for is_bad, reason in (
-            (excess > TOLERANCE, "rad is beyond the joint's limits"),
+            (is_beyond, "rad is beyond the joint's limits"),
             (steps > largest + TOLERANCE, "rad is farther from the row above than the servo's speed allows"),
             (moves, f"rad: the first and last {REST:g} s must be at rest in the start pose"),
         ):

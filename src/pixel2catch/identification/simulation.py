@@ -1,10 +1,8 @@
 """Simulate recorded motions under many candidate dynamics at once: the forward model of the fit.
 
-Torque limit, dry friction and command path are those of `envs`, in the limit of short time steps: a real
-robot has no time step, so the result must not depend on it. Joints that were not recorded are welded, and
-there are no contacts.
-
-Arrays of the servos are NumPy's, which is faster than PyTorch for few copies, shape (num_copies, num_joints).
+Torque limit, dry friction and command path are those of `envs`, in the limit of short time steps. Joints that
+were not recorded are welded, and there are no contacts. The servos' arrays are NumPy's, which is faster than
+PyTorch for few copies, shape (num_copies, num_joints).
 """
 
 import os
@@ -48,8 +46,7 @@ class Encoders:
     """Errors between the motion of joints and its recording: play, and clocks that drift apart."""
 
     play: PerJoint  #: width of the play between servo and encoder [rad]; the encoder lags by half of it
-    #: excess speed of the measurements' clock over that of the commands, as a share of the time since the
-    #: first measurement
+    #: excess speed of the measurements' clock over that of the commands, as a share
     drift: Float[np.ndarray, "num_recordings num_joints"]
 
     @classmethod
@@ -105,8 +102,7 @@ def recorded_model(workcell: WorkcellSpec, joints: Sequence[str], physics_dt: fl
 def hanging_on(parents: Int[np.ndarray, " num"]) -> Bool[np.ndarray, "num num"]:
     """Return which elements (columns) of a tree descend from each element (rows), itself included.
 
-    `parents` has the index of each element's parent, which precedes it, as in MuJoCo's bodies and degrees of
-    freedom.
+    `parents` has the index of each element's parent, which precedes it.
     """
     hangs = np.eye(len(parents), dtype=bool)
     for child, parent in enumerate(parents):
@@ -157,10 +153,9 @@ class RecordedServos:
         dt: float,
     ) -> None:
         """Set dynamics, largest torques [N·m], inertia beside the armature [kg·m²] and time step [s]."""
-        self._stiffness, self._damping, frictionloss, armature = (
-            np.stack([getattr(each, name) for each in dynamics])
-            for name in ("stiffness", "damping", "frictionloss", "armature")
-        )
+        names = ("stiffness", "damping", "frictionloss", "armature")
+        arrays = [np.stack([getattr(each, name) for each in dynamics]) for name in names]
+        self._stiffness, self._damping, frictionloss, armature = arrays
         self._dt, self._half, self._inertia = dt, self._damping / 2, armature + link_inertia
         self._limit = EFFORT_MARGIN * efforts
         batch.expand("dof_armature")[:] = armature
@@ -233,11 +228,9 @@ class _Grid:
         if not drift.any():
             before, after = path[self.index], path[self.index + 1]
             return before + self.weight[:, None] * (after - before)
-        steps = np.arange(len(path))
         places = (self.index + self.weight)[:, None] * (1.0 - drift)
-        return np.stack(
-            [np.interp(*pair) for pair in zip(places.T, [steps] * len(drift), path.T, strict=True)], axis=-1
-        )
+        steps, pairs = np.arange(len(path)), zip(places.T, path.T, strict=True)
+        return np.stack([np.interp(place, steps, own) for place, own in pairs], axis=-1)
 
 
 def is_settled(recording: Recording) -> Bool[np.ndarray, " num_samples"]:
@@ -350,7 +343,7 @@ class RecordedMotion:
 def _commands(copies: Sequence[tuple[JointDynamics, _Grid]], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the different delayed commands as `step_commands` does, and which of them each copy has.
 
-    Their shape is (num_steps, 4, num_different, num_joints). A short recording holds its last command.
+    Their shape is (num_steps, 4, num_different, num_joints); a short recording holds its last command.
     """
     known: dict[tuple[int, bytes, bytes], np.ndarray] = {}
     keys = []
