@@ -128,10 +128,7 @@ def _stalls(recording: Recording) -> DataCheck:
 
 
 def _repeated_samples(recording: Recording) -> DataCheck:
-    """Check how often a sample repeats the one before while the robot moves.
-
-    A joint that moves by less than its encoder's step may repeat a sample.
-    """
+    """Check how often a sample repeats the one before while the robot moves by more than encoder steps."""
     change = np.abs(recording.q[10:] - recording.q[:-10])
     least = MOVING_SPEED * (recording.t_meas[10:] - recording.t_meas[:-10])[:, None]
     is_moving = (change > np.maximum(least, 10 * REPEATED_STEPS * encoder_step(recording.q))).any(1)
@@ -204,7 +201,7 @@ def encoder_step(positions: np.ndarray) -> np.ndarray:
 def position_noise(positions: np.ndarray) -> np.ndarray:
     """Return the standard deviation of each joint's noise [rad], shape (joints,), from third differences.
 
-    Those of motion are small, and a few stalls do not change their median. Those of white noise σ are √20 σ.
+    Those of motion are small, those of white noise σ are √20 σ.
     """
     third = np.abs(np.diff(positions, 3, axis=0))
     return 1.4826 * np.median(third, axis=0) / np.sqrt(20.0)
@@ -228,8 +225,8 @@ def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nd
 def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return the time that each step's motion needed beyond its clock [s], and the motion in that time [rad].
 
-    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|², the
-    motion |q̇|·e; both have the shape (samples - 1,). The speed is the median of the neighbouring steps'.
+    The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|², the motion |q̇|·e, with the median speed of the neighbouring
+    steps; both have the shape (samples - 1,).
     """
     steps = np.diff(recording.t_meas)[:, None]
     moved = np.diff(recording.q, axis=0)

@@ -1,10 +1,8 @@
 """Draw a trajectory that shows the joints' dynamics and that a robot can follow.
 
 It rests in the start pose, moves smoothly to the middle of the excitation, makes the kinds of motion one by
-one, moves back and rests. It is simulated first; joints that violate a limit or a distance move less.
-
-The kinds of motion are offsets from the middle of the excitation. Each is zero at both ends and within an
-`Envelope`: smooth ones within speed and acceleration, ramps within the speed, steps within the largest jump.
+one, moves back and rests. It is simulated first; joints that violate a limit or a distance move less. The
+kinds of motion are offsets from the middle, zero at both ends and within an `Envelope`.
 """
 
 import dataclasses
@@ -172,9 +170,8 @@ def policy_targets(rng: Generator, envelope: Envelope, num_times: int) -> Offset
 
 def turns(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
     """Return steps of one group of joints after the other, so that joints hardly move each other."""
-    turn = np.arange(len(envelope.joints)) % NUM_TURNS
-    lengths, parts = np.diff(np.linspace(0, num_times, NUM_TURNS + 1).astype(int)), []
-    for k, length in enumerate(lengths):
+    turn, parts = np.arange(len(envelope.joints)) % NUM_TURNS, []
+    for k, length in enumerate(np.diff(np.linspace(0, num_times, NUM_TURNS + 1).astype(int))):
         swing, step = np.where(turn == k, (envelope.swing, envelope.step), 0.0)
         parts.append(steps(rng, dataclasses.replace(envelope, swing=swing, step=step), int(length)))
     return np.concatenate(parts)

@@ -175,16 +175,11 @@ class _Problem:
         """Prepare the simulation; arguments and errors are those of `fit_dynamics`."""
         self._recordings, self._motion = recordings, RecordedMotion(recordings, cfg.physics_dt)
         if self._motion.joints != start.joints:
-            raise InvalidValueError(
-                f"the recordings are of {self._motion.joints}, the start is of {start.joints}; "
-                "select the same joints in both."
-            )
+            pair = f"the recordings are of {self._motion.joints}, the start is of {start.joints}"
+            raise InvalidValueError(f"{pair}; select the same joints in both.")
         if {"filter_gain", "filter_lookahead"} & set(cfg.free) and not start.has_filter.all():
-            raise InvalidValueError(
-                "the command filter is to be fitted, but the start has none; "
-                f"start with filter_gain={SERVOJ_GAIN:g} and filter_lookahead={SERVOJ_LOOKAHEAD:g}, "
-                "the settings of servoJ."
-            )
+            values = f"filter_gain={SERVOJ_GAIN:g} and filter_lookahead={SERVOJ_LOOKAHEAD:g} of servoJ"
+            raise InvalidValueError(f"the start has no command filter to be fitted; start with {values}.")
         self._measured = self._motion.measured
         self._dynamics, self._cfg, self._report = start, cfg, report
         self.names = (*cfg.free, "play", *("drift" for _ in recordings))

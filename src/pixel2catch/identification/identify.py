@@ -41,7 +41,6 @@ REMEDIES = {
 }
 """Unit of each parameter, and motion that shows the parameter in positions."""
 
-
 PerJoint = Float[np.ndarray, " num_joints"]
 Positions = Float[np.ndarray, "num_settled num_joints"]
 

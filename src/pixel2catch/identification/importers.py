@@ -13,7 +13,6 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import (
     METADATA,
     MOTION_TYPES,
-    BagMessage,
     JointMotion,
     decoded,
     is_bag,
@@ -150,7 +149,16 @@ def _merged(bag: _Bag, topics: Mapping[str, tuple[str, ...]]) -> tuple[np.ndarra
 def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     """Return the motion on a topic; `unnamed` are the joints of messages without names."""
     source = f"{bag.path}, topic {topic}"
-    everything = _messages(bag, source, topic)
+    connections = [connection for connection in bag.reader.connections if connection.topic == topic]
+    if not connections:
+        names = ", ".join(sorted({connection.topic for connection in bag.reader.connections}))
+        raise RecordingError(f"{bag.path}: no topic {topic}; recorded are {names or 'none'}. Record it, too.")
+    everything = []
+    for i, message in enumerate(decoded(bag.reader, connections)):
+        motion = joint_motion(f"{source}, message {i}", message)
+        everything.append((message, replace(motion, joints=bag.names.renamed(motion.joints))))
+    if not everything:
+        raise RecordingError(f"{source}: empty, there is no message; record again.")
     concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
     received, motions = zip(*(concerned or everything), strict=True)
     first = motions[0]
@@ -169,21 +177,6 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     times = np.array(stamps if all(stamps) else [message.received for message in received], dtype=np.int64)
     require_motion(source, joints, (times - times[0]) / 1e9, positions, bag.workcell)
     return _Stream(joints=joints, recorded=recorded, times=times, positions=positions)
-
-
-def _messages(bag: _Bag, source: str, topic: str) -> list[tuple[BagMessage, JointMotion]]:
-    """Return every message on a topic, with its motion by the work cell's names of joints."""
-    connections = [connection for connection in bag.reader.connections if connection.topic == topic]
-    if not connections:
-        names = ", ".join(sorted({connection.topic for connection in bag.reader.connections}))
-        raise RecordingError(f"{bag.path}: no topic {topic}; recorded are {names or 'none'}. Record it, too.")
-    messages = []
-    for i, message in enumerate(decoded(bag.reader, connections)):
-        motion = joint_motion(f"{source}, message {i}", message)
-        messages.append((message, replace(motion, joints=bag.names.renamed(motion.joints))))
-    if not messages:
-        raise RecordingError(f"{source}: empty, there is no message; record again.")
-    return messages
 
 
 def _require_same_order(where: str, motion: JointMotion, first: JointMotion, num_joints: int) -> None:

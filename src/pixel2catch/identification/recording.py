@@ -104,9 +104,7 @@ def held(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """Motion of some joints: commands at their send times, measurements at the controller's times.
-
-    The two clocks are never merged: their offset is a result, not an assumption.
+    """Motion of some joints: commands at their send times, measurements at the controller's own times.
 
     Raises:
         RecordingError: A shape, time or value is impossible.

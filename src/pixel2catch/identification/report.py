@@ -168,28 +168,24 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
 def report_sections(result: Identification, circumstances: Mapping[str, Any]) -> list[Section]:
     """Return the parts of the report."""
     roles = {True: "held out", False: "fitted"}
-    run = [
-        f"`{circumstances['command']}`",
-        f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
-        *(f"{each.recording.name} ({roles[each.is_held_out]})" for each in result.motions),
-    ]
+    rate = f"physics at {1 / result.physics_dt:.0f} Hz"
+    run = [f"`{circumstances['command']}`", f"free: {', '.join(result.fit.free)}; {rate}"]
+    run += [f"{each.recording.name} ({roles[each.is_held_out]})" for each in result.motions]
     shown = (result.of(is_held_out=True) or result.motions)[-1]
     pictures = {f"{joint}.png": joint_picture(shown, j) for j, joint in enumerate(shown.recording.joints)}
     questions = open_questions(result.fit) or ["Every direction is identified."]
     tables = (check_table(each.recording.name, each.checks) for each in result.motions)
+    lists = run, warnings(result) or ["none"], questions
+    what_was_run, warned, open_ones = ("\n".join(f"- {text}" for text in texts) for texts in lists)
     return [
-        Section(title="What was run", text=_listing(run)),
-        Section(title="Warnings", text=_listing(warnings(result) or ["none"])),
+        Section(title="What was run", text=what_was_run),
+        Section(title="Warnings", text=warned),
         Section(title="Tracking error", text=TRACKING, rows=error_rows(result)),
         Section(title="Parameters with 95 % intervals", rows=parameter_rows(result)),
-        Section(title="What is not identified", text=_listing(questions)),
+        Section(title="What is not identified", text=open_ones),
         Section(title=f"Motion: {shown.recording.name} ({roles[shown.is_held_out]})", pictures=pictures),
         *(Section(title=title, rows=rows) for title, rows in tables),
     ]
-
-
-def _listing(texts: Sequence[str]) -> str:
-    return "\n".join(f"- {text}" for text in texts)
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,8 +21,7 @@ from pixel2catch.perception.sources import Size, video_images
 
 FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older one can no longer be read.
 
-SAME_TIME = 0.002
-"""Stamps that differ by less are those of one image [s]. Source: ours, a third of a period at 150 Hz."""
+SAME_TIME = 0.002  #: Difference of stamps of one image [s]. Source: ours, a third of a period at 150 Hz.
 
 Phase = Literal["held", "flight", "near the hand"]  #: In the thrower's, in no, in the robot's hand.
 PHASES: tuple[Phase, ...] = get_args(Phase)
@@ -172,13 +171,9 @@ def _mark(image: int, name: str, phase: str, box: Iterable[Any], rotation: Any) 
 def _between(mark: _Mark, following: _Mark, num_images: int, *, is_visible: bool) -> Iterator[_Mark]:
     """Yield the interpolated boxes between two of a track, or that nothing is visible between them."""
     for image in range(mark.image + 1, min(following.image, num_images)):
-        box = None
-        if is_visible and mark.box and following.box:
-            ends = [mark.image, following.image]
-            pairs = zip(mark.box, following.box, strict=True)
-            xmin, ymin, xmax, ymax = (float(np.interp(image, ends, pair)) for pair in pairs)
-            box = xmin, ymin, xmax, ymax
-        yield replace(mark, image=image, box=box)
+        pairs = zip(mark.box or (0.0,) * 4, following.box or (0.0,) * 4, strict=True)
+        box = tuple(float(np.interp(image, (mark.image, following.image), pair)) for pair in pairs)
+        yield replace(mark, image=image, box=box if is_visible and mark.box and following.box else None)
 
 
 def _cvat(text: str, num_images: int) -> tuple[Size, list[_Mark]]:

@@ -111,8 +111,8 @@ class Blob:
 
     def pixels(self, part: Window) -> Mask:
         """Return its pixels as a mask of a part of the image that contains all of it."""
-        ends = [(rows.start, min(rows.stop, length)) for rows, length in zip(part, self.shape, strict=True)]
-        mask = np.zeros([stop - start for start, stop in ends], dtype=bool)
+        sizes = [min(each.stop, size) - each.start for each, size in zip(part, self.shape, strict=True)]
+        mask = np.zeros(sizes, dtype=bool)
         labels = self.labels[_relative(self.place, self.window)]
         mask[_relative(self.place, part)] = labels == self.label
         return mask
@@ -178,11 +178,9 @@ def grown(mask: Mask, shape: np.ndarray) -> Mask:
 
 def _relative(window: Window, part: Window, *, sign: int = 1) -> Window:
     """Return a window in the coordinates of a part of the image; with sign -1, the inverse."""
-    rows, columns = (
-        slice(each.start - sign * whole.start, each.stop - sign * whole.start)
-        for each, whole in zip(window, part, strict=True)
-    )
-    return rows, columns
+    top, left = (sign * each.start for each in part)
+    rows, columns = window
+    return slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
 
 
 class RobotMask:
@@ -248,14 +246,13 @@ def _outermost(model: mujoco.MjModel, corners: list[np.ndarray]) -> Int[np.ndarr
 def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners 3"]:
     """Corners of a convex geom in its own frame [m]."""
     x, y, z = model.geom_size[geom]
-    match mujoco.mjtGeom(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return shapes.box(2 * x, 2 * y, 2 * z).vertices
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return shapes.capsule(x, 2 * y).vertices
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return shapes.cylinder(x, 2 * y).vertices
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return shapes.sphere(x).vertices
-        case kind:
-            raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    makers = {
+        mujoco.mjtGeom.mjGEOM_BOX: lambda: shapes.box(2 * x, 2 * y, 2 * z),
+        mujoco.mjtGeom.mjGEOM_CAPSULE: lambda: shapes.capsule(x, 2 * y),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: lambda: shapes.cylinder(x, 2 * y),
+        mujoco.mjtGeom.mjGEOM_SPHERE: lambda: shapes.sphere(x),
+    }
+    if kind not in makers:
+        raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
+    return makers[kind]().vertices

@@ -35,8 +35,7 @@ class Sighting:
     tick: Tick  #: The image, and the time.
     time: float  #: Since the first control step [s].
     box: Box  #: What was found.
-    #: Pixel features of this box and that of the step before. The first box of a throw stands for its
-    #: predecessor, as at the beginning of an episode.
+    #: Pixel features of this box and that of the step before; the first box of a throw is its predecessor.
     features: tuple[float, ...]
     num_skipped: int  #: Control steps without an image since the last one; differences span them.
     durations: dict[str, float]  #: Duration of each stage that ran [s].
@@ -49,14 +48,9 @@ class Sighting:
     def row(self) -> dict[str, Any]:
         """Return the row of a table, by `COLUMNS`."""
         box = self.box
-        row: dict[str, Any] = {
-            "time": f"{self.time:.4f}",
-            "stamp": f"{box.stamp:.6f}",
-            "age": f"{box.age:.4f}",
-            "score": f"{box.score:.4f}",
-            "is_fresh": self.is_fresh,
-            "num_skipped": self.num_skipped,
-        }
+        row: dict[str, Any] = {"is_fresh": self.is_fresh, "num_skipped": self.num_skipped}
+        row |= {"time": f"{self.time:.4f}", "stamp": f"{box.stamp:.6f}"}
+        row |= {"age": f"{box.age:.4f}", "score": f"{box.score:.4f}"}
         row |= {name: f"{value:g}" for name, value in zip(BOX_EDGES, box.edges, strict=True)}
         row |= {f"{stage}_ms": f"{1e3 * took:.3f}" for stage, took in self.durations.items()}
         row |= {name: getattr(box, name) for name in ("verdict", "is_valid", "doubt", "message")}

@@ -34,11 +34,8 @@ camera of 30 Hz makes no tick miss its image."""
 
 LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
-OPTIONS = {
-    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif",
-    "protocol_whitelist": "file",
-    "max_pixels": str(MOST_PIXELS),
-}
+FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif"
+OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file", "max_pixels": str(MOST_PIXELS)}
 """Options of FFmpeg: formats, none of which refers to other files, and the largest number of pixels."""
 
 Size = tuple[int, int]  #: Width and height [px].
