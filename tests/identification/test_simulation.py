@@ -111,17 +111,11 @@ def test_useless_recordings_are_refused():
         RecordedMotion([elbow, wrist])
 
 
-def test_delayed_command_counts_by_its_share_of_a_step():
-    """A command 0 → 1 at 0.1 s arrives at 0.112 s: it holds for 8 of the 10 ms from 0.11 s."""
-    edges = np.array((0.09, 0.10, 0.11, 0.12, 0.13))
-    t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0, 5.0), (1.0, 5.0)))
-    mean = step_commands(t_cmd, q_cmd, edges, np.array((0.012, 0.3)))[:, 0]
-    np.testing.assert_allclose(mean[:, 0], (0.0, 0.0, 0.8, 1.0), atol=1e-9)
-    np.testing.assert_allclose(mean[:, 1], 5.0)
-
-
 def test_a_step_has_the_commands_before_and_after_a_jump():
-    """As above; three commands in one step, 0, 1 and 5 for 2, 4 and 4 ms, keep their mean."""
+    """A command 0 → 1 at 0.1 s arrives at 0.112 s: it holds for 8 of the 10 ms from 0.11 s.
+
+    Three commands in one step, 0, 1 and 5 for 2, 4 and 4 ms, keep their mean.
+    """
     edges, latency = np.array((0.10, 0.11, 0.12, 0.13)), np.array((0.012,))
     t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0,), (1.0,)))
     first, jump, last = step_commands(t_cmd, q_cmd, edges, latency)[..., 0]

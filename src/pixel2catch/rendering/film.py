@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil, sqrt
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -195,7 +196,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         far, near = self._wide, self._close
         x, y, z = (between(*each) for each in zip(far.lookat, board.focus[i].tolist(), strict=True))
         names = ("distance", "azimuth", "elevation")
-        turned = {name: between(getattr(far, name), getattr(near, name)) for name in names}
+        turned: dict[str, Any] = {name: between(getattr(far, name), getattr(near, name)) for name in names}
         return Viewpoint(lookat=(x, y, z), **turned)
 
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:

@@ -23,7 +23,7 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
     if path.suffix.lower() == ".mp4":
         return write_video(path, pictures, fps=fps)
     first, *others = (Image.fromarray(picture) for picture in pictures)
-    options = {"duration": 1000 // fps, "loop": 0, "quality": WEBP_QUALITY, "method": WEBP_EFFORT}
+    options: Any = {"duration": 1000 // fps, "loop": 0, "quality": WEBP_QUALITY, "method": WEBP_EFFORT}
     first.save(path, save_all=True, append_images=others, **options)
     return 1 + len(others)
 
