@@ -106,16 +106,13 @@ def test_finds_the_camera_in_spite_of_noise_and_a_wrong_row():
     assert result.rms == pytest.approx(np.sqrt(2) * NOISE * np.sqrt(1 - 12 / 132), rel=0.2)
 
 
-def test_exact_corners_give_the_exact_camera():
+def test_exact_corners_give_the_exact_camera_and_a_lens_is_straightened():
     result = calibrate(hand_views(6, noise=0.0), lens())
     assert errors(result) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert result.rms < 1e-6
     assert result.square_ratio == pytest.approx((1.0, 0.0), abs=1e-6)
     # What remains is not in the images: 0.2 % of focal length, and what a ruler may be off.
     assert max(result.file.pose_std[:3]) < 3e-3
-
-
-def test_a_lens_is_straightened():
     bent = lens((-0.2, 0.05, 1e-3, -1e-3))
     views = hand_views(10, noise=0.0, distortion=bent.distortion)
     assert errors(calibrate(views, bent))[0] < 1e-4
@@ -163,12 +160,9 @@ def compared(camera: CameraSpec, points: np.ndarray = PATHS, **more) -> Comparis
     return compare(CameraFile(camera=camera, **more), RGB_CAMERA, points)
 
 
-def test_a_shift_of_the_optical_axis_shifts_all():
-    result = compared(replace(RGB_CAMERA, cx=RGB_CAMERA.cx + 3.0, cy=RGB_CAMERA.cy - 4.0))
-    assert (result.mean, result.largest) == pytest.approx((5.0, 5.0))
-
-
-def test_a_turn_displaces_the_middle_by_the_focal_length_times_its_tangent():
+def test_a_shift_displaces_all_and_a_turn_by_the_focal_length_times_its_tangent():
+    shifted = compared(replace(RGB_CAMERA, cx=RGB_CAMERA.cx + 3.0, cy=RGB_CAMERA.cy - 4.0))
+    assert (shifted.mean, shifted.largest) == pytest.approx((5.0, 5.0))
     angle = radians(2.0)
     result = compared(turned((0.0, 1.0, 0.0), angle), two_metres_ahead(0.0, 0.0, 1.0))
     assert result.mean == pytest.approx(RGB_CAMERA.fx * tan(angle), rel=1e-6)

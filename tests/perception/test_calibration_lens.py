@@ -63,16 +63,11 @@ def test_reads_the_lens_of_a_file_and_of_a_bag_rectified_or_not(tmp_path: Path):
     (tmp_path / "ost.yaml").write_text(YAML)
     for path in (tmp_path / "ost.yaml", write_bag(tmp_path / "bag", "/camera_info")):
         check_lens(read_lens(path, BOARD))
+        read_lens(path, BOARD).save(tmp_path / "camera.json")
+        check_lens(read_lens(tmp_path / "camera.json", BOARD))
         found = read_lens(path, BOARD, is_rectified=True)
         np.testing.assert_allclose(found.camera.matrix, ((610, 0, 320.5), (0, 611, 240.5), (0, 0, 1)))
         assert found.distortion == ()
-
-
-def test_reads_the_lens_of_an_earlier_calibration(tmp_path: Path):
-    path = tmp_path / "camera.json"
-    camera = CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=1e-3)
-    camera.save(path)
-    assert read_lens(path, BOARD) == camera
 
 
 def test_undistorting_inverts_the_lens():

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,11 +20,10 @@ RED = (340.0, 20.0)
 def test_segmenters_and_their_missing_options():
     assert isinstance(PerceptionArgs().make_segmenter(), BackgroundSubtraction)
     assert isinstance(PerceptionArgs(segmenter="color", color=RED).make_segmenter(), ColorThreshold)
-    options: dict[str, Any] = {}
-    for name, words in (("color", "--color 340 20"), ("sam2", "sam2 needs --checkpoint")):
-        options["segmenter"] = name
-        with pytest.raises(InvalidValueError, match=words):
-            PerceptionArgs(**options).make_segmenter()
+    with pytest.raises(InvalidValueError, match="--color 340 20"):
+        PerceptionArgs(segmenter="color").make_segmenter()
+    with pytest.raises(InvalidValueError, match="sam2 needs --checkpoint"):
+        PerceptionArgs(segmenter="sam2").make_segmenter()
 
 
 def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(
@@ -51,11 +49,7 @@ def test_options_reach_the_prompter():
 
 
 def test_places_off_the_image_are_refused():
-    several: list[dict[str, Any]] = [
-        {"box": (30, 10, 10, 30)},
-        {"box": (600, 10, 700, 30)},
-        {"region": (0, 0, 641, 480)},
-    ]
-    for args in several:
+    boxes = [PerceptionArgs(box=box) for box in ((30, 10, 10, 30), (600, 10, 700, 30))]
+    for args in (*boxes, PerceptionArgs(region=(0, 0, 641, 480))):
         with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
-            PerceptionArgs(**args).make_prompter()
+            args.make_prompter()

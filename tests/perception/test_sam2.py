@@ -30,8 +30,8 @@ def run(segmenter: Sam2Segmenter, images: list[np.ndarray], prompt: BoxPrompt = 
 
 
 def assert_equal(results: list[Segmentation], expected: list[Segmentation]) -> None:
-    assert [result.score for result in results] == [result.score for result in expected]
     for result, other in zip(results, expected, strict=True):
+        assert result.score == other.score
         np.testing.assert_array_equal(result.mask, other.mask)
 
 
