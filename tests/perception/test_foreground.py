@@ -4,7 +4,7 @@ import cv2
 import filmed
 import numpy as np
 import pytest
-from filmed import HEIGHT, NUM_EMPTY, WIDTH, Disc, box_of
+from filmed import HEIGHT, NUM_EMPTY, WIDTH, Disc
 
 from pixel2catch.camera.image import Mask
 from pixel2catch.perception.foreground import (
@@ -13,7 +13,6 @@ from pixel2catch.perception.foreground import (
     Weakness,
     sharpened,
     shift_between,
-    shifted,
 )
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
@@ -159,21 +158,6 @@ def test_a_camera_at_rest_and_a_wall_without_texture_have_no_shift():
     wall, brighter = np.full_like(before, 120), np.full_like(before, 128)
     assert shift_between(brighter, wall, EVERYWHERE) == (0.0, 0.0)
     assert shift_between(moved(later[0], 2, 0), before, ~EVERYWHERE) == (0.0, 0.0)
-
-
-def test_shifted_is_that_of_opencv_and_back_again():
-    image = next(filmed.images((), 1))
-    assert shifted(image, (0.0, 0.0)) is image
-    assert np.array_equal(shifted(image, (2, -3)), moved(image, 2, -3))
-    for shift in ((0.3, -1.7), (-2.4, 0.0)):
-        difference = shifted(image, shift).astype(int) - moved(image, *shift)
-        assert np.abs(difference).max() <= 2
-    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
-    mask[50:60, 70:90] = True
-    there = shifted(mask, (3, -2))
-    assert there.dtype == bool
-    assert box_of(there).tolist() == [73.0, 48.0, 93.0, 58.0]
-    assert np.array_equal(shifted(there, (-3, 2)), mask)
 
 
 def test_in_shaking_images_only_the_object_moves():

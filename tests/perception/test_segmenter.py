@@ -111,11 +111,8 @@ def test_hues_are_degrees_of_the_colour_circle(color: tuple[int, int, int], hue:
     for first, last in ((hue - 5, hue + 5), (hue - 20, hue - 10), (hue + 10, hue + 20)):
         colors = ColorRange(hue=(first % 360, last % 360))
         assert colors.mask(image)[4, 4] == (first <= hue <= last), (first, last)
-
-
-def test_grey_and_dark_have_no_colour():
-    for color in ((128, 128, 128), (130, 120, 120), (30, 0, 0)):
-        assert not REDS.mask(np.full((9, 9, 3), color, dtype=np.uint8)).any()
+    for grey_or_dark in ((128, 128, 128), (130, 120, 120), (30, 0, 0)):
+        assert not REDS.mask(np.full((9, 9, 3), grey_or_dark, dtype=np.uint8)).any()
 
 
 def test_a_red_ball_is_followed_past_another_that_lies_still():

@@ -33,14 +33,9 @@ SCORES = [
 ]
 
 
-def test_a_throw_is_held_then_flies_then_stays_near_the_hand():
-    phases = [each.phase for each in SCORES]
-    assert phases == ["held"] * 2 + ["flight"] * 3 + ["near the hand"] * 2
-
-
-def test_only_a_new_box_of_at_most_five_pixels_error_is_good():
-    is_good = [each.is_good for each in SCORES]
-    assert is_good == [True, True, True, False, False, False, True]
+def test_a_new_box_of_at_most_five_pixels_error_is_good_in_its_phase():
+    assert [each.phase for each in SCORES] == ["held"] * 2 + ["flight"] * 3 + ["near the hand"] * 2
+    assert [each.is_good for each in SCORES] == [True, True, True, False, False, False, True]
 
 
 def test_rates_are_of_the_images_in_which_the_object_is_visible():

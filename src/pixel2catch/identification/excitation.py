@@ -260,10 +260,8 @@ def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str
     start, end = np.concatenate((rest, there, pause)), np.concatenate((pause, there[::-1], rest))
     num_left = round(seconds * RATE) + 1 - len(start) - len(end) - (len(SEGMENTS) - 1) * len(pause)
     if num_left < MIN_MOTION * RATE:
-        least = seconds + MIN_MOTION - num_left / RATE
-        raise InvalidValueError(
-            f"seconds is {seconds:g}; at this speed it must be at least {np.ceil(least):g}"
-        )
+        least = np.ceil(seconds + MIN_MOTION - num_left / RATE)
+        raise InvalidValueError(f"seconds is {seconds:g}; at this speed it must be at least {least:g}")
     edges = np.rint(num_left * np.cumsum([0.0, *(share for _, share in SEGMENTS)])).astype(int)
     parts = [("start", start)]
     for (signal, _), num in zip(SEGMENTS, np.diff(edges), strict=True):

@@ -172,9 +172,9 @@ def identify(
 
 
 def merged_file(fit: Fit, start: FitStart, worse: Sequence[str]) -> DynamicsFile:
-    """Return the result for training; joints of the start's file that were not fitted keep their entries.
+    """Return the result for training, with the joints whose command predicts motion better than the fit.
 
-    `worse` are the fitted joints whose command predicts motion better than the simulation.
+    Joints of the start's file that were not fitted keep their entries.
     """
     old = start.file or DynamicsFile(dynamics=fit.dynamics, workcell=start.workcell)
     kept = [name for name in old.worse_than_command if name not in fit.dynamics.joints]
@@ -213,8 +213,7 @@ class Estimate:
 
     name: str  #: one of `PARAMETERS` or of `RATIOS`
     value: PerJoint
-    #: half of the 95 % interval in the coordinates of the fit: of the logarithm, so that 0.1 is ±10 %, and
-    #: for the latency of 10 ms; `CONFIDENCE * PRIOR` where the recordings determine nothing
+    #: half of the 95 % interval in the coordinates of the fit: of the logarithm, for the latency of 10 ms
     half_width: PerJoint
 
     @property

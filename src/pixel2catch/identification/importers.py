@@ -163,10 +163,8 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     received, motions = zip(*(concerned or everything), strict=True)
     first = motions[0]
     if not first.joints and topic == bag.names.measured_topic:
-        raise RecordingError(
-            f"{source}: a joint state without names of joints; let the driver fill in 'name', and record "
-            "again."
-        )
+        problem = "a joint state without names of joints"
+        raise RecordingError(f"{source}: {problem}; let the driver fill in 'name', and record again.")
     recorded = first.joints or unnamed or bag.joints
     for i, motion in enumerate(motions):
         _require_same_order(f"{source}, message {i}", motion, first, len(recorded))

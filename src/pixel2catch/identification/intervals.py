@@ -64,7 +64,7 @@ def model_covariance(
     Of the armatures [kg·m²] before and after the fit the smaller counts, as logarithms are lopsided. The link
     inertia is what each joint moves beside its armature [kg·m²]. The latency unit counts as 1 [s].
     """
-    least = np.minimum(dynamics.armature, armature)
+    least, inertia = np.minimum(dynamics.armature, armature), dynamics.armature + link_inertia
     heaviness, has_scale = link_inertia / least, "stiffness" in free
     own = {
         "damping": LAG_DEVIATION,
@@ -75,9 +75,7 @@ def model_covariance(
     for i, name in enumerate(free):
         if name in ("stiffness", "damping", "frictionloss"):
             scale[:, i] = has_scale * LIMIT_DEVIATION
-            servo[:, i] = (
-                has_scale * LATENCY_DEVIATION * dynamics.damping / (dynamics.armature + link_inertia)
-            )
+            servo[:, i] = has_scale * LATENCY_DEVIATION * dynamics.damping / inertia
         if name == "armature":
             scale[:, i] = has_scale * LIMIT_DEVIATION * (1.0 + heaviness)
             link[:, i] = LIMIT_DEVIATION * heaviness

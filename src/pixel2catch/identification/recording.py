@@ -227,9 +227,8 @@ def _refuse(
     if is_bad.any():
         row, column = map(int, np.argwhere(is_bad)[0])
         reason = reason if limits is None else reason.format(limits[column])
-        raise RecordingError(
-            f"{source}, row {row}, column {columns[column]}: {values[row, column]:g} {reason}."
-        )
+        place = f"{source}, row {row}, column {columns[column]}"
+        raise RecordingError(f"{place}: {values[row, column]:g} {reason}.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -256,9 +255,7 @@ class Trajectory:
         require_motion("targets", self.joints, self.times, self.positions, self.workcell)
         known = specs_of(self.workcell)
         if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
-            raise InvalidValueError(
-                f"joints are {list(self.joints)}; name each once, in the order {list(known)}"
-            )
+            raise InvalidValueError(f"joints are {self.joints}; name each once, in the order {[*known]}")
         times, positions = self.times[:, None], self.positions
         is_late = np.diff(times, axis=0, prepend=-1.0) <= 0.0
         is_late[0] = times[0] != 0.0

@@ -43,8 +43,7 @@ def simulated_recordings(
 ) -> list[Recording]:
     """Return recordings of a simulated robot that follows trajectories, each from its start pose.
 
-    Two independent loops send commands and record positions with noise; both stall. Perfect recordings have
-    every physics step, without stalls and noise.
+    Two loops send commands and record noisy positions; both stall. Perfect ones have every physics step.
     """
     stall, period = (0.0, FIT_DT) if is_perfect else (STALL, PERIOD)
     blanks = []

@@ -145,10 +145,9 @@ def warnings(result: Identification) -> list[str]:
         if play[j] > max(known[j], NOTABLE_PLAY)
     ]
     if loose:
-        texts.append(
-            f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit compensates it; training "
-            "has none: tighten it, or train with an error of the encoders as large (sensing.joint_bias)."
-        )
+        fix = "tighten it, or train with an error of the encoders as large (sensing.joint_bias)"
+        play_text = f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit compensates it; "
+        texts.append(f"{play_text}training has none: {fix}.")
     return texts
 
 

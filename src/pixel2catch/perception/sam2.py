@@ -107,10 +107,8 @@ class Sam2Segmenter(Segmenter):
         if is_cuda:
             require_cuda(device)
         if is_compiled and not any(map(shutil.which, COMPILERS)):
-            raise PerceptionError(
-                f"compiling SAM 2 needs a C compiler ({' or '.join(COMPILERS)}), and there is none: "
-                "apt install gcc python3-dev, or leave out --compile."
-            )
+            fix = "apt install gcc python3-dev, or leave out --compile"
+            raise PerceptionError(f"compiling SAM 2 needs a C compiler ({' or '.join(COMPILERS)}): {fix}.")
         dtype = dtype or (torch.bfloat16 if is_cuda else torch.float32)
         self._model = load_sam2(folder, self._device, dtype, image_size)
         self._has_graphs = is_compiled and is_cuda
@@ -242,9 +240,7 @@ def load_sam2(
         InvalidValueError: The image size is no positive multiple of 32.
     """
     if image_size is not None and (image_size <= 0 or image_size % SIZE_STEP):
-        raise InvalidValueError(
-            f"the image size must be a positive multiple of {SIZE_STEP}, not {image_size}."
-        )
+        raise InvalidValueError(f"the image size must be a multiple of {SIZE_STEP}, not {image_size}.")
     try:
         kind = read_json_object(folder / "config.json").get("model_type")
     except (OSError, ValueError) as error:

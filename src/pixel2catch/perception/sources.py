@@ -101,10 +101,8 @@ def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterat
         return camera_images(source, notes)
     path = Path(source)
     if not (path.is_file() or path.is_dir()):
-        raise PerceptionError(
-            f"there is no file '{path}'; a source is a video file, a rosbag2, or a camera: its number or "
-            "/dev/videoN."
-        )
+        kinds = "a video file, a rosbag2, or a camera: its number or /dev/videoN"
+        raise PerceptionError(f"there is no file '{path}'; a source is {kinds}.")
     if path.suffix in BAG_SUFFIXES or path.is_dir():
         return bag_images(path, notes, topic)
     return video_images(path, notes)
@@ -155,10 +153,8 @@ def camera_images(source: str, notes: list[str]) -> Iterator[Image]:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         is_read, image = capture.read()
         if not is_read:
-            raise PerceptionError(
-                f"the camera '{source}' gives no image: plug it in, close other programs that use it, and be "
-                "a member of the group 'video'."
-            )
+            fix = "plug it in, close other programs that use it, and be a member of the group 'video'"
+            raise PerceptionError(f"the camera '{source}' gives no image: {fix}.")
         while is_read:
             yield Image(pixels=cv2.cvtColor(image, cv2.COLOR_BGR2RGB), stamp=time.monotonic())
             is_read, image = capture.read()
@@ -225,8 +221,8 @@ def connections_of(
     """
     found = [each for each in connections if each.msgtype in types and each.msgcount]
     topics = sorted({each.topic for each in found})
-    chosen = topics if topic is None else [topic]
-    if len(chosen) == 1 and chosen[0] in topics:
+    chosen = [each for each in topics if topic in (None, each)]
+    if len(chosen) == 1:
         return [each for each in found if each.topic == chosen[0]]
     raise PerceptionError(
         f"{path}: {' or '.join(types)} is on {', '.join(topics) or 'no topic'}; record the camera, and "

@@ -262,7 +262,7 @@ def _grids(
 
 def _add_inset(image: Image.Image, other: Pixels) -> None:
     """Paste a picture with a frame into the lower right corner."""
-    width, gap = round(INSET_SHARE * image.width), _gap(image)
+    width, gap = round(INSET_SHARE * image.width), max(image.height // 30, 4)
     size = (width, width * other.shape[0] // other.shape[1])
     inset = Image.fromarray(other).resize(size, Image.Resampling.BOX)
     x, y = image.width - inset.width - gap, image.height - inset.height - gap
@@ -272,7 +272,7 @@ def _add_inset(image: Image.Image, other: Pixels) -> None:
 
 def _add_caption(image: Image.Image, throw: RecordedThrow, *, is_slow: bool, is_over: bool) -> None:
     """Write the object, the slow motion while it lasts, and the outcome at the end."""
-    gap = _gap(image)
+    gap = max(image.height // 30, 4)
     _write(image, title(throw.object_name), (gap, gap), "la", GROUND)
     if is_slow:
         _write(image, f"{SLOW} times slower", (image.width - gap, gap), "ra", GROUND)
@@ -299,10 +299,6 @@ def _write(
     box = (left - pad, top - pad // 2, right + pad, bottom + pad // 2)
     draw.rounded_rectangle(box, radius=pad, fill=ground)
     draw.text((x, y), text, fill=INK, font=_font(size), anchor=anchor)
-
-
-def _gap(image: Image.Image) -> int:
-    return max(image.height // 30, 4)
 
 
 @cache

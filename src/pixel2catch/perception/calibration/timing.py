@@ -51,7 +51,7 @@ class BoardMotion:
         Raises:
             PerceptionError: The board was not seen often enough, or not moved enough.
         """
-        if len(self.views) < LEAST_IMAGES or len(self.joints) < LEAST_IMAGES:
+        if min(len(self.views), len(self.joints)) < LEAST_IMAGES:
             raise PerceptionError(
                 f"the board was found in {len(self.views)} images, with {len(self.joints)} joint states; "
                 f"{LEAST_IMAGES} are needed: keep all of it in the image for {SECONDS:.0f} s"
@@ -83,15 +83,11 @@ class BoardMotion:
         variance = np.mean(remaining**2) * 2.0 * len(tracks)
         deviations = np.sqrt(variance * np.diag(np.linalg.pinv(slopes @ slopes.T)))
         if deviations.max() > LARGEST_STD:
-            raise PerceptionError(
-                f"the times are known to {1e3 * deviations.max():.1f} ms only: move the board faster, over "
-                "all rows of the image"
-            )
+            known = f"the times are known to {1e3 * deviations.max():.1f} ms only"
+            raise PerceptionError(f"{known}: move the board faster, over all rows of the image")
+        (offset, readout), (offset_std, readout_std) = fitted.tolist(), deviations.tolist()
         return Timing(
-            stamp_offset=float(fitted[0]),
-            readout_time=float(fitted[1]),
-            offset_std=float(deviations[0]),
-            readout_std=float(deviations[1]),
+            stamp_offset=offset, readout_time=readout, offset_std=offset_std, readout_std=readout_std
         )
 
     def _scores(self) -> tuple[Float[np.ndarray, " num_states"], Float[np.ndarray, "num_states num_axes"]]:
