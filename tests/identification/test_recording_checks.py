@@ -126,6 +126,13 @@ def test_swapped_and_stopped_joints_are_found():
     assert find(check_recording(resting), name, ARM[2]).is_good is None
 
 
+def test_a_constant_offset_is_found():
+    recording = clean()
+    turned = replace(recording, q=recording.q - np.pi * (np.arange(6) == 5))
+    assert failures(turned) == {("follows its command", ARM[5])}
+    assert "-3.14 rad from its command" in find(check_recording(turned), "follows its command", ARM[5]).detail
+
+
 def test_a_standstill_is_named_as_that():
     recording = clean()
     q = recording.q[:1] + 2e-4 * np.random.default_rng(0).standard_normal(recording.q.shape)

@@ -91,6 +91,20 @@ def test_bag_keeps_both_clocks(storage: StoragePlugin, tmp_path: Path):
         assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
 
 
+def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
+    """The second file begins before the first ends, as the recorder's cache makes it."""
+    sent = sorted(measured(short()) + commands(short(), TRAJECTORY), key=lambda message: message[1])
+    parts = sent[:9] + sent[10:11], sent[9:10] + sent[11:]
+    first, second = (save_bag(tmp_path / f"bag{i}", part) for i, part in enumerate(parts))
+    name = next(second.glob("*.mcap")).rename(first / "second.mcap").name
+    content = (first / "metadata.yaml").read_text()
+    listed = next(line for line in content.splitlines() if line.strip() == f"- {first.name}.mcap")
+    (first / "metadata.yaml").write_text(
+        content.replace(listed, f"{listed}\n{listed.replace('bag0.mcap', name)}")
+    )
+    assert_same(read_rosbag(first, ARM), short(), NANOSECOND)
+
+
 def test_one_of_several_command_topics_is_chosen_by_name(tmp_path: Path):
     other = [("/other", nanoseconds(0.1), array(np.zeros(13)))]
     path = save_bag(tmp_path / "bag", measured(short()) + commands(short(), ARRAY) + other)

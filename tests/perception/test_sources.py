@@ -3,6 +3,7 @@
 from itertools import islice
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from filmed import compressed, jpeg, raw, save_video, stamp_of, throw
@@ -151,9 +152,56 @@ def test_one_of_several_topics_is_chosen_by_name(tmp_path: Path):
     assert len(read(path, "/camera/image_raw")) == 1
 
 
-def test_encodings_without_colour_are_refused(tmp_path: Path):
-    grey = save_bag(tmp_path / "grey", [raw(0, PICTURE[..., :1], "mono8")])
-    with pytest.raises(PerceptionError, match=r"'mono8' is not read; record rgb8 or bgr8"):
+def bayer(red: tuple[int, int], blue: tuple[int, int]) -> np.ndarray:
+    """A mosaic of one colour, with red and blue at these rows and columns of each four pixels."""
+    mosaic = np.full((48, 64, 1), COLOR[1], np.uint8)
+    mosaic[red[0] :: 2, red[1] :: 2], mosaic[blue[0] :: 2, blue[1] :: 2] = COLOR[0], COLOR[2]
+    return mosaic
+
+
+COLOR = np.array((200, 60, 30), np.uint8)
+ONE = np.broadcast_to(COLOR, (48, 64, 3))
+UYVY = cv2.cvtColor(np.ascontiguousarray(ONE), cv2.COLOR_RGB2YUV_UYVY)
+ENCODED = {
+    "8UC3": ONE[..., ::-1],
+    "rgba8": np.insert(ONE, 3, 9, axis=-1),
+    "bgra8": np.insert(ONE[..., ::-1], 3, 9, axis=-1),
+    "yuv422": UYVY,
+    "yuv422_yuy2": UYVY[..., ::-1],
+    "bayer_rggb8": bayer((0, 0), (1, 1)),
+    "bayer_bggr8": bayer((1, 1), (0, 0)),
+    "bayer_gbrg8": bayer((1, 0), (0, 1)),
+    "bayer_grbg8": bayer((0, 1), (1, 0)),
+}
+
+
+@pytest.mark.parametrize("encoding", ENCODED)
+def test_usual_encodings_are_converted(encoding: str, tmp_path: Path):
+    (frame,) = read(save_bag(tmp_path / "bag", [raw(0, ENCODED[encoding], encoding, padding=6)]))
+    assert np.abs(frame.pixels.astype(int) - ONE).max() <= 4
+
+
+def test_grey_images_and_compressed_ones_without_a_format_are_read(tmp_path: Path):
+    (grey,) = read(save_bag(tmp_path / "grey", [raw(0, PICTURE[..., :1], "mono8")]))
+    np.testing.assert_array_equal(grey.pixels, PICTURE[..., :1].repeat(3, axis=-1))
+    assert len(read(save_bag(tmp_path / "unnamed", [compressed(0, jpeg(PICTURE), "")]))) == 1
+
+
+def test_a_folder_of_images_is_a_video_in_the_order_of_their_numbers(tmp_path: Path):
+    notes: list[str] = []
+    for number in (10, 9, 100):
+        cv2.imwrite(str(tmp_path / f"frame{number}.png"), np.full((48, 64, 3), number, np.uint8))
+    frames = read(tmp_path, notes=notes)
+    assert [frame.pixels[0, 0, 0] for frame in frames] == [9, 10, 100]
+    assert [frame.stamp for frame in frames] == pytest.approx([0.0, CONTROL_DT, 2 * CONTROL_DT])
+    assert notes == ["files of images have no times: 30 images a second are assumed."]
+    with pytest.raises(PerceptionError, match="a single image; give the folder"):
+        read(tmp_path / "frame9.png")
+
+
+def test_depth_is_refused(tmp_path: Path):
+    grey = save_bag(tmp_path / "raw", [raw(0, PICTURE[..., :1], "16UC1")])
+    with pytest.raises(PerceptionError, match=r"'16UC1' is not read; record one of rgb8, bgr8, "):
         read(grey)
     depth = save_bag(tmp_path / "depth", [compressed(0, b"x", "16UC1; compressedDepth png")])
     with pytest.raises(PerceptionError, match=r"compressedDepth.* is not read; record jpeg or png"):

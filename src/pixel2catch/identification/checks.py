@@ -29,6 +29,7 @@ as much. A log of the controller's own target can appear late by half its step."
 
 MOVED_ANGLE = 0.01  # least span of the positions of a joint that moved [rad] (ours)
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
+LARGEST_OFFSET = 0.2  # of positions from commands, in the median [rad] (ours; gravity bends servos by 0.06)
 MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ours)
 MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
 PEAK_QUANTILE = 0.995  # of speeds and accelerations, counts as their peak (ours; no single samples)
@@ -167,6 +168,10 @@ def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataChe
         detail = remedy if has_moved else "it is not commanded to move"
         return DataCheck(name=name, joint=joint, is_good=False if has_moved else None, detail=detail)
     correlation = float(np.corrcoef(command, position)[0, 1]) if has_moved else 0.0
+    offset = float(np.median(position - command))
+    if correlation >= MIN_CORRELATION and abs(offset) > LARGEST_OFFSET:
+        detail = f"it is {offset:+.2f} rad from its command throughout: does its driver have another zero?"
+        return DataCheck(name=name, joint=joint, is_good=False, detail=detail)
     remedy = ": are joints swapped, of another sign, or stopped?"
     return _judged(name, correlation >= MIN_CORRELATION, f"correlation {correlation:.3f}", remedy, joint)
 

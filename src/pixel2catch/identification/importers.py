@@ -159,6 +159,7 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
         everything.append((message, replace(motion, joints=bag.names.renamed(motion.joints))))
     if not everything:
         raise RecordingError(f"{source}: empty, there is no message; record again.")
+    everything.sort(key=lambda pair: pair[0].received)  # files of a split recording overlap
     concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
     received, motions = zip(*(concerned or everything), strict=True)
     first = motions[0]

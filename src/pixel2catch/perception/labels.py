@@ -17,7 +17,7 @@ from pixel2catch.camera.camera_file import LARGEST_IMAGE
 from pixel2catch.camera.image import Edges
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, parse_json, read_json_object, read_text, reading
-from pixel2catch.perception.sources import Size, video_images
+from pixel2catch.perception.sources import Size, images_of
 
 FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older one can no longer be read.
 
@@ -106,7 +106,7 @@ def load_labels(path: Path, video: Path) -> Labels:
         if isinstance(content, dict) and "format_version" in content:
             return Labels.load(path)
         stamps, size = [], (0, 0)
-        for frame in video_images(video, []):
+        for frame in images_of(str(video), []):
             stamps.append(frame.stamp)
             size = (frame.pixels.shape[1], frame.pixels.shape[0])
         match content:

@@ -1,5 +1,6 @@
 """Images of a video, a ROS 2 bag or a camera, on the control clock, and how they are scaled."""
 
+import re
 import time
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +15,8 @@ from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.ros2.bags import BAG_SUFFIXES, BagMessage, decoded, opened_bag
+from pixel2catch.files import read_bytes, reading
+from pixel2catch.ros2.bags import BAG_SUFFIXES, BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.messages import (
     CHANNELS,
     COMPRESSED_IMAGE,
@@ -37,6 +39,27 @@ LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recordin
 FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif"
 OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file", "max_pixels": str(MOST_PIXELS)}
 """Options of FFmpeg: formats, none of which refers to other files, and the largest number of pixels."""
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+MOST_IMAGE = 2**27  #: Largest image file [bytes]. Source: ours.
+
+CONVERSIONS = {
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "8UC4": (4, cv2.COLOR_BGRA2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
+}
+"""Bytes of a pixel and OpenCV's conversion of encodings beside `CHANNELS`. Source: REP 118, cv_bridge."""
 
 Size = tuple[int, int]  #: Width and height [px].
 
@@ -87,10 +110,11 @@ class Tick:
 
 
 def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterator[Image]:
-    """Yield the images of a video file, a bag or a camera.
+    """Yield the images of a video file, a folder, a bag or a camera.
 
     Args:
-        source: A video file; the folder, .mcap or .db3 file of a bag; the number or device of a camera.
+        source: A video file; a folder of images; the folder, .mcap or .db3 file of a bag; the number or
+            device of a camera.
         notes: Get problems that do not end the stream.
         topic: The topic of a bag's images; None for the only one.
 
@@ -101,11 +125,35 @@ def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterat
         return camera_images(source, notes)
     path = Path(source)
     if not (path.is_file() or path.is_dir()):
-        kinds = "a video file, a rosbag2, or a camera: its number or /dev/videoN"
+        kinds = "a video file, a folder of images, a rosbag2, or a camera: its number or /dev/videoN"
         raise PerceptionError(f"there is no file '{path}'; a source is {kinds}.")
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise PerceptionError(f"{path} is a single image; give the folder of all images, or a video.")
+    if path.is_dir() and not is_bag(path) and (files := image_files(path)):
+        notes.append("files of images have no times: 30 images a second are assumed.")
+        return (Image(pixels=read_image(file), stamp=i * CONTROL_DT) for i, file in enumerate(files))
     if path.suffix in BAG_SUFFIXES or path.is_dir():
         return bag_images(path, notes, topic)
     return video_images(path, notes)
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Return the image files of a folder, in the order of the numbers in their names."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    return sorted(found, key=lambda path: ([*map(int, re.findall(r"\d+", path.stem))], path.name))
+
+
+def read_image(path: Path) -> Pixels:
+    """Read an image file.
+
+    Raises:
+        PerceptionError: It is missing or no image.
+    """
+    with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
+        pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
+        if pixels is None:
+            raise PerceptionError(f"not a readable image of {MOST_PIXELS:,} pixels at most")
+    return pixels
 
 
 def on_control_clock(
@@ -235,14 +283,21 @@ def _pixels(message: BagMessage) -> Pixels | None:
     content = message.content
     if message.type == COMPRESSED_IMAGE:
         name = content.format.lower()
-        if not any(known in name for known in ("jpeg", "jpg", "png")) or "depth" in name:
+        is_known = not name or any(known in name for known in ("jpeg", "jpg", "png"))
+        if not is_known or "depth" in name:
             raise PerceptionError(
                 f"topic {message.topic}: format '{content.format}' is not read; record jpeg or png."
             )
         return unpacked_image(bytes(content.data))
-    if content.encoding not in CHANNELS:
-        raise PerceptionError(
-            f"topic {message.topic}: encoding '{content.encoding}' is not read; record "
-            f"{' or '.join(CHANNELS)}: the segmenters need colour, as an image of 8 bits a channel."
-        )
-    return pixels_of(content)
+    if content.encoding in CHANNELS:
+        return pixels_of(content)
+    if content.encoding not in CONVERSIONS:
+        problem = f"topic {message.topic}: encoding '{content.encoding}' is not read"
+        raise PerceptionError(f"{problem}; record one of {', '.join((*CHANNELS, *CONVERSIONS))}.")
+    size, code = CONVERSIONS[content.encoding]
+    height, width, step = content.height, content.width, content.step
+    is_odd = size == 2 and width % 2 == 1  # two pixels of YUV 4:2:2 share their colour
+    if min(height, width) < 2 or step < size * width or len(content.data) < height * step or is_odd:
+        return None
+    rows = np.asarray(content.data)[: height * step].reshape(height, step)[:, : size * width]
+    return cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, size), code)

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.camera.image import Pixels
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_bytes, read_text, reading, shown
-from pixel2catch.perception.sources import connections_of
+from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
+from pixel2catch.perception.sources import connections_of, image_files, read_image
 from pixel2catch.ros2.bags import decoded as bag_messages
 from pixel2catch.ros2.bags import is_bag, opened_bag
-from pixel2catch.ros2.messages import CAMERA_INFO, MOST_PIXELS, unpacked_image
+from pixel2catch.ros2.messages import CAMERA_INFO
 from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
 
 MIN_CORNERS = 5  #: Fewest for the board's pose: of five, four have no three in a line.
@@ -34,11 +34,9 @@ SQUARE = 0.06  #: Edge of a printed square [m].
 MARKER_SHARE = 0.75  #: Edge of a marker, as a share of that of its square.
 PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
 SQUARE_PIXELS = 480  #: Edge of a square in the picture of the board [px].
-MOST_IMAGE = 2**27  #: Largest image file [bytes]. Source: ours.
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")  #: Of ROS, that OpenCV has; empty: no distortion.
 MIN_VIEWS = 10  #: Fewest images of the board for a lens. Source: OpenCV's tutorial.
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,19 +75,6 @@ class CharucoBoard:
         """Return the board in grey levels."""
         columns, rows = SQUARES
         return self._board.generateImage((columns * SQUARE_PIXELS, rows * SQUARE_PIXELS))
-
-
-def read_image(path: Path) -> Pixels:
-    """Read an image file.
-
-    Raises:
-        PerceptionError: It is missing or no image.
-    """
-    with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
-        pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
-        if pixels is None:
-            raise PerceptionError(f"not a readable image of {MOST_PIXELS:,} pixels at most")
-    return pixels
 
 
 def sheet() -> Figure:
@@ -156,7 +141,7 @@ def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
     Raises:
         PerceptionError: Too few images show it, or their sizes differ.
     """
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    paths = image_files(folder)
     sizes, views = set[tuple[int, int]](), list[BoardView]()
     for image in map(read_image, paths):
         sizes.add((image.shape[1], image.shape[0]))
