@@ -41,7 +41,8 @@ class Track:
     camera is followed until Ctrl-C or --seconds.
     """
 
-    #: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
+    #: A video file, a folder of images, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or
+    #: /dev/videoN.
     source: Positional[str]
     out: NewFolder = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
     at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
