@@ -38,7 +38,6 @@ def main() -> None:
     truth = DynamicsFile.load(rehearsal / "truth.json").dynamics
     result = json.loads((args.out / "identified" / "result.json").read_text())
     errors = errors_of(result, truth)
-    print_table(result, truth)
     for name, goal in GOALS.items():
         worst = max(errors[name], key=lambda joint: errors[name][joint])
         print(f"worst {name}: {errors[name][worst]:.3f} ({worst}), goal {goal:g}")
@@ -65,21 +64,6 @@ def errors_of(result: dict[str, Any], truth: JointDynamics) -> dict[str, dict[st
         for name, value in row.items():
             errors.setdefault(name, {})[joint] = float(value)
     return errors
-
-
-def print_table(result: dict[str, Any], truth: JointDynamics) -> None:
-    """Joint, parameter, truth, result and interval of what was fitted."""
-    print(f"{'joint':<20} {'parameter':<16} {'truth':>10} {'found':>10}   95 % interval")
-    num_held = num_fitted = 0
-    for joint, entries in result["parameters"].items():
-        for name in result["free"]:
-            known = float(getattr(truth, name)[truth.joints.index(joint)])
-            value, (low, high) = entries[name]["value"], entries[name]["interval"]
-            is_held = low <= known <= high
-            num_held, num_fitted = num_held + is_held, num_fitted + 1
-            sign = "" if is_held else "  does not have the truth"
-            print(f"{joint:<20} {name:<16} {known:10.4g} {value:10.4g}   {low:.4g} to {high:.4g}{sign}")
-    print(f"{num_held} of {num_fitted} intervals have the truth")
 
 
 if __name__ == "__main__":

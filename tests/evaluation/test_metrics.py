@@ -10,7 +10,7 @@ from pixel2catch.envs.episode import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.metrics import metrics, paired_difference, wilson_interval
 from pixel2catch.evaluation.protocol import Trials
-from pixel2catch.evaluation.result_tables import result_tables
+from pixel2catch.evaluation.report import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
 
 

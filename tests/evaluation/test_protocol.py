@@ -12,7 +12,6 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import (
     HOLD_TEST_STEPS,
     ROUND_STEPS,
-    SHAKE_STEPS,
     TEST_STEPS,
     TRIAL_STEPS,
     EvaluationCfg,
@@ -106,15 +105,6 @@ def test_actions_are_latched_after_a_success():
         resting = tested & (after.test_steps <= HOLD_TEST_STEPS)
         assert (after.action[resting, :6] == 0.0).all()
         assert (after.action[~tested, :6].abs() == 0.1).all()
-
-
-def test_shake_begins_after_the_hold_test():
-    steps = torch.arange(TEST_STEPS)
-    action = shake_action(steps, ARM_COMMANDS)
-    assert action.shape == (HOLD_TEST_STEPS + SHAKE_STEPS, 6)
-    assert (action[:HOLD_TEST_STEPS] == 0.0).all()
-    assert (action[HOLD_TEST_STEPS:, 0] != 0.0).all()
-    assert action.abs().max() < 1.0
 
 
 def test_shake_accelerates_the_palm():

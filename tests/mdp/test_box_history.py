@@ -114,12 +114,6 @@ def test_a_parabola_without_noise_is_recovered_at_uneven_ages(memory: str):
     assert_close(named(features, f"residual_{memory}"), torch.zeros(1), atol=0.01)
 
 
-def test_later_news_of_the_same_path_extrapolates_to_the_same_now():
-    age = uneven_ages()
-    early, late = (fit_boxes(parabola(a), a, RGB_CAMERA)[:, :-1] for a in (age, age + 2.5))
-    assert_close(late, early, atol=0.01)
-
-
 @pytest.mark.parametrize("step", [0.0, 1e-6, 100.0])
 @pytest.mark.parametrize("first", [0.0, 300.0])
 def test_features_stay_bounded_whatever_the_ages(step: float, first: float):

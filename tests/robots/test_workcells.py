@@ -181,17 +181,20 @@ def test_an_agent_for_each_robot():
 
 
 def test_robots_that_hit_each_other_are_told_from_one_that_touches_itself():
-    """Two arms that are turned to each other touch; their agents pay for it, and the only robot's cannot."""
+    """Arms turned to each other, and one folded onto its foot; agents of two pay for the first alone."""
     workcell = find_workcell("two_ur5e_allegro")
-    world = CatchWorld(SceneCfg(workcell=workcell.name), None, num_envs=2, device="cpu")
+    world = CatchWorld(SceneCfg(workcell=workcell.name), None, num_envs=3, device="cpu")
     joint_pos = world.simulation.bind("qpos")[:, : len(workcell.joints)]
     joint_pos[:] = torch.tensor([joint.home for joint in workcell.joints])
     for name, pan in (("left_arm", -1.0), ("right_arm", 0.6)):
         start = workcell.columns(name).start
         joint_pos[1, start : start + 2] += torch.tensor([pan, 0.5])  # and down, for the palms to meet
+    joint_pos[2, 1:3] = torch.tensor([0.0, 0.9 * np.pi])
     target = joint_pos.clone()
-    world.simulation.forward(torch.ones(2, dtype=torch.bool))
-    assert world.privileged(world.run(target, num_steps=1)).is_robot_contact.tolist() == [False, True]
+    world.simulation.forward(torch.ones(3, dtype=torch.bool))
+    found = world.privileged(world.run(target, num_steps=1))
+    assert found.is_robot_contact.tolist() == [False, True, False]
+    assert found.is_self_contact.tolist() == [False, True, True]
     names = {agent.name: agent.reward_names for agent in find_method("proposed", workcell).agents}
     assert all(f"{name}.robot_contact" in terms for name, terms in names.items())
     assert not any("robot_contact" in name for a in METHODS["proposed"].agents for name in a.reward_names)

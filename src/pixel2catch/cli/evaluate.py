@@ -79,7 +79,7 @@ class Evaluate:
 
 def print_tables(results: dict[str, dict[str, Any]], method: str) -> None:
     """Print the metrics of sets of objects, by name."""
-    from pixel2catch.evaluation.result_tables import result_tables
+    from pixel2catch.evaluation.report import result_tables
 
     for table in result_tables(results, method):
         results_console().print(table)

@@ -1,5 +1,6 @@
 """Robot, object and camera in simulation."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import mujoco
@@ -107,11 +108,9 @@ class CatchWorld:
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene
-        self._decimation = scene.decimation
         self._palms = [model.site(palm.spec.site).id for palm in workcell.palms]
-        self._normals = torch.tensor(
-            [palm.spec.normal for palm in workcell.palms], dtype=self.simulation.dtype, device=self.device
-        )
+        tensor = partial(torch.tensor, dtype=self.simulation.dtype, device=self.device)
+        self._normals = tensor([palm.spec.normal for palm in workcell.palms])
         tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
@@ -127,14 +126,8 @@ class CatchWorld:
         self._fields = SimpleNamespace(**{name: self.simulation.bind(name) for name in FIELDS})
         speeds = [joint.velocity_limit for joint in workcell.joints]
         self._actuators = JointActuators(self.simulation, dynamics, nominal, speeds)
-        self._home, self._lower, self._upper = (
-            torch.tensor(
-                [getattr(joint, name) for joint in workcell.joints],
-                dtype=self.simulation.dtype,
-                device=self.device,
-            )
-            for name in ("home", "lower", "upper")
-        )
+        ranges = [(joint.home, joint.lower, joint.upper) for joint in workcell.joints]
+        self._home, self._lower, self._upper = tensor(ranges).T.contiguous()
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
             for name, rows in self.objects.fields.items()
@@ -197,7 +190,7 @@ class CatchWorld:
             drag: Deceleration of the object by air over the square of its speed [1/m].
             num_steps: Physics steps. Default: those of a control step.
         """
-        num_steps = num_steps or self._decimation
+        num_steps = num_steps or self._scene.decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)
         log = None
         for _ in range(num_steps):

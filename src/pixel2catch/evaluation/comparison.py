@@ -17,8 +17,15 @@ from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
-from pixel2catch.evaluation.report import Row, write_files, write_report
-from pixel2catch.evaluation.result_tables import CONTACT_RATES, MAIN_RATES, PAPER, RATES
+from pixel2catch.evaluation.report import (
+    CONTACT_RATES,
+    MAIN_RATES,
+    PAPER,
+    RATES,
+    Row,
+    write_files,
+    write_report,
+)
 from pixel2catch.files import as_json, decoded, json_text, read_json_object, read_text, reading
 from pixel2catch.reports import DASH, Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pixel2catch.evaluation.report import Row
-from pixel2catch.evaluation.result_tables import MAIN_RATES
+from pixel2catch.evaluation.report import MAIN_RATES, Row
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours for readers with any kind of colour vision. Source: Okabe and Ito 2008; grey: ours."""

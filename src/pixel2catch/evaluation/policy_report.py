@@ -10,8 +10,7 @@ from pixel2catch.evaluation.figures import heat_map
 from pixel2catch.evaluation.grid import Json, read_row
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, cell_file
-from pixel2catch.evaluation.report import Row, percent, table
-from pixel2catch.evaluation.result_tables import RATES
+from pixel2catch.evaluation.report import RATES, Row, percent, table
 from pixel2catch.evaluation.stress import Setting, is_trained_on
 from pixel2catch.reports import Cells, Section
 

@@ -1,13 +1,39 @@
-"""Reports of studies: rows as tables in Markdown, pictures, and JSON for programs."""
+"""Reports of studies, and tables of evaluations beside the numbers of the paper."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
+
+from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.files import json_text, write_atomically
-from pixel2catch.reports import DASH, Cells, Section, as_markdown
+from pixel2catch.reports import DASH, Cells, Section, as_markdown, terminal_table
+from pixel2catch.scene.objects import SEEN, UNSEEN
 
 Row = Mapping[str, Any]  #: A result as plain data.
+
+PAPER = {
+    ("without_pf", SEEN): ((12.13, 1.27), (8.93, 1.04)),
+    ("without_pf", UNSEEN): ((12.11, 1.9), (7.89, 1.46)),
+    ("only_wh", SEEN): ((8.03, 0.6), (5.53, 0.51)),
+    ("only_wh", UNSEEN): ((6.11, 0.35), (4.00, 0.17)),
+    ("only_center", SEEN): ((87.07, 1.62), (81.27, 0.76)),
+    ("only_center", UNSEEN): ((87.5, 1.53), (80.72, 0.38)),
+    ("single_agent", SEEN): ((78.2, 1.32), (63.5, 0.85)),
+    ("single_agent", UNSEEN): ((75.83, 2.00), (65.44, 2.25)),
+    ("proposed", SEEN): ((89.97, 0.21), (84.13, 0.50)),
+    ("proposed", UNSEEN): ((89.28, 0.79), (84.83, 1.17)),
+}
+"""T.R. and S.R. [%] by method and objects: mean and deviation over three seeds. Source: paper, Sec. V."""
+
+MAIN_RATES = {"T.R.": "tracking_rate", "S.R.": "success_rate"}
+"""Rates of the paper, in the order of `PAPER`, with the names of their metrics."""
+
+CONTACT_RATES = {"palm contact": "palm_contact_rate", "verified hold": "verified_hold_rate"}
+"""Rates that need contact; the paper has none of them."""
+
+RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics that they show.
 
 
 def write_report(folder: Path, title: str, sections: Sequence[Section], data: Mapping[str, Any]) -> str:
@@ -52,3 +78,52 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
     write_atomically({folder / name: content for name, content in contents.items()})
+
+
+def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:
+    """Yield the tables of one or several sets of objects, by name; of one set also those of each object."""
+    rows = list[Cells]()
+    for name, result in results.items():
+        rows.append({"objects": name, **_cells(result)})
+        if paper := PAPER.get((method, tuple(result["objects_thrown"]))):
+            texts = (f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper)
+            rows.append({"objects": "  paper", **dict(zip(MAIN_RATES, texts, strict=True))})
+    yield terminal_table(f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds", rows)
+    if len(results) == 1:
+        objects = next(iter(results.values()))["objects"]
+        yield terminal_table(
+            "by object", [{"object": name, **_cells(each)} for name, each in objects.items()]
+        )
+    columns = {name: _quality(result) for name, result in results.items()}
+    quality = [
+        {"": row} | {name: each[row] for name, each in columns.items()}
+        for row in next(iter(columns.values()))
+    ]
+    yield terminal_table("failures and contact", quality)
+
+
+def _cells(rates: Metrics) -> dict[str, str]:
+    texts = {title: percent(rates[name], rates[f"{name}_interval"]) for title, name in RATES.items()}
+    # Without a space in the interval, a narrow terminal breaks the line before it.
+    shown = {title: text.replace(", ", "\N{EN DASH}") for title, text in texts.items()}
+    return {"trials": f"{rates['trials']}", **shown}
+
+
+def _quality(result: Metrics) -> dict[str, str]:
+    def scaled(name: str, factor: float, unit: str, digits: int = 1) -> str:
+        if result.get(name) is None:  # no such event, or the file is older than the metric
+            return "-"
+        return f"{round(factor * result[name], digits) + 0.0:.{digits}f} {unit}"  # + 0.0: no -0.0
+
+    return {
+        **{f"failed: {name}".replace("_", " "): f"{100 * v:.1f} %" for name, v in result["failures"].items()},
+        "robot touched the table": scaled("table_contact_rate", 100, "%"),
+        "robot touched itself": scaled("self_contact_rate", 100, "%"),
+        "robots touched each other": scaled("robot_contact_rate", 100, "%"),
+        "mean penetration": scaled("mean_penetration", 1000, "mm"),
+        "largest penetration": scaled("max_penetration", 1000, "mm"),
+        "largest arm joint speed": scaled("max_joint_speed", 1, "rad/s"),
+        "largest torque, share of limit": scaled("max_torque_share", 100, "%"),
+        "mean arm joint speed in the hold": scaled("hold_speed", 1, "rad/s", 3),
+        "mean number of palms in reach in the hold": scaled("hold_palms", 1, "", 2),
+    }

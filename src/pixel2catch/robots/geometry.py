@@ -192,9 +192,9 @@ def chain_of(
 
 
 @cache
-def first_chain(workcell: WorkcellSpec, dtype: torch.dtype = torch.float64) -> Chain:
-    """Return the chain of joints that carry the first palm, on the CPU."""
-    return chain_of(workcell, workcell.palms[0], dtype=dtype)
+def first_chain(workcell: WorkcellSpec) -> Chain:
+    """Return the chain of joints that carry the first palm, on the CPU, in float64."""
+    return chain_of(workcell, workcell.palms[0], dtype=torch.float64)
 
 
 @cache
