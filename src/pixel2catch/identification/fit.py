@@ -83,7 +83,7 @@ class Fit:
 
     dynamics: JointDynamics  #: the fitted dynamics
     free: tuple[str, ...]  #: the parameters that were fitted
-    #: of each joint's free parameters, in the coordinates of the fit, with the prior and the model's errors
+    #: of each joint's free parameters, in the coordinates of the fit, with prior and errors of the model
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
     encoders: Encoders  #: fitted play, and drift of the clocks
     encoder_deviations: Encoders  #: standard deviations of these

@@ -63,9 +63,8 @@ class CheckedRecording:
     recording: Recording
     checks: tuple[DataCheck, ...]
     is_held_out: bool  #: whether it judges the fit instead of being fitted
-    #: simulated before the fit, at the times of the compared measurements [rad]
+    #: simulated before the fit and with the fitted dynamics, at the times of the compared measurements [rad]
     before: Positions = field(default_factory=lambda: np.zeros((0, 0)))
-    #: simulated with the fitted dynamics [rad]
     after: Positions = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property

@@ -211,10 +211,8 @@ class _Grid:
         time = recording.t_meas - recording.t_meas[0]
         settled = time[is_settled(recording)]
         if len(settled) < 10:
-            problem = (
-                f"{recording.name}: {time[-1]:.2f} s of measurements are too short; the first {SETTLING} s"
-            )
-            raise RecordingError(f"{problem} are not compared: record at least 10 samples more.")
+            fix = f"the first {SETTLING} s are not compared: record at least 10 samples more"
+            raise RecordingError(f"{recording.name}: {time[-1]:.2f} s of measurements are too short; {fix}.")
         edges = recording.t_meas[0] + dt * np.arange(int(np.ceil(time[-1] / dt)) + 1)
         index = np.minimum((settled / dt).astype(int), len(edges) - 2)
         start, is_first = np.stack((recording.q[0], np.zeros_like(recording.q[0]))), time <= START_WINDOW
@@ -248,10 +246,8 @@ class RecordedMotion:
         self.joints, workcell = recordings[0].joints, recordings[0].workcell
         for recording in recordings:
             if recording.joints != self.joints:
-                pair = (
-                    f"{recording.name}: joints {recording.joints}, but {recordings[0].name} has {self.joints}"
-                )
-                raise RecordingError(f"{pair}; give recordings of the same joints.")
+                others = f"{recordings[0].name} has {self.joints}; give recordings of the same joints"
+                raise RecordingError(f"{recording.name}: joints {recording.joints}, but {others}.")
         self._dt = physics_dt
         self.groups = np.array([groups_of(workcell)[name].name for name in self.joints])  # of each joint
         self._efforts = np.array([specs_of(workcell)[name].effort_limit for name in self.joints])

@@ -246,12 +246,12 @@ def _outermost(model: mujoco.MjModel, corners: list[np.ndarray]) -> Int[np.ndarr
 def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners 3"]:
     """Corners of a convex geom in its own frame [m]."""
     x, y, z = model.geom_size[geom]
-    kind = mujoco.mjtGeom(model.geom_type[geom])
+    kind, types = mujoco.mjtGeom(model.geom_type[geom]), mujoco.mjtGeom
     makers = {
-        mujoco.mjtGeom.mjGEOM_BOX: lambda: shapes.box(2 * x, 2 * y, 2 * z),
-        mujoco.mjtGeom.mjGEOM_CAPSULE: lambda: shapes.capsule(x, 2 * y),
-        mujoco.mjtGeom.mjGEOM_CYLINDER: lambda: shapes.cylinder(x, 2 * y),
-        mujoco.mjtGeom.mjGEOM_SPHERE: lambda: shapes.sphere(x),
+        types.mjGEOM_BOX: lambda: shapes.box(2 * x, 2 * y, 2 * z),
+        types.mjGEOM_CAPSULE: lambda: shapes.capsule(x, 2 * y),
+        types.mjGEOM_CYLINDER: lambda: shapes.cylinder(x, 2 * y),
+        types.mjGEOM_SPHERE: lambda: shapes.sphere(x),
     }
     if kind not in makers:
         raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
