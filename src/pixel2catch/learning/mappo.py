@@ -94,8 +94,7 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self.steps = {
-            agent: GradientStep(cfg, networks, self.rollout[agent])
-            for agent, networks in self.networks.items()
+            name: GradientStep(cfg, each, self.rollout[name]) for name, each in self.networks.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
         self._hidden_states = {
