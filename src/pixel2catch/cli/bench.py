@@ -45,7 +45,6 @@ class Bench:
     out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets all numbers.
 
     def run(self) -> None:
-        """Measure, print and write."""
         import torch
 
         from pixel2catch.evaluation.report import write_files

@@ -72,7 +72,6 @@ class Calibrate:
     topic: str | None = None  #: Topic of the CameraInfo in a rosbag. Default: the only one.
 
     def run(self) -> None:
-        """Write the page with the board, or calibrate the camera and write its file."""
         with needs_extra("perception"):
             from pixel2catch.perception.calibration.lens import sheet
         if self.print_marker is not None:

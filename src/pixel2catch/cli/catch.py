@@ -19,7 +19,6 @@ class Catch:
     video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:
-        """Evaluate, print the results beside the paper's, and write the film."""
         rounds = max(1, round(self.throws / 500))
         say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")
         print_tables(

@@ -129,11 +129,6 @@ class Doctor:
     json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:
-        """Check and print.
-
-        Raises:
-            SystemExit: With status 1 if something needed does not work.
-        """
         checks = self._checks() + (self._laboratory(self.robot) if self.robot else [])
         bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
         if self.json:

@@ -32,7 +32,6 @@ class Evaluate:
     out: Annotated[Path, OutputFile()] | None = None
 
     def run(self) -> None:
-        """Evaluate, print and write."""
         from pixel2catch.evaluation.report import write_files
 
         result = self.result()

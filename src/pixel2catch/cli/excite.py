@@ -42,7 +42,6 @@ class Excite:
     rehearse: NewFolder | None = None
 
     def run(self) -> None:
-        """Draw, try, print and write."""
         from numpy.random import default_rng
 
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation

@@ -23,7 +23,6 @@ class Export:
     out: Path | None = None  #: The new file. Default: the policy's name in the working directory.
 
     def run(self) -> None:
-        """Write the file."""
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.policy.onnx_policy import SUFFIX, largest_difference, to_onnx
 

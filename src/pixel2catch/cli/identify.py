@@ -54,7 +54,6 @@ class Identify:
     start: DynamicsPath | None = None
 
     def run(self) -> None:
-        """Check, fit, and write the report."""
         from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report

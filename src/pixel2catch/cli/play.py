@@ -31,7 +31,6 @@ class Play:
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
-        """Throw, draw and write; or serve the page until Ctrl-C."""
         given = {"--out": self.out, "--env": self.task.given}
         if self.web and any(given.values()):
             names = " ".join(name for name, value in given.items() if value)

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from pixel2catch.checks import Count, Device, ResultsFolder, Within
 from pixel2catch.cli.console import say
 from pixel2catch.cli.evaluate import Evaluate
+from pixel2catch.cli.train import Train
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.learning.config import PresetName, TrainCfg
 from pixel2catch.reports import circumstances, markdown
@@ -17,7 +19,6 @@ from pixel2catch.reports import circumstances, markdown
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
     from pixel2catch.evaluation.grid import Slot, StudyCell
-    from pixel2catch.learning.experiment import Experiment
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
@@ -59,15 +60,14 @@ class Reproduce:
     out: ResultsFolder = Path("results")  #: Folder of the study.
 
     def run(self) -> None:
-        """Compute what is missing, and write the report."""
         from pixel2catch.cli.studies import run_grid
         from pixel2catch.evaluation.comparison import ComparisonFolder, write_comparison
         from pixel2catch.evaluation.grid import StudyGrid, held
         from pixel2catch.sim.factory import require_cuda
 
-        folder, experiment = ComparisonFolder(self.out), self._experiment()
-        plan = self._plan(experiment)
-        grid = StudyGrid([cell for each in plan.runs() for cell in self._cells(folder, each, experiment)])
+        folder, train = ComparisonFolder(self.out), self._train()
+        plan = self._plan(train)
+        grid = StudyGrid([cell for each in plan.runs() for cell in self._cells(folder, each, train)])
         for device in {place for cell in grid.missing for place in self._places[cell.kind]}:
             if device != "cpu" and not self.slurm:  # jobs of a cluster look for themselves
                 require_cuda(device)
@@ -89,11 +89,6 @@ class Reproduce:
         default = "cuda" if torch.cuda.is_available() else "cpu"
         return {TRAINING: self.device or (default,), EVALUATION: self.evaluation_device}
 
-    @property
-    def _preset(self) -> PresetName:
-        """The preset; without one the device decides, which may be a cluster's."""
-        return self.preset or ("fast" if self._places[TRAINING][0].startswith("cuda") else "cpu")
-
     def _slots(self, kind: str) -> "list[Slot]":
         """Return slots of trainings or evaluations; on a CPU one evaluation has all cores."""
         from pixel2catch.cli.studies import make_slots
@@ -105,28 +100,27 @@ class Reproduce:
         options = {"kind": kind, "has_one_thread": not is_cpu, "is_reused": is_evaluation}
         return make_slots(devices, number, self.slurm, self.out, **options)
 
-    def _experiment(self) -> "Experiment":
-        """Return the configuration of all trainings; seed and device are replaced in each."""
+    def _train(self) -> Train:
+        """Return the command of all trainings; the device decides on the preset if none is given."""
         from pixel2catch.cli.main import parse_options
-        from pixel2catch.learning.experiment import Experiment
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
-        args = ["--device", "cpu", "--preset", self._preset]
+        default = "fast" if self._places[TRAINING][0].startswith("cuda") else "cpu"
+        args = ["--device", "cpu", "--preset", self.preset or default]
         for option in self.training:
             name, _, value = option.partition("=")
             if name not in free and name != "task" and not name.startswith("env."):
                 raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
             args += [f"--{name.replace('_', '-')}", *value.split(",")]
-        train = parse_options("train", args)
-        return Experiment(env=train.env, train=train.train)
+        return parse_options("train", args)
 
-    def _plan(self, experiment: "Experiment") -> "Plan":
+    def _plan(self, command: Train) -> "Plan":
         """Return methods and seeds, with everything that changes results."""
         from pixel2catch.evaluation.comparison import Plan
         from pixel2catch.evaluation.loading import PHYSICS_HZ
         from pixel2catch.methods import find_method
 
-        train, env = experiment.train, experiment.env
+        train, env = command.train, command.env
         given = [option.partition("=") for option in self.training]
         options = {name: value.split(",") for name, _, value in given if name.startswith("env.")}
         options |= {name: value for name, value in asdict(train).items() if name not in (*OWN, *NEUTRAL)}
@@ -150,18 +144,17 @@ class Reproduce:
             | {f"evaluation {name}": value for name, value in evaluation.items()},
         )
 
-    def _cells(
-        self, folder: "ComparisonFolder", run: "Training", experiment: "Experiment"
-    ) -> "Iterator[StudyCell]":
+    def _cells(self, folder: "ComparisonFolder", run: "Training", train: Train) -> "Iterator[StudyCell]":
         """Yield the training of a run, and the evaluations of its policy."""
         from pixel2catch.evaluation.comparison import GROUPS
         from pixel2catch.evaluation.grid import StudyCell
 
-        experiment = replace(experiment, train=replace(experiment.train, seed=run.seed))
+        cfg = replace(train.train, seed=run.seed)
+        train = replace(train, method=run.method, out=folder.run(run), train=cfg)
         yield StudyCell(
             name=run.name,
             kind=TRAINING,
-            work=partial(train_run, experiment, run.method, folder.run(run), self._preset),
+            work=partial(train_run, train, folder.run(run)),
             is_done=lambda: folder.summary(run) is not None,
         )
         evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials, seed=run.seed)
@@ -181,15 +174,11 @@ def evaluate_run(evaluate: Evaluate, device: str) -> None:
     replace(evaluate, device=device).run()
 
 
-def train_run(experiment: "Experiment", name: str, folder: Path, preset: str, device: str) -> None:
-    """Train a method on a device, from the checkpoint in its folder if there is one."""
-    from pixel2catch.api.calls import run
-    from pixel2catch.methods import find_method
-    from pixel2catch.workcells import find_workcell
-
+def train_run(train: Train, folder: Path, device: str) -> None:
+    """Train on a device, from the checkpoint in the folder of the run if there is one."""
     has_checkpoint = (folder / "checkpoint.pt").exists()
     if not has_checkpoint:
         shutil.rmtree(folder, ignore_errors=True)
-    experiment = replace(experiment, train=replace(experiment.train, device=device))
-    method = find_method(name, find_workcell(experiment.env.scene.workcell))
-    run(experiment, method, folder, resume=has_checkpoint, preset=preset)
+    cfg = replace(train.train, device=device)
+    with suppress(KeyboardInterrupt):  # it was stopped in order
+        replace(train, train=cfg, resume=has_checkpoint, resumed=folder if has_checkpoint else None).run()

@@ -19,7 +19,6 @@ class Scene:
     workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 
     def run(self) -> None:
-        """Write the file."""
         from pixel2catch.scene.scene import SceneCfg, export
 
         export(self.file, SceneCfg(workcell=self.workcell, visuals=True), self.object)

@@ -44,7 +44,6 @@ class Stress:
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
 
     def run(self) -> None:
-        """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.studies import evaluate_policies, make_slots
         from pixel2catch.evaluation.policy_cells import transfer_settings
         from pixel2catch.evaluation.policy_report import stress_sections, transfer_sections

@@ -56,7 +56,6 @@ class Track:
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
 
     def run(self) -> None:
-        """Follow the object, write what was found, and print how long it took."""
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
             from pixel2catch.perception import sightings

@@ -101,12 +101,6 @@ class Train:
         return cls(method=method or METHOD, train=experiment.train, env=experiment.env, resumed=resumed)
 
     def run(self) -> None:
-        """Train to the end.
-
-        Raises:
-            DeviceUnavailableError: CUDA is not available.
-            InvalidValueError: The run to resume is not where the other options say.
-        """
         from pixel2catch.api.calls import run
         from pixel2catch.learning.experiment import Experiment
         from pixel2catch.methods import find_method

@@ -34,7 +34,6 @@ class Twin:
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
 
     def run(self) -> None:
-        """Serve, and print what happens."""
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.workcells import find_workcell
 
