@@ -2,14 +2,19 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Seed, Share
-from pixel2catch.cli.console import prepare
+from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.reports import as_markdown, circumstances
 from pixel2catch.shipped import PolicyPath
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.stress import Setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +49,13 @@ class Stress:
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
 
     def run(self) -> None:
-        from pixel2catch.cli.studies import evaluate_policies, make_slots
-        from pixel2catch.evaluation.policy_cells import transfer_settings
-        from pixel2catch.evaluation.policy_report import stress_sections, transfer_sections
+        from pixel2catch.cli.studies import make_slots, run_grid
+        from pixel2catch.evaluation.grid import StudyGrid
+        from pixel2catch.evaluation.policy_cells import find_policies, policy_cells
+        from pixel2catch.evaluation.policy_report import result_rows, stress_sections, transfer_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.stress import Setting, select_settings
+        from pixel2catch.evaluation.report import write_report
         from pixel2catch.scene.objects import select_objects
-        from pixel2catch.sim.factory import require_engine
 
         if (self.axes and self.engines) or (self.restitution and not self.engines):
             raise InvalidValueError("give --axes, or --engines and --restitution")
@@ -59,12 +64,7 @@ class Stress:
         device = prepare(self.device, is_here=not self.slurm)
         number = None if self.slurm else self.jobs
         slots = make_slots((device,), number, self.slurm, self.out, has_one_thread=self.jobs > 1)
-        for engine in self.engines:
-            require_engine(engine)
-        engines, settings = tuple(dict.fromkeys(self.engines)), select_settings(self.axes)
-        if engines:
-            settings = transfer_settings(engines, tuple(dict.fromkeys(self.restitution)))
-        settings = tuple(self.task.beneath(each) for each in settings)
+        settings = self._settings()
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -72,9 +72,29 @@ class Stress:
             seed=self.seed,
             device=device,
         )
+        policies = find_policies(self.policies)
+        grid = StudyGrid(policy_cells(policies, settings, self.out, cfg, is_alone=len(slots) == 1))
+        run_grid(grid, slots, "transfer" if self.engines else "stress")
 
-        def home_of(setting: Setting) -> str:
-            return replace(setting, axis=settings[0].axis).name if engines else "nominal"
+        def home_of(setting: "Setting") -> str:
+            return replace(setting, axis=settings[0].axis).name if self.engines else "nominal"
 
-        title, sections = ("Transfer", transfer_sections) if engines else ("Stress suite", stress_sections)
-        evaluate_policies(title, self.policies, settings, cfg, slots, self.out, home_of, sections)
+        if rows := result_rows(policies, settings, self.out, home_of):
+            sections = transfer_sections(rows) if self.engines else stress_sections(rows)
+            title = "Transfer" if self.engines else "Stress suite"
+            print(as_markdown(title, sections), end="", flush=True)
+            data = {"results": rows, "circumstances": circumstances()}
+            say(f"wrote {self.out}: {write_report(self.out, title, sections, data)}")
+        grid.require_whole()
+
+    def _settings(self) -> "tuple[Setting, ...]":
+        from pixel2catch.evaluation.policy_cells import transfer_settings
+        from pixel2catch.evaluation.stress import select_settings
+        from pixel2catch.sim.factory import require_engine
+
+        for engine in self.engines:
+            require_engine(engine)
+        settings = select_settings(self.axes)
+        if self.engines:
+            settings = transfer_settings([*dict.fromkeys(self.engines)], [*dict.fromkeys(self.restitution)])
+        return tuple(self.task.beneath(each) for each in settings)
