@@ -154,6 +154,7 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
         "record": "x --out new",
         "identify": "x --robot ur5e --out new",
         "replay": "x --out new",
+        "trials": "--policies proposed",
         "track": "0",
         "label": "x.mp4",
         "operate": "/dev/input/event3",

@@ -24,7 +24,7 @@ from pixel2catch.own_files import import_files, take_option
 COMMANDS = (
     *("train", "evaluate", "stress", "reproduce", "play", "catch"),
     *("excite", "record", "identify", "calibrate", "track"),
-    *("deploy", "home", "release", "operate", "twin", "rehearse", "replay"),
+    *("deploy", "home", "release", "operate", "trials", "twin", "rehearse", "replay"),
     *("export", "scene", "bench", "doctor"),
 )
 """Each is a module beside this one, with a class of its name, which is loaded where it is needed."""

@@ -19,6 +19,7 @@ from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.ros2.transport import Clock, Message, Transport
 
 DEPTH = 64  #: Messages kept between two polls.
+ANSWERS = ("caught", "reached", "dropped", "repeat")  #: What the operator can say of a throw of a series.
 UNKNOWN_SENDER = "an unknown program"  #: A sender that has left, or that the network does not name.
 
 
@@ -123,6 +124,10 @@ class OperatorConsole:
     def point(self, box: list[float]) -> None:
         """Point at the object: xmin, ymin, xmax, ymax [px]."""
         self._prompt.publish(messages.text(json.dumps({"box": box})))
+
+    def answer(self, answer: str) -> None:
+        """Say one of `ANSWERS` of a throw."""
+        self._prompt.publish(messages.text(json.dumps({"answer": answer})))
 
     def watch(self) -> None:
         """Send the state of the switch: repeatedly while held, once when released. Receive the status."""

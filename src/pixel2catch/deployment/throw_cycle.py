@@ -110,10 +110,8 @@ class ThrowCycle:
     def _goals_after(self, joint_pos: Joints, now: float) -> list[tuple[str, Joints]]:
         """Return the goals after a throw; none before its end."""
         sight = self._pipeline.sight
-        palms, _ = self._geometry.palm_poses(torch.tensor(joint_pos[None], dtype=torch.float32))
-        pixels, depths = (each[0].numpy() for each in project(self._camera, palms))
-        distances = np.linalg.norm(pixels - sight.center, axis=-1) * depths / self._camera.fx
-        self._held_since = min(self._held_since, now) if distances.min() < HELD_DISTANCE else inf
+        distance = palm_distance(self._geometry, self._camera, joint_pos, sight.center)
+        self._held_since = min(self._held_since, now) if distance < HELD_DISTANCE else inf
         if np.abs(sight.center - self._first).max() > FLIGHT:
             self._thrown = min(self._thrown, now)
         if now - self._held_since >= HELD_TIME:
@@ -149,3 +147,12 @@ class ThrowCycle:
         done = Future[Motion]()
         done.set_result(self._finder.motion(start, goal))
         return done
+
+
+def palm_distance(
+    geometry: WorkcellGeometry, camera: CameraSpec, joint_pos: Joints, center: np.ndarray
+) -> float:
+    """Return the distance of the nearest palm from what is at a pixel, across the line of sight [m]."""
+    palms, _ = geometry.palm_poses(torch.tensor(joint_pos[None], dtype=torch.float32))
+    pixels, depths = (each[0].numpy() for each in project(camera, palms))
+    return float((np.linalg.norm(pixels - center, axis=-1) * depths / camera.fx).min())

@@ -102,13 +102,20 @@ def _transfer_line(row: Row) -> Cells:
     line |= {
         title: percent(row[name], row[f"{name}_interval"]) for title, name in RATES.items() if name in row
     }
-    difference, counts, p = "home", "", ""
-    if change := row.get("success_rate_change"):
-        low, high = (100.0 * bound for bound in change["difference_interval"])
-        difference = f"{_difference(row)} [{low:+.1f}, {high:+.1f}]"
-        counts, p = f"{change['lost']}, {change['won']}", f"{change['p_value']:.2g}"
-    line |= {"difference": difference, "lost, won": counts, "p": p}
+    line |= difference_cells(row.get("success_rate_change"))
     return line | {name.replace("_", " "): f"{100.0 * rate:.1f}" for name, rate in row["failures"].items()}
+
+
+def difference_cells(change: Row | None) -> Cells:
+    """Return the cells of a `paired_difference`, in points; of None those of home."""
+    if not change:
+        return {"difference": "home", "lost, won": "", "p": ""}
+    low, high = (100.0 * bound for bound in change["difference_interval"])
+    return {
+        "difference": f"{100.0 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]",
+        "lost, won": f"{change['lost']}, {change['won']}",
+        "p": f"{change['p_value']:.2g}",
+    }
 
 
 def _difference(row: Row) -> str:

@@ -11,7 +11,7 @@ from threading import Event
 from typing import Any, final
 
 from pixel2catch.camera.image import Verdict
-from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.deployment.operator import ANSWERS, OperatorConsole
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
@@ -35,7 +35,9 @@ LEAST_SIDE = 3.0  #: Least side of a box that points at the object [px].
 ACTIVE = ("armed", "ramp", "run", "several")
 """Modes in which the robot may move; "several" stands for several programs that publish a status."""
 
-REQUESTS = "stop, arm, press, hold, let_go, point"  #: Requests of every page.
+REQUESTS = (
+    "stop, arm, press, hold, let_go, point, caught, reached, dropped, repeat"  #: Requests of every page.
+)
 
 
 @final
@@ -146,6 +148,7 @@ class OperatorPage:
             "has_switch": self._button is not None,
             "is_held": self._console.holds,
             "size": (self._camera.width, self._camera.height),
+            "is_asking": status.get("is_asking") is True,
             "has_image": now - self._image_time < SILENCE,
             "box": status.get("box"),
             "sight": verdict_words(status),
@@ -166,7 +169,10 @@ class OperatorPage:
         is_recent = isinstance(heard, int | float) and abs(self._clock.now() - heard) <= REQUEST_AGE
         if not is_recent and request.get("do") not in ("stop", "let_go"):
             raise DeploymentError("the request came too late and does not count: press again")
-        self._do(visitor, request)
+        if request.get("do") in ANSWERS:
+            self._console.answer(request["do"])
+        else:
+            self._do(visitor, request)
 
     def _do(self, visitor: Visitor, request: dict[str, Any]) -> None:
         match request:

@@ -64,7 +64,8 @@ class TwinPage:
 
     def _run_throw(self, seed: int) -> None:
         self._problem = ""
-        self._problem = run_trial(self.operator, seed).problem
+        is_cycle = "cycle" in self.operator.status
+        self._problem = run_trial(self.operator, seed, is_cycle=is_cycle).problem
 
     @property
     def _is_in_trial(self) -> bool:

@@ -47,6 +47,7 @@ function receive(message) {
   setText("refusal", errorText || state.refusal);
   setText("message", state.message);
   setText("sight", state.sight && `${state.sight}.`);
+  part("trial").hidden = !state.is_asking;
   part("switch").hidden = !state.has_switch;
   part("other-switch").hidden = state.has_switch;
   setText("switch-state", state.is_held ? "held" : "let go");
