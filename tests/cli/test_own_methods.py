@@ -13,7 +13,7 @@ import pytest
 
 from pixel2catch import own_files
 from pixel2catch.cli.main import main
-from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.own_files import VARIABLE, take_option
 from pixel2catch.policy import contract_of, method_of
@@ -102,6 +102,11 @@ def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch,
     given = ["--import", "a.py", "evaluate", "run", "--import=b.py", "--workcell", "cell.py"]
     assert take_option(given) == ["evaluate", "run", "--workcell", "cell.py"]
     assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b"))
+
+
+def test_a_value_of_the_package_is_not_replaced():
+    with pytest.raises(InvalidValueError, match="another Method called 'proposed'"):
+        own_files.add(replace(METHODS["proposed"], pixel_features=("w", "h")))
 
 
 def test_own_methods_are_trained_and_evaluated(

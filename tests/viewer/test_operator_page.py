@@ -78,11 +78,6 @@ class Desk:
         read = messages.read_json if name == "prompt" else messages.read_boolean
         return [read(message.data) for message in self.heard[name].take()]
 
-    @contextmanager
-    def visitor(self) -> Iterator[Connection]:
-        with link(self.page.address) as visitor:
-            yield visitor
-
 
 def until(is_true: Callable[[], Any], go_on: Callable[[], Any]) -> None:
     end = time.monotonic() + PATIENCE
@@ -149,7 +144,7 @@ def test_the_switch_is_held_while_its_holder_says_so():
 
 
 def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
-    with desk.visitor() as visitor:
+    with link(desk.page.address) as visitor:
         desk.tell(mode="run", found=[])
         desk.go_on()
         ask(visitor, "press")
@@ -176,7 +171,7 @@ def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
 
 
 def test_the_switch_falls_with_the_connection(desk: Desk):
-    with desk.visitor() as visitor:
+    with link(desk.page.address) as visitor:
         ask(visitor, "press")
         desk.until(lambda: desk.console.holds)
     desk.until(lambda: not desk.console.holds)
@@ -184,7 +179,7 @@ def test_the_switch_falls_with_the_connection(desk: Desk):
 
 
 def test_operating_ends_with_a_released_switch(desk: Desk):
-    with desk.visitor() as visitor:
+    with link(desk.page.address) as visitor:
         ask(visitor, "press")
         desk.page.operate(lambda: desk.console.holds, lambda _: None)
         assert desk.taken("dead_man") == [True, False]
@@ -192,7 +187,7 @@ def test_operating_ends_with_a_released_switch(desk: Desk):
 
 def test_beside_a_pedal_the_page_has_no_switch():
     desk = Desk(has_switch=False)
-    with closing(desk.page), desk.visitor() as visitor:
+    with closing(desk.page), link(desk.page.address) as visitor:
         ask(visitor, "press")
         assert "no request" in error_of(visitor)
         assert not desk.go_on()["has_switch"]
@@ -200,14 +195,14 @@ def test_beside_a_pedal_the_page_has_no_switch():
 
 def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
     for said in ("[]", "1" * 2000, b"\x00"):
-        with desk.visitor() as visitor:
+        with link(desk.page.address) as visitor:
             visitor.send(said)
             with pytest.raises(ConnectionClosed, match="not a request"):
                 consume(visitor)
 
 
 def test_what_cannot_be_done_is_said_to_who_asked(desk: Desk):
-    with desk.visitor() as visitor:
+    with link(desk.page.address) as visitor:
         for do in (None, 5, "point", "fly", "hold"):
             ask(visitor, do, box=[1, 2, 3])
             assert "too late" not in error_of(visitor)
@@ -216,7 +211,7 @@ def test_what_cannot_be_done_is_said_to_who_asked(desk: Desk):
 @pytest.mark.parametrize("heard", [-0.7, None])
 def test_presses_that_waited_neither_hold_nor_arm_but_stop(heard: Any, desk: Desk):
     """Of a tab that slept, or from while this program hung; the browser's own clock is not asked."""
-    with desk.visitor() as visitor:
+    with link(desk.page.address) as visitor:
         for do in ("press", "hold", "arm", "point"):
             ask(visitor, do, heard, box=[0, 0, 9, 9])
             assert "too late" in error_of(visitor)
