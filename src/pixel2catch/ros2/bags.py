@@ -33,11 +33,7 @@ def is_bag(path: Path) -> bool:
 def opened_bag(
     path: Path, error: type[Pixel2CatchError] = PerceptionError, extra: str = "perception"
 ) -> "Iterator[Reader]":
-    """Open a bag by its folder, .mcap or .db3 file. Messages are decoded by the types of `messages.STORE`.
-
-    Raises:
-        error: It cannot be read, or rosbags is missing, which is part of the package's `extra`.
-    """
+    """Open a bag: its folder, .mcap or .db3 file. Raises `error`, also where rosbags (`extra`) is missing."""
     try:
         from rosbags.rosbag2 import Reader, storage_mcap
     except ModuleNotFoundError as missing:
@@ -127,12 +123,8 @@ def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMe
         )
 
 
-MOTION_TYPES = (
-    "sensor_msgs/msg/JointState",
-    "trajectory_msgs/msg/JointTrajectory",
-    "std_msgs/msg/Float64MultiArray",
-)
-"""Types of messages with joint positions."""
+STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
+MOTION_TYPES = (STATE, TRAJECTORY, "std_msgs/msg/Float64MultiArray")  #: Messages with joint positions.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,20 +141,20 @@ def joint_motion(where: str, message: BagMessage) -> JointMotion:
     Raises:
         RecordingError: It has another type, or no target. The error begins with `where`.
     """
-    content = message.content
-    if message.type == "std_msgs/msg/Float64MultiArray":
-        joints, positions = (), content.data
-    elif message.type == "trajectory_msgs/msg/JointTrajectory":
-        if len(content.points) != 1:
-            raise RecordingError(
-                f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
-                "record the targets that are streamed to the joints, one point in each message."
-            )
-        joints, positions = content.joint_names, content.points[0].positions
-    elif message.type == "sensor_msgs/msg/JointState":
-        if not len(content.position):
-            raise RecordingError(f"{where}: a joint state without positions; record one that has them.")
+    content, kind = message.content, message.type
+    if kind not in MOTION_TYPES:
+        raise RecordingError(f"{where}: type {kind} is not read; record {', '.join(MOTION_TYPES)}.")
+    if kind == TRAJECTORY and len(content.points) != 1:
+        raise RecordingError(
+            f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
+            "record the targets that are streamed to the joints, one point in each message."
+        )
+    if kind == STATE and not len(content.position):
+        raise RecordingError(f"{where}: a joint state without positions; record one that has them.")
+    if kind == STATE:
         joints, positions = content.name, content.position
+    elif kind == TRAJECTORY:
+        joints, positions = content.joint_names, content.points[0].positions
     else:
-        raise RecordingError(f"{where}: type {message.type} is not read; record {', '.join(MOTION_TYPES)}.")
+        joints, positions = (), content.data
     return JointMotion(joints=tuple(joints), positions=np.asarray(positions, dtype=np.float64))

@@ -81,14 +81,11 @@ THIS_MACHINE = """
 <CycloneDDS><Domain>
   <General>
     <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
-    <AllowMulticast>false</AllowMulticast>
-    <MaxMessageSize>65500B</MaxMessageSize>
+    <AllowMulticast>false</AllowMulticast><MaxMessageSize>65500B</MaxMessageSize>
   </General>
   <Discovery>
-    <Tag>pixel2catch</Tag>
-    <ParticipantIndex>auto</ParticipantIndex>
-    <MaxAutoParticipantIndex>30</MaxAutoParticipantIndex>
-    <Peers><Peer address="127.0.0.1"/></Peers>
+    <Tag>pixel2catch</Tag><Peers><Peer address="127.0.0.1"/></Peers>
+    <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>30</MaxAutoParticipantIndex>
   </Discovery>
   <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
 </Domain></CycloneDDS>
@@ -101,12 +98,10 @@ ONE_INTERFACE = """<CycloneDDS xmlns="https://cdds.io/config"><Domain Id="any">
   <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
 </Domain></CycloneDDS>
 """
-"""One interface of this machine."""
 
 ONLY_WATCHES = "watches=1;"  #: Mark in the user data of subscriptions that only watch. Source: ours.
 
-NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
-"""A slow reader may lose messages; it does not block the writer."""
+NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)  #: A slow reader loses messages.
 
 NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive  #: Messages, not the end of a publisher.
 ALIVE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Participants that have not left.

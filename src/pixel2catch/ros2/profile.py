@@ -125,16 +125,13 @@ class RobotPart:
         if self.command_topic.type not in COMMANDS:
             raise UnknownNameError("type of commands", self.command_topic.type, COMMANDS)
         everyone = (*self.joints.values(), *self.held.values())
-        _require_once(
-            "the joint state's name", [each.name_in_state for each in everyone if each.name_in_state]
-        )
+        names = [each.name_in_state for each in everyone if each.name_in_state]
+        _require_once("the joint state's name", names)
         places = sorted((*self._places[0].tolist(), *self.held))
         _require_once("the command's place", places)
         if places != list(range(self.command_size)):
-            raise InvalidValueError(
-                f"a command has places 0 to {self.command_size - 1}, joints and held have {places}: "
-                "give each place one joint or one held angle"
-            )
+            places_of = f"a command has places 0 to {self.command_size - 1}, joints and held have {places}"
+            raise InvalidValueError(f"{places_of}: give each place one joint or one held angle")
 
     @cached_property
     def ids(self) -> Int[np.ndarray, " part_joints"]:
@@ -192,12 +189,8 @@ def _columns(
     found = {name: place for name, place in zip(wanted, places, strict=True) if name in names}
     if twice := sorted(name for name in found if names.count(name) > 1):
         raise DeploymentError(f"a joint state has {', '.join(twice)} twice: check what publishes it.")
-    columns, ids = (
-        np.array([(names.index(name), place) for name, place in found.items()], dtype=np.int64)
-        .reshape(-1, 2)
-        .T
-    )
-    return columns, ids
+    columns = np.array([names.index(name) for name in found], dtype=np.int64)
+    return columns, np.array([*found.values()], dtype=np.int64)
 
 
 def _require_once(what: str, values: Sequence[str | int]) -> None:
@@ -326,17 +319,12 @@ class Profile:
         return states | controllers | {topic for topic in vars(self.status).values() if topic}
 
     def require(self, joints: Iterable[str]) -> None:
-        """Refuse a policy that moves joints which this robot does not have.
-
-        Raises:
-            DeploymentError: Some are missing.
-        """
+        """Refuse a policy that moves joints which this robot does not have, by a `DeploymentError`."""
         ours = {joint for part in self.robots for joint in part.joints}
         if missing := [joint for joint in joints if joint not in ours]:
-            raise DeploymentError(
-                f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
-                "joints of a part, or use a policy for this robot."
-            )
+            fix = "add them to the joints of a part, or use a policy for this robot"
+            wrong = f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves"
+            raise DeploymentError(f"{wrong}: {fix}.")
 
 
 def profile_file(name_or_path: str | Path) -> Path:

@@ -7,6 +7,7 @@ import os
 import socket
 import time
 from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, final
@@ -93,7 +94,7 @@ class Endpoint:
     topic: str  #: ROS name.
     type: str  #: ROS type.
     is_publisher: bool
-    program: str  #: Its program, by its DDS participant: a program may have several endpoints of a topic.
+    program: str  #: Its DDS participant: a program may have several endpoints of a topic.
 
 
 class Publisher(ABC):
@@ -105,10 +106,7 @@ class Publisher(ABC):
 
     @abstractmethod
     def num_subscribers(self) -> int:
-        """Return the number of programs that receive its messages, without those that only watch.
-
-        A program may have several subscriptions: it is counted by its DDS participant.
-        """
+        """Return the number of programs (DDS participants) that receive its messages, not only watch them."""
 
 
 class Subscription(ABC):
@@ -119,7 +117,7 @@ class Subscription(ABC):
         """Return the messages since the last call, oldest first; beyond the depth, the oldest are lost."""
 
 
-class Transport(ABC):
+class Transport(AbstractContextManager["Transport"]):
     """A node of the network; close it, or use it as a context manager."""
 
     @abstractmethod
@@ -128,12 +126,9 @@ class Transport(ABC):
 
     @abstractmethod
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """Subscribe to a topic.
+        """Subscribe to a topic, and keep up to `depth` messages until they are taken.
 
-        Args:
-            topic: What is received.
-            depth: Number of messages that are kept until they are taken.
-            only_watches: Not counted as a subscriber, and does not end a `wait`, as for a recording.
+        A subscription that only watches is not counted, and does not end a `wait`, as for a recording.
         """
 
     def num_other_publishers(self, topic: Topic) -> int:
@@ -155,10 +150,6 @@ class Transport(ABC):
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
-
-    def __enter__(self) -> "Transport":
-        """Return the node."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""
@@ -198,10 +189,11 @@ def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
             "give --network ros, or unset it."
         )
     Reachable().require("network", network)
-    module = "rclpy_node" if network == ROS else "dds"
+    module, remedy = "dds", install_command("deployment")
+    if network == ROS:
+        remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or another --network"
+        module = "rclpy_node"
     try:  # imported here, as the libraries may be missing
         return import_module(f"pixel2catch.ros2.{module}").join(node_name, clock, network)
     except ImportError as error:
-        remedy = "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or another --network"
-        remedy = remedy if network == ROS else install_command("deployment")
         raise DeploymentError(f"the network '{network}' cannot be joined ({error}): {remedy}.") from error

@@ -1,8 +1,7 @@
 """The digital twin of the laboratory: simulated robot, hand, camera and thrower on the topics of real ones.
 
-`SimulatedLab` is physics, throws and scores. `ArmDriver`, `HandDriver` and `CameraDriver` are the drivers.
-`LabNode` connects both to the topics of a profile. A rehearsal runs a deployment on it: `rehearsal` as
-processes in real time, `stepped` in one process without real time. Here is what a rehearsal takes.
+`SimulatedLab` is physics, throws and scores; `LabNode` connects it and drivers to the topics of a profile.
+A rehearsal runs a deployment on it: `rehearsal` as processes in real time, `stepped` in one process.
 """
 
 from dataclasses import dataclass, field, replace
@@ -42,9 +41,8 @@ class RehearsalCfg:
     lockstep: bool = False  #: One process with simulated time, instead of several in real time.
     perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
     perception_jitter_ms: NotNegative = 0.0  #: With --lockstep: largest random time on top, for each image.
-    clock_error_ms: Annotated[float, Within(-1000.0, 1000.0)] = (
-        0.0  #: With --lockstep: time by which the stamps of images are too early.
-    )
+    #: With --lockstep: time by which the stamps of images are too early.
+    clock_error_ms: Annotated[float, Within(-1000.0, 1000.0)] = 0.0
     held_seconds: NotNegative = 0.0  #: Time for which the thrower holds the object while the policy runs [s].
     #: Place of the profile over which the robot releases what it caught; it then returns and waits for the
     #: next throw, without a stop.

@@ -59,21 +59,13 @@ def twin_profile(workcell: WorkcellSpec) -> Profile:
         return replace(profile, workcell=workcell.name)
     if (PROFILES / f"{workcell.name}.yaml").exists():
         return Profile.load(workcell.name)
-    by_role = {part.name: part for part in profile.robots}
-    parts = [
-        replace(
-            by_role[group.role],
-            name=group.name,
-            joints={
-                joint.name: DriverJoint(name_in_state=joint.name, index_in_command=place)
-                for place, joint in enumerate(group.joints)
-            },
-            command_topic=Topic(name=f"/{group.name}_controller/commands", type=messages.FLOAT_ARRAY),
-            command_size=len(group.joints),
-            held={},
-        )
-        for group in workcell.groups
-    ]
+    by_role, parts = {part.name: part for part in profile.robots}, list[RobotPart]()
+    for group in workcell.groups:
+        places = {joint.name: place for place, joint in enumerate(group.joints)}
+        joints = {n: DriverJoint(name_in_state=n, index_in_command=place) for n, place in places.items()}
+        topic = Topic(name=f"/{group.name}_controller/commands", type=messages.FLOAT_ARRAY)
+        own = {"name": group.name, "joints": joints, "command_topic": topic, "command_size": len(joints)}
+        parts.append(replace(by_role[group.role], **own, held={}))
     name = f"twin_of_{workcell.name}"
     return replace(profile, name=name, workcell=workcell.name, robots=tuple(parts), places={})
 
@@ -169,12 +161,10 @@ class LabNode:
                 self.arms.append(driver)
             self._parts.append(PartTopics(part, driver, transport))
         self._status = StatusPublisher(profile, transport)
-        self._image = transport.publisher(profile.camera.image)
+        self._image, self._state = transport.publisher(profile.camera.image), transport.publisher(STATE)
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
         self._requests = transport.subscription(COMMAND, DEPTH)
-        self._state = transport.publisher(STATE)
-        self._refused = ""
-        self.num_cycles = 0
+        self._refused, self.num_cycles = "", 0
 
     @property
     def time(self) -> float:
@@ -182,8 +172,7 @@ class LabNode:
         return self.num_cycles * CYCLE
 
     @property
-    def is_running(self) -> bool:
-        """Whether the programs of all arms run."""
+    def _is_running(self) -> bool:
         return all(arm.is_running for arm in self.arms)
 
     def cycle(self, start: float, num_late: int = 0) -> None:
@@ -194,7 +183,7 @@ class LabNode:
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)
-        self._status.publish(self.num_cycles, self.arms[0].safety_mode, self.is_running)
+        self._status.publish(self.num_cycles, self.arms[0].safety_mode, self._is_running)
         for image in self.camera.take(self.time):
             self._image.publish(messages.image(image.pixels, start + image.stamp))
             if self._info:
@@ -218,7 +207,7 @@ class LabNode:
             **self.lab.truth(),
             "outcome": self.lab.outcome,
             "summary": self.summary(),
-            "halted": not self.is_running,
+            "halted": not self._is_running,
             "safety_mode": self.arms[0].safety_mode,
             "halts": sum(arm.num_halts for arm in self.arms),
             "ignored": sum(part.driver.num_ignored for part in self._parts),
@@ -232,7 +221,7 @@ class LabNode:
         lab, halted = self.lab, f"program halted, safety mode {self.arms[0].safety_mode}"
         thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
         refused = f", refused: {self._refused}" if self._refused else ""
-        return f"throw {lab.num_throws}: {thrown}; {'program runs' if self.is_running else halted}{refused}"
+        return f"throw {lab.num_throws}: {thrown}; {'program runs' if self._is_running else halted}{refused}"
 
     def _handle(self, data: bytes) -> None:
         try:

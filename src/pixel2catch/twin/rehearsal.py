@@ -125,15 +125,10 @@ def run_trial(
     truth, stops = operator.truth, operator.stops[num_stops:]
     if not is_cycle or stops or problem:
         _stop_robot(operator)
-    is_thrown = truth.get("throw", 0) > thrown
-    return Outcome(
-        seed=seed,
-        object=truth.get("object") if is_thrown else None,
-        is_tracked=is_thrown and truth["is_tracked"],
-        is_success=is_thrown and truth["is_success"],
-        stops=stops,
-        problem=problem,
-    )
+    result: dict[str, Any] = {"object": None, "is_tracked": False, "is_success": False}
+    if truth.get("throw", 0) > thrown:
+        result = {name: truth[name] for name in result}
+    return Outcome(seed=seed, stops=stops, problem=problem, **result)
 
 
 def _start_policy(operator: RehearsalOperator, seed: int) -> None:
@@ -260,8 +255,7 @@ def _require_running(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -
     for process in processes:
         if process.poll() is not None:
             name = process.args[3]  # type: ignore[index]
-            lines = (logs / f"{name}.txt").read_text(errors="replace").strip().splitlines()
-            last = lines[-1] if lines else "nothing"
+            last = ["nothing", *(logs / f"{name}.txt").read_text(errors="replace").strip().splitlines()][-1]
             raise DeploymentError(f"'pixel2catch {name}' has ended; its last line: {last}")
 
 

@@ -38,16 +38,10 @@ from pixel2catch.twin.rehearsal import OnThrow, RehearsalOperator, run_throws
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
 
-HOP = 0.0005
-"""Time from a cycle of the drivers to the servo's tick, and from there to the control loop [s].
-
-Source: ours, for DDS between two processes.
-"""
-
+HOP = 0.0005  #: Time from drivers to servo, and from servo to control loop [s]. Source: ours, for DDS.
 GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
 """Background and object in plain images, and the colours by which perception finds the object."""
-NOISE, NUM_SHIFTS = 4, 32
-"""Largest noise of plain images [levels]; number of different shifts of it along a row."""
+NOISE, NUM_SHIFTS = 4, 32  #: Largest noise of plain images [levels]; number of its shifts along a row.
 
 ARMING = 0.5  #: Time at which a recording arms; the switch is pressed at half of it [s]. Source: ours.
 PHYSICS_HZ = 600.0  #: Physics steps in a second of a twin that is recorded. Source: ours, as evaluated.
@@ -69,20 +63,19 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
     ) -> None:
         """Put them in place, with the work cell's limits of the servo unless others are given."""
         self.clock, self.broker, self._open = StepClock(self._wait), Broker(), ExitStack()
-        workcell = find_workcell(task.scene.workcell)
-        self.profile, self._num_cycles = twin_profile(workcell), 0
         self.lab = SimulatedLab(task, cfg.seed)
+        self.profile, self._num_cycles = twin_profile(self.lab.workcell), 0
         camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), 1e-3 * cfg.clock_error_ms)
         self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
         node, self._recording = self.broker.node(self.clock), None
         if cfg.record:
             recorder = self._open.enter_context(BagRecorder(cfg.record))
             self._recording = DeploymentRecorder(recorder, node, self.profile, self.clock, images)
-        limits = limits or ServoLimits.of(workcell, JointLimits.of(workcell, parts=self.profile.robots))
+        of_profile = JointLimits.of(self.lab.workcell, parts=self.profile.robots)
+        limits = limits or ServoLimits.of(self.lab.workcell, of_profile)
         self.limits = replace(limits, dt=CYCLE)  #: Of the servo, which ticks after each cycle.
-        setup = ServoSetup(profile=self.profile, limits=self.limits)
-        nodes = self.broker.node(self.clock), node
-        self.servo = SteppedServo(setup, nodes, self.clock, self._recording)
+        setup, own = ServoSetup(profile=self.profile, limits=self.limits), self.broker.node(self.clock)
+        self.servo = SteppedServo(setup, (own, node), self.clock, self._recording)
         #: Called after every cycle of the drivers, each `HOP` later than the one before.
         self.followers: tuple[Callable[[], object], ...] = (self.servo.tick,)
 
@@ -94,20 +87,15 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
     def _wait(self, moment: float) -> None:
         """Run cycles until a moment [s], or shortly after."""
         while self.clock.time < moment - ROUNDING:
-            begin = self._num_cycles * CYCLE
+            self.clock.time = begin = self._num_cycles * CYCLE
             self._num_cycles += 1
-            self.clock.time = begin
             self._node.cycle(start=0.0)
             for number, follow in enumerate(self.followers, start=1):
                 self.clock.time = begin + number * HOP
                 follow()
 
     def __exit__(self, *exception: object) -> None:
-        """Free the simulation, and end the recording.
-
-        Raises:
-            DeploymentError: The recording lacks messages.
-        """
+        """Free the simulation, and end the recording; raises if that lacks messages."""
         self._open.close()
         self.lab.close()
         self.servo.close()
@@ -124,12 +112,7 @@ def _done(image: Pixels) -> "Future[Pixels]":
 def rehearse_stepped(
     cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy, on_throw: OnThrow
 ) -> dict[str, Any]:
-    """Run throws in simulated time; return the report.
-
-    Raises:
-        DeviceUnavailableError: Images are rendered, and no OpenGL back end works.
-        PolicyMismatchError: The policy cannot be deployed.
-    """
+    """Run throws in simulated time; return the report. Raises as `in_step` does."""
     with in_step(cfg, task, policy) as (twin, statistics):
         return {
             **run_throws(cfg, twin.operator, on_throw),
@@ -148,9 +131,12 @@ def in_step(
 
     Images and perception are those of `pixel2catch twin` and `pixel2catch deploy`. Plain images show a red
     box instead, which perception finds by its colour.
+
+    Raises:
+        DeviceUnavailableError: Images are rendered, and no OpenGL back end works.
+        PolicyMismatchError: The policy cannot be deployed.
     """
-    scene = task.scene
-    workcell = find_workcell(scene.workcell)
+    scene, workcell = task.scene, find_workcell(task.scene.workcell)
     with ExitStack() as stack:
         if cfg.plain:
             draw, segmenter, robot = plain_image, ColorThreshold(RED_HUES), None
@@ -162,18 +148,11 @@ def in_step(
         pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
-        cycle = None
+        cycle, times = None, partial(Random(cfg.seed).uniform, least, least + jitter)
         if cfg.after_catch:
-            place, limits = cfg.after_catch, twin.limits
-            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, place, is_stepped=True)
-        loop = ControlLoop(
-            pipeline,
-            scene.camera,
-            twin.servo.connection,
-            twin.profile,
-            perception_time=partial(Random(cfg.seed).uniform, least, least + jitter),
-            cycle=cycle,
-        )
+            cycle = ThrowCycle(pipeline, twin.profile, twin.limits, scene.camera, cfg.after_catch)
+        deployment = pipeline, scene.camera, twin.servo.connection, twin.profile
+        loop = ControlLoop(*deployment, perception_time=times, cycle=cycle)
         twin.followers = (twin.servo.tick, loop.poll)
         yield twin, loop.statistics
 
@@ -199,10 +178,7 @@ def _grey(height: int, width: int) -> Pixels:
 def recorded_in_step(
     workcell: WorkcellSpec, dynamics: Path, limits: ServoLimits, out: Path
 ) -> Iterator[Connection]:
-    """Yield the connection to a twin with the robot of a dynamics file, which is armed and recorded.
-
-    The recording is written into a new folder.
-    """
+    """Yield the connection to a twin with the robot of a dynamics file, armed and recorded into a folder."""
     scene = SceneCfg(workcell=workcell.name, physics_hz=PHYSICS_HZ)
     task, is_armed = CatchEnvCfg(scene=scene).with_files(dynamics, None), False
     with SteppedTwin(RehearsalCfg(record=out), task, plain_image, limits, "none") as twin:
