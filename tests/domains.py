@@ -10,11 +10,8 @@ from pathlib import Path
 FIRST_PORT, PORTS = 7410, 250
 """Port of the first participant of domain 0, and how many ports a domain has. Source: DDS-RTPS."""
 
-DOMAINS = range(1, 201)
-"""Those that tests take; programs are on 0 where nothing is said."""
-
-PATIENCE = 600.0
-"""Time after which something that another process does counts as failed [s], be the machine busy."""
+DOMAINS = range(1, 201)  #: Those that tests take; programs are on 0 where nothing is said.
+PATIENCE = 600.0  #: Time after which something that another process does counts as failed [s].
 
 
 @cache
@@ -28,7 +25,7 @@ def own_domain() -> str:
 
 
 def _is_locked(domain: int) -> bool:
-    """Whether the lock of a domain is ours now; the system takes it back when this process ends."""
+    """Whether the lock of a domain is ours; the system takes it back when this process ends."""
     path = Path(tempfile.gettempdir()) / f"pixel2catch-test-domain-{domain}-{os.getuid()}.lock"
     file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
     try:
@@ -40,7 +37,7 @@ def _is_locked(domain: int) -> bool:
 
 
 def _is_quiet(domain: int) -> bool:
-    """Whether nobody listens on the ports of the first participants, be it a program that knows no lock."""
+    """Whether nobody listens on the ports of the first participants, be it a program without a lock."""
     try:
         for port in range(4):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:

@@ -156,15 +156,14 @@ def _enclave() -> Path | None:
 
     Source: ros2/rcl at 4396ba31, rcl/src/rcl/security.c, rcl_get_security_options_from_environment.
     """
-    if os.environ.get("ROS_SECURITY_ENABLE") != "true":
+    said = {name: os.environ.get(f"ROS_SECURITY_{name}") or "" for name in ("ENABLE", "STRATEGY", "KEYSTORE")}
+    if said["ENABLE"] != "true":
         return None
     name = os.environ.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or "/"
-    folder = Path(os.environ.get("ROS_SECURITY_KEYSTORE") or "/none", "enclaves", name[1:])
-    if folder.is_dir():
-        return folder
-    if os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
+    folder = Path(said["KEYSTORE"] or "/none", "enclaves", name[1:])
+    if not folder.is_dir() and said["STRATEGY"] == "Enforce":
         raise RuntimeError(f"SECURITY ERROR: directory '{folder}' does not exist.")
-    return None
+    return folder if folder.is_dir() else None
 
 
 def try_shutdown(*, context: Context) -> None:

@@ -13,31 +13,24 @@ from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subs
 class MessageQueue(Subscription):
     """The messages of one subscription; `MessageQueues` makes it. Any thread may use it."""
 
-    def __init__(
-        self, clock: Clock, arrived: Condition, topic: Topic, depth: int, only_watches: bool
-    ) -> None:
+    def __init__(self, node: "MessageQueues", topic: Topic, depth: int, only_watches: bool) -> None:
         """Begin empty."""
-        self._clock, self._arrived = clock, arrived
-        self.topic, self.only_watches = topic, only_watches
-        self._waiting: deque[Message] = deque(maxlen=depth)
+        self._node, self.topic, self.only_watches = node, topic, only_watches
+        self.waiting: deque[Message] = deque(maxlen=depth)  #: Messages until they are taken.
 
     def put(self, data: bytes, age: float = 0.0, sender: int = 0) -> None:
         """Add a message that arrives now; its age is the time since it was sent [s]."""
-        with self._arrived:
-            self._waiting.append(Message(data=data, arrival=self._clock.now(), age=age, sender=sender))
-            self._arrived.notify_all()
+        with self._node.arrived:
+            arrival = self._node.clock.now()
+            self.waiting.append(Message(data=data, arrival=arrival, age=age, sender=sender))
+            self._node.arrived.notify_all()
 
     def take(self) -> list[Message]:
         """See `Subscription.take`."""
-        with self._arrived:
-            received = list(self._waiting)
-            self._waiting.clear()
+        with self._node.arrived:
+            received = list(self.waiting)
+            self.waiting.clear()
         return received
-
-    @property
-    def ends_wait(self) -> bool:
-        """Whether there is a message for which a node waits."""
-        return bool(self._waiting) and not self.only_watches
 
 
 class MessageQueues(list[MessageQueue]):
@@ -46,17 +39,18 @@ class MessageQueues(list[MessageQueue]):
     def __init__(self, clock: Clock) -> None:
         """Begin without queues."""
         super().__init__()
-        self._clock, self._arrived = clock, Condition()
+        self.clock, self.arrived = clock, Condition()
 
     def add(self, topic: Topic, depth: int, *, only_watches: bool) -> MessageQueue:
         """Make a queue; see `Transport.subscription`."""
-        self.append(MessageQueue(self._clock, self._arrived, topic, depth, only_watches))
+        self.append(MessageQueue(self, topic, depth, only_watches))
         return self[-1]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
-        with self._arrived:
-            return self._arrived.wait_for(lambda: any(each.ends_wait for each in self), timeout=seconds)
+        queues = [each.waiting for each in self if not each.only_watches]
+        with self.arrived:
+            return self.arrived.wait_for(lambda: any(queues), timeout=seconds)
 
 
 class Broker:

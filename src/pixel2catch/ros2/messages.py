@@ -33,10 +33,8 @@ NUMBER = "std_msgs/msg/Float64"
 TEXT = "std_msgs/msg/String"
 
 MOST_BYTES = 2**26  #: Largest message that is read [bytes]: an image of 22 million pixels. Source: ours.
-
 NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 """Modes of a UR robot; it moves in the first and the last. Source: `ur_dashboard_msgs`."""
-
 ACTIVE = 3  #: State of a controller that moves its joints. Source: `lifecycle_msgs`.
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -70,9 +68,8 @@ def decode(data: bytes, kind: str) -> Any:
     try:
         return STORE.deserialize_cdr(memoryview(data), kind)
     except (SerdeError, struct.error, ValueError, LookupError) as error:
-        raise DeploymentError(
-            f"a message is no {kind} ({error}): two programs use different types for a topic."
-        ) from error
+        fix = "two programs use different types for a topic"
+        raise DeploymentError(f"a message is no {kind} ({error}): {fix}.") from error
 
 
 def float64(values: Iterable[float]) -> np.ndarray:
@@ -108,26 +105,19 @@ class JointReading:
 
 
 def joint_state(
-    names: Iterable[str],
-    position: Iterable[float],
-    stamp: float,
-    velocity: Iterable[float] | None = None,
-    effort: Iterable[float] | None = None,
+    names: Iterable[str], position: Iterable[float], stamp: float, velocity: Iterable[float] = ()
 ) -> bytes:
-    """Encode positions [rad], and optionally velocities [rad/s] and efforts [N·m], of joints by name."""
-    numbers = (float64(() if values is None else values) for values in (position, velocity, effort))
-    return encode(JOINT_STATE, header(stamp), list(names), *numbers)
+    """Encode positions [rad], and optionally velocities [rad/s], of joints by name; efforts are left out."""
+    return encode(JOINT_STATE, header(stamp), list(names), float64(position), float64(velocity), float64(()))
 
 
 def read_joint_state(data: bytes) -> JointReading:
     """Decode the positions of a joint state; raises as `decode`, and where a name has no position."""
     message = decode(data, JOINT_STATE)
-    if len(message.name) != len(message.position):
-        raise DeploymentError(
-            f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
-            "check the program that publishes it."
-        )
     names, position = tuple(message.name), float64(message.position)
+    if len(names) != len(position):
+        wrong = f"a joint state has {len(position)} positions for {len(names)} names"
+        raise DeploymentError(f"{wrong}: check the program that publishes it.")
     return JointReading(names=names, position=position, stamp=seconds(message.header))
 
 
