@@ -44,8 +44,7 @@ class Driver(ABC):
 
     def __init__(self, position: Joints) -> None:
         """Hold these joint positions [rad]."""
-        self._target = position
-        self.num_ignored = 0  #: Commands that were not followed.
+        self._target, self.num_ignored = position, 0  #: Commands that were not followed.
 
     def reset(self, position: Joints) -> None:
         """Hold other positions [rad]."""
@@ -53,10 +52,7 @@ class Driver(ABC):
 
     @abstractmethod
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
-        """Return the target of the servos until the next cycle [rad].
-
-        The command [rad] is the newest that arrived since the last cycle, if any.
-        """
+        """Return the servos' target until the next cycle [rad], by the newest command [rad], if any."""
 
 
 @final

@@ -95,10 +95,7 @@ class PartTopics:
             self._states.publish(messages.joint_state(self._names, position, stamp, velocity))
 
     def cycle(self, joints: JointState, num_late: int) -> Float[np.ndarray, " part_joints"]:
-        """Return the servo targets of this part until the next cycle [rad].
-
-        As many commands are left in the queue as further cycles are overdue.
-        """
+        """Return the servo targets until the next cycle [rad]; leave a command for each overdue cycle."""
         self._waiting.extend(message.data for message in self._commands.take())
         newest = None
         while len(self._waiting) > num_late:
@@ -176,10 +173,7 @@ class LabNode:
         return all(arm.is_running for arm in self.arms)
 
     def cycle(self, start: float, num_late: int = 0) -> None:
-        """Publish with stamps from a start [s], take commands, and simulate until the next cycle.
-
-        `num_late` further cycles are overdue.
-        """
+        """Publish with stamps from a start [s] and simulate a cycle; `num_late` further ones are overdue."""
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)

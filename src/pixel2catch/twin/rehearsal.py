@@ -35,9 +35,7 @@ DOMAIN = "77"  #: DDS domain of a rehearsal where ROS_DOMAIN_ID is not set. Sour
 MOVING = ("armed", "ramp", "run")  #: Modes of the servo that follow a policy, or will.
 STATUS, TRUTH = ("mode", "stopped_by", "found", "refused", "message"), ("phase", "throw", "halted", "refused")
 """Entries of the states of deployment and twin that an error shows."""
-
-TWIN_SUMMARY = ("joint_speed", "halts", "ignored", "late_images", "lost_images")
-"""Entries of the twin's last state in a report."""
+TWIN_SUMMARY = ("joint_speed", "halts", "ignored", "late_images", "lost_images")  #: Those in a report.
 
 
 class RehearsalOperator(OperatorConsole):
@@ -69,20 +67,14 @@ class RehearsalOperator(OperatorConsole):
             self.stops.append(", ".join(self.status["stopped_by"]))
 
     def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = STEP_TIME) -> None:
-        """Watch until a condition holds, at most so long [s].
-
-        Raises:
-            DeploymentError: The time is over; the message names what was awaited.
-        """
+        """Watch until a condition holds, at most so long [s], else raise an error that names it."""
         end = self._clock.now() + seconds
         while not condition():
             if self._clock.now() > end:
-                status = {name: self.status.get(name) for name in STATUS}
-                truth = {name: self.truth.get(name) for name in TRUTH}
-                raise DeploymentError(
-                    f"{what} did not come within {seconds:g} s: "
-                    f"deployment {json.dumps(status)}, twin {json.dumps(truth)}"
-                )
+                status = json.dumps({name: self.status.get(name) for name in STATUS})
+                truth = json.dumps({name: self.truth.get(name) for name in TRUTH})
+                late = f"{what} did not come within {seconds:g} s"
+                raise DeploymentError(f"{late}: deployment {status}, twin {truth}")
             self.watch()
             self._clock.sleep_until(self._clock.now() + POLL)
 
@@ -107,10 +99,7 @@ class Outcome:
 def run_trial(
     operator: RehearsalOperator, seed: int, held: float = 0.0, *, is_cycle: bool = False
 ) -> Outcome:
-    """Run one throw, from an empty room to the stop after it; the object is held so long before [s].
-
-    In a cycle the robot is not stopped: the throw ends when it waits for the next one.
-    """
+    """Run a throw, of an object held so long before [s]; stop the robot, or in a cycle wait for the next."""
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
         (_start_in_cycle if is_cycle else _start_policy)(operator, seed)

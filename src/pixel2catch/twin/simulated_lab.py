@@ -79,6 +79,7 @@ class SimulatedLab:
         self.workcell = workcell = find_workcell(task.scene.workcell)
         self._robot = slice(len(workcell.joints))
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
+        self.camera: CameraSpec = self._task.scene.camera  #: Lens and pose of the camera.
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
         names = self._world.objects.names
@@ -104,11 +105,6 @@ class SimulatedLab:
     def time(self) -> float:
         """Time since the beginning [s]."""
         return self._steps * self.physics_dt
-
-    @property
-    def camera(self) -> CameraSpec:
-        """Lens and pose of the camera."""
-        return self._task.scene.camera
 
     @property
     def object_name(self) -> str:
