@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 from servo_rows import HOME, LIMITS
@@ -75,7 +76,7 @@ class WireLab:
     def _decide(self, loop: LoopEnd) -> None:
         if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "control loop" not in self.silent:
             now, seen = self.clock.now(), self.clock.now() - self.image_age
-            stamps = {"target_stamp": now, "image_stamp": seen, "box_stamp": seen}
+            stamps: Any = {"target_stamp": now, "image_stamp": seen, "box_stamp": seen}
             loop.send(JointTargets(joint_pos_target=self.target, **stamps))
         self.ticks += loop.receive()
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import driver_doubles as doubles
 import numpy as np
@@ -94,11 +95,9 @@ class Cell:
                 self._switch.publish(messages.boolean(True))
             if self._ticks % 33 == 0:
                 now = self.clock.time
-                goal, stamps = (
-                    target(now - begin) if target else self.home,
-                    {"image_stamp": now, "box_stamp": now},
-                )
-                targets = JointTargets(joint_pos_target=goal, target_stamp=now, **stamps)
+                goal = target(now - begin) if target else self.home
+                stamps: Any = dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now)
+                targets = JointTargets(joint_pos_target=goal, **stamps)
                 self.servo.connection.servo.send(targets)
             if self._ticks % ticks == 0:
                 self.servo.tick()

@@ -63,7 +63,7 @@ class Bench:
         assert topic
         return self.node.subscription(topic, depth=1000)
 
-    def ask(self, num_cycles: int = 20, **request: Any) -> dict[str, Any]:
+    def ask(self, num_cycles: int = 20, /, **request: Any) -> dict[str, Any]:
         """Send a request; return the state some cycles later."""
         self._requests.publish(messages.text(json.dumps(request)))
         return self.cycle(num_cycles)
@@ -82,7 +82,7 @@ class Bench:
 
     def examine(self, profile: Profile = PROFILE, num_cycles: int = NUM_CYCLES) -> dict[str, Check]:
         """What `doctor` finds after some cycles, by name."""
-        with self.broker.node(self.clock) as node:
+        with (node := self.broker.node(self.clock)):
             survey = Survey(node, profile, self.clock)
             for _ in range(max(num_cycles // 50, 1)):
                 self.cycle(min(num_cycles, 50))

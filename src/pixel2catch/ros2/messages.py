@@ -183,9 +183,9 @@ def read_camera_info(data: bytes) -> CameraSpec:
     fx, _, cx, _, fy, cy, *_ = map(float, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
-    lens = {"fx": fx, "fy": fy, "cx": cx + PIXEL_CENTER, "cy": cy + PIXEL_CENTER}
-    size = {"width": message.width, "height": message.height}
-    return CameraSpec(**size, **lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
+    lens: dict[str, Any] = {"width": message.width, "height": message.height, "fx": fx, "fy": fy}
+    lens |= {"cx": cx + PIXEL_CENTER, "cy": cy + PIXEL_CENTER}
+    return CameraSpec(**lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
 
 
 Value = TypeVar("Value", bool, int, float, str)

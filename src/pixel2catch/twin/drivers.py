@@ -61,9 +61,10 @@ class HandDriver(Driver):
 
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
         """See `Driver.cycle`."""
-        is_valid = command is not None and np.isfinite(command).all()
-        self._target = command if is_valid else self._target
-        self.num_ignored += command is not None and not is_valid
+        if command is not None and np.isfinite(command).all():
+            self._target = command
+        elif command is not None:
+            self.num_ignored += 1
         return self._target
 
 
