@@ -1,7 +1,5 @@
 """Random inputs of the servo: many of them faulty."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from servo_rows import HOME
 
@@ -18,40 +16,25 @@ RECKLESSNESS = np.array([0.0, 3e-4, 1e-3, 1e-2])
 SENDERS = ("joint_stamp", "target_stamp", "image_stamp", "dead_man_stamp")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Robots:
-    """Joints that follow their commands with their own lag, some of them badly."""
-
-    joint_pos: np.ndarray
-    follow: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
-class _SensorErrors:
-    """Errors of encoders: frozen at the last value, scaled or shifted."""
-
-    scale: np.ndarray
-    offset: np.ndarray
-    is_frozen: np.ndarray
-    until: np.ndarray
-
-    def apply(self, truth: np.ndarray, before: np.ndarray) -> np.ndarray:
-        return np.where(self.is_frozen, before, self.scale * truth + self.offset)
-
-
 class Chaos:
-    """Inputs of `num_rows` servos: call `inputs`, tick, and call `follow` with the commands."""
+    """Inputs of `num_rows` servos: call `inputs`, tick, and call `follow` with the commands.
+
+    Joints follow their commands with their own lag, some of them badly. Encoders are frozen at the last
+    value, scaled or shifted at times.
+    """
 
     def __init__(self, num_rows: int, limits: ServoLimits, seed: int) -> None:
         self.random, self.limits, self.rows = np.random.default_rng(seed), limits, num_rows
         self.time = np.full(num_rows, 1000.0)
         self.chance = RECKLESSNESS[np.arange(num_rows) % len(RECKLESSNESS)]
         start = self._pose(0.1)
-        follow = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(0.7, 1.4, (num_rows, 1))
-        self.robots = _Robots(joint_pos=start, follow=follow)
+        self.share = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(
+            0.7, 1.4, (num_rows, 1)
+        )
+        self.joint_pos = start
         self.target, self.pressed = start.copy(), self.time.copy()
         self.measured, zeros = start.copy(), np.zeros(start.shape)
-        self.errors = _SensorErrors(scale=zeros + 1.0, offset=zeros, is_frozen=zeros > 0.0, until=self.time)
+        self.scale, self.offset, self.is_frozen, self.until = zeros + 1.0, zeros, zeros > 0.0, self.time
         self.sent = {name: self.time.copy() for name in SENDERS}
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
@@ -91,34 +74,30 @@ class Chaos:
 
     def follow(self, command: np.ndarray) -> None:
         """Move the robots; some are blocked, pushed, or moved away while nothing is sent."""
-        joint_pos = self.robots.joint_pos
-        goal = np.where(np.isnan(command), joint_pos, command)
-        joint_pos = joint_pos + self.robots.follow * (goal - joint_pos)
+        goal = np.where(np.isnan(command), self.joint_pos, command)
+        joint_pos = self.joint_pos + self.share * (goal - self.joint_pos)
         bump = self._happens()[:, None] * self.random.normal(0.0, 0.5, joint_pos.shape)
         away = np.isnan(command).any(axis=-1) & (self.random.random(self.rows) < 0.01)
         spread = self.random.choice([0.1, 0.1, 0.5, 3.0])
-        joint_pos = np.where(away[:, None], self._pose(spread), joint_pos + bump)
+        self.joint_pos = np.where(away[:, None], self._pose(spread), joint_pos + bump)
         stuck = self._happens() & (self.random.random(self.rows) < 0.2)
-        follow = np.where(stuck[:, None], 0.0, self.robots.follow)
-        self.robots = replace(self.robots, joint_pos=joint_pos, follow=follow)
+        self.share = np.where(stuck[:, None], 0.0, self.share)
 
     def _measure(self) -> None:
         """Begin and end errors of encoders of one joint or of all: offset, scale, or freeze."""
-        errors, shape = self.errors, self.measured.shape
-        begins = (self._happens() & (self.time > errors.until))[:, None]
-        is_over = (self.time > errors.until)[:, None] & ~begins
+        shape, is_past = self.measured.shape, (self.time > self.until)[:, None]
+        begins = self._happens()[:, None] & is_past
+        is_over = is_past & ~begins
         kind = np.where(begins & self._columns(shape), self.random.integers(1, 4, (self.rows, 1)), 0)
         offset, scale = self.random.normal(0.0, 0.1, shape), self.random.uniform(0.0, 2.0, shape)
-        about = (1.0 - scale) * self.robots.joint_pos
-        self.errors = _SensorErrors(
-            scale=np.where(kind == 2, scale, np.where(is_over, 1.0, errors.scale)),
-            offset=np.where(
-                kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, errors.offset))
-            ),
-            is_frozen=(kind == 3) | (errors.is_frozen & ~is_over),
-            until=np.where(begins[:, 0], self.time + self.random.exponential(0.2, self.rows), errors.until),
-        )
-        self.measured = self.errors.apply(self.robots.joint_pos, self.measured)
+        about, before = (1.0 - scale) * self.joint_pos, np.where(is_over, 0.0, self.offset)
+        self.scale = np.where(kind == 2, scale, np.where(is_over, 1.0, self.scale))
+        self.offset = np.where(kind == 1, offset, np.where(kind == 2, about, before))
+        self.is_frozen = (kind == 3) | (self.is_frozen & ~is_over)
+        end = self.time + self.random.exponential(0.2, self.rows)
+        self.until = np.where(begins[:, 0], end, self.until)
+        truth = self.scale * self.joint_pos + self.offset
+        self.measured = np.where(self.is_frozen, self.measured, truth)
 
     def _pose(self, spread: float) -> np.ndarray:
         """Return poses near the start pose; with a wide spread, some are beyond the limits."""
@@ -129,7 +108,7 @@ class Chaos:
         """Choose targets: near the joints, anywhere, or from limit to limit."""
         kind = self.random.random((self.rows, 1))
         shape = self.target.shape
-        near = self.robots.joint_pos + self.random.normal(0.0, 0.2, shape)
+        near = self.joint_pos + self.random.normal(0.0, 0.2, shape)
         swing = np.where(self.random.random(shape) < 0.5, self.limits.joints.lower, self.limits.joints.upper)
         anywhere = self.random.uniform(-7.0, 7.0, shape)
         target = np.where(kind < 0.7, near, np.where(kind < 0.85, swing, anywhere))

@@ -9,15 +9,10 @@ import pytest
 
 from paper_robot import JOINTS
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.ros2.profile import DriverJoint, MotionBudget, Profile, RobotPart
 from pixel2catch.servo.limits import JointLimits, ServoLimits
-from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-NOMINAL = JointDynamics.nominal()
-WORKSPACE = Workspace(workcell=UR5E_ALLEGRO)
 
 
 def test_numbers_by_hand():
@@ -47,6 +42,13 @@ def test_no_step_is_larger_than_ur_accepts():
         assert (limits.joint_records["speed"][:6] * dt < 0.04).all()
 
 
+def test_each_arm_and_hand_begins_and_ends_once():
+    """Whether a driver ignores commands is found for each arm."""
+    limits = ServoLimits.of(find_workcell("two_ur5e_allegro")).joint_records
+    assert np.flatnonzero(limits["is_first"]).tolist() == [0, 6, 19, 25]
+    assert np.flatnonzero(limits["is_last"]).tolist() == [5, 18, 24, 37]
+
+
 def test_invalid_limits_are_refused():
     for share in (0.0, 1.01, np.nan):
         with pytest.raises(InvalidValueError, match="share"):
@@ -56,10 +58,11 @@ def test_invalid_limits_are_refused():
         replace(limits, acceleration=0.0 * limits.acceleration)
     with pytest.raises(InvalidValueError, match="lower"):
         replace(limits, lower=limits.upper)
-    with pytest.raises(InvalidValueError, match=r"a stop takes a joint up to 0\.502 s"):
-        ServoLimits(
-            joints=replace(limits, acceleration=0.0 * limits.acceleration + 40.0), workspace=WORKSPACE
-        )
+    slow = replace(limits, acceleration=0.0 * limits.acceleration + 40.0)
+    weak = replace(limits, deceleration=0.4 * limits.deceleration)
+    for joints, seconds in ((slow, "0.502"), (weak, "0.314")):
+        with pytest.raises(InvalidValueError, match=f"a stop takes a joint up to {seconds} s"):
+            ServoLimits.of(UR5E_ALLEGRO, joints)
 
 
 def test_without_identified_dynamics_commands_have_the_speed_limit_of_joints():
@@ -107,9 +110,3 @@ def test_commands_may_be_slower_than_their_joints_and_as_often_as_the_driver_tak
         assert limits.joint_records["speed"][:7] == pytest.approx(most)
         assert limits.joints.acceleration[0] == 10.0
         assert limits.joints.jerk[0] == 5000.0
-
-
-def test_a_stop_that_takes_a_joint_too_long_is_refused():
-    joints = JointLimits.of(UR5E_ALLEGRO)
-    with pytest.raises(InvalidValueError, match=r"a stop takes a joint up to 0\.314 s"):
-        ServoLimits.of(UR5E_ALLEGRO, replace(joints, deceleration=0.4 * joints.deceleration))

@@ -101,11 +101,7 @@ def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joi
         command, ticks = moving_mean(recent, position, limits), ticks + 1
     asked, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     asked.target_position = [distance]
-    for name, limit in (
-        ("velocity", limits.speed),
-        ("acceleration", limits.acceleration),
-        ("jerk", limits.jerk),
-    ):
-        setattr(asked, f"max_{name}", [limit])
+    asked.max_velocity, asked.max_acceleration = [limits.speed], [limits.acceleration]
+    asked.max_jerk = [limits.jerk]
     ruckig.Ruckig(1).calculate(asked, trajectory)
     assert abs(ticks * DT - trajectory.duration) < 2.0 * DT

@@ -78,6 +78,7 @@ MISTAKES = [
     ("robots.0.joints.elbow", {"name_in_state": "x", "index_in_command": 0}, "unknown joint 'elbow'"),
     ("robots.1.held.4", GONE, "places 0 to 15"),
     ("robots.1.held.4.angle", float("nan"), "'angle' has the number nan"),
+    ("robots.1.held.4.angle", 0.5, "angle is 0.5; it may be -0.47 to 0.47 rad"),
     ("robots.0.command_topic.type", messages.NUMBER, "'std_msgs/msg/Float64'"),
     ("places", {"bin": {"joints": {"elbow": 1.0}}}, "unknown arm joint 'elbow'"),
     ("places", {"bin": {"joints": {"elbow_joint": 9.0}}}, "places.bin: elbow_joint is 9; it may be"),

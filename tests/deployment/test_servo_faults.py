@@ -3,9 +3,11 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from loop_lab import PROFILE
 from servo_rows import HOME, LIMITS
 from wire_lab import Stage, taken
 
@@ -20,9 +22,14 @@ def silence(*names: str) -> Callable[[Stage], None]:
     return lambda stage: stage.lab.silent.update(names)
 
 
+def sets(name: str, value: Any) -> Callable[[Stage], None]:
+    """Return a fault: the laboratory has another value."""
+    return lambda stage: setattr(stage.lab, name, value)
+
+
 def joints(change: Callable[[messages.JointReading], messages.JointReading]) -> Callable[[Stage], None]:
     """Return a fault: joint states are changed."""
-    return lambda stage: setattr(stage.lab, "change", change)
+    return sets("change", change)
 
 
 def sends(name: str, data: bytes) -> Callable[[Stage], None]:
@@ -34,14 +41,6 @@ def sends(name: str, data: bytes) -> Callable[[Stage], None]:
         stage.lab.send(getattr(owner, name), data)
 
     return say
-
-
-def slow_down(stage: Stage) -> None:
-    stage.lab.speed = 50.0
-
-
-def release_switch(stage: Stage) -> None:
-    stage.lab.is_held = False
 
 
 def add_publisher(stage: Stage) -> None:
@@ -81,12 +80,14 @@ def remove_status_sender(stage: Stage) -> None:
     node.publishers = [each for each in node.publishers if not each.topic.is_latched]
 
 
-def switch_controllers(stage: Stage) -> None:
-    """Another controller is active."""
-    states = {"forward_position_controller": 2, "scaled_joint_trajectory_controller": messages.ACTIVE}
-    controller = stage.lab.profile.robots[0].controller
+def switches_controllers(part: int) -> Callable[[Stage], None]:
+    """Return a fault: another controller of the arm or the hand is active."""
+    controller = PROFILE.robots[part].controller
     assert controller is not None
-    stage.lab.send(controller.activity, messages.activity(states, 0.0))
+    states = messages.activity(
+        {controller.name: 2, "scaled_joint_trajectory_controller": messages.ACTIVE}, 0.0
+    )
+    return lambda stage: stage.lab.send(controller.activity, states)
 
 
 def send_garbage(stage: Stage) -> None:
@@ -113,7 +114,29 @@ def age_switch(stage: Stage) -> None:
     stage.each_tick = lambda: switch.put(messages.boolean(True), age=0.3)
 
 
+def fingers(change: Callable[[np.ndarray], np.ndarray], by: float = 1.0) -> Callable[[Stage], None]:
+    """Return a fault: the fingers move, and their measured positions are changed."""
+
+    def happen(stage: Stage) -> None:
+        stage.lab.target = HOME + by * np.repeat((0.0, 0.7, 0.2, 0.4), (6, 3, 3, 7))
+        stage.lab.change = lambda reading: (
+            replace(reading, position=change(reading.position)) if len(reading.names) > 6 else reading
+        )
+
+    return happen
+
+
 FAULTS = {
+    "hand gone": (silence("hand"), "joints stale"),
+    "hand limp": (fingers(lambda pos: HOME[6:] + 1e-5 * np.random.default_rng().random()), "hand astray"),
+    "hand frozen": (fingers(lambda pos: HOME[6:], by=0.05), "joints frozen"),
+    "finger elsewhere": (fingers(lambda pos: pos + (np.arange(13) == 2)), "joints implausible"),
+    "fingers exchanged": (fingers(lambda pos: pos[[3, 4, 5, 0, 1, 2, *range(6, 13)]]), "hand astray"),
+    "hand on half the scale": (fingers(lambda pos: 0.5 * pos), "hand astray"),
+    "controller of the hand": (switches_controllers(1), "controller"),
+    "not a number": (fingers(lambda pos: np.nan * pos), "joints not finite"),
+    "control loop gone": (silence("control loop"), "policy late"),
+    "images old": (sets("image_age", 0.2), "image stale"),
     "arm gone": (silence("arm"), "joints stale"),
     "joint missing": (joints(without_elbow), "joints stale"),
     "joint states frozen": (joints(lambda reading: replace(reading, stamp=5.0)), "joints stale"),
@@ -123,15 +146,15 @@ FAULTS = {
     "protective stop": (sends("safety_mode", messages.safety_mode(3)), "safety mode"),
     "robot idle": (sends("robot_mode", messages.robot_mode(5)), "safety mode"),
     "program stopped": (sends("program_running", messages.boolean(False)), "safety mode"),
-    "speed slider": (slow_down, "speed scaling"),
+    "speed slider": (sets("speed", 50.0), "speed scaling"),
     "speed not sent": (silence("/speed_scaling_state_broadcaster/speed_scaling"), "status unknown"),
     "status sender gone": (remove_status_sender, "status unknown"),
     "status of two": (add_status_publisher, "status unknown"),
-    "other controller": (switch_controllers, "controller"),
+    "other controller": (switches_controllers(0), "controller"),
     "no subscriber": (remove_subscriber, "no subscriber"),
     "two subscribers": (add_subscriber, "other subscriber"),
     "other publisher": (add_publisher, "other publisher"),
-    "dead man let go": (release_switch, "dead man"),
+    "dead man let go": (sets("is_held", False), "dead man"),
     "dead man silent": (silence("/pixel2catch/dead_man"), "dead man"),
     "dead man old": (age_switch, "dead man"),
     "two operators": (add_operator, "other operator"),
@@ -142,11 +165,24 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_stops_the_robot_with_its_own_bit(fault: str, stage: Stage):
-    happens, reason = FAULTS[fault]
-    stage.arm()
+    """When it is mended and the switch is pressed anew, the robot can be armed again."""
+    (happens, reason), lab, node = FAULTS[fault], stage.lab, stage.laboratory
+    queues, publishers = [*node.queues], [*node.publishers]
+    stage.arm(60)
     happens(stage)
     stage.wait(130)
     assert stage.stopped_by == (reason,)
+    for other in {*stage.broker.nodes} - {stage.node, node}:
+        other.close()
+    node.queues[:], node.publishers, stage.each_tick = queues, publishers, lambda: None
+    lab.silent, lab.speed, lab.image_age = set(), 100.0, 0.03
+    lab.change, lab.target = lambda reading: reading, lab.joint_pos.copy()
+    lab.send_status()
+    for lab.is_held in (False, True):
+        stage.wait(STOP_TICKS)
+    lab.target = lab.joint_pos.copy()
+    lab.request_arm()
+    assert stage.wait(80) == Mode.RUN
 
 
 def test_repeated_and_older_joint_states_are_ignored(stage: Stage):

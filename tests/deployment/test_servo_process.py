@@ -8,12 +8,14 @@ from servo_rows import HOME, LIMITS
 from wire_lab import Stage, taken
 
 from paper_robot import JOINTS
+from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import Command, Fault, JointTargets, LoopEnd, Mode, ServoEnd, flag_names
-from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates
+from pixel2catch.servo.process import ARM_PAUSE, DEPTH, JointStates, ServoSubscriptions
+from pixel2catch.workcells import find_workcell
 
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
 ARM_TICKS = round(ARM_PAUSE / LIMITS.dt)
@@ -97,6 +99,21 @@ def test_a_robot_of_unknown_status_is_not_armed(stage: Stage):
     assert stage.modes == [Mode.IDLE]
 
 
+@pytest.mark.parametrize("arm", [0, 1])
+def test_the_status_of_both_arms_is_watched(arm: int):
+    profile, broker, clock = Profile.load("two_ur5e_allegro"), Broker(), StepClock(lambda _: None)
+    limits = ServoLimits.of(find_workcell(profile.workcell))
+    watched, driver = ServoSubscriptions(broker.node(clock), profile, limits, ()), broker.node(clock)
+    topics = [{name: driver.publisher(topic) for name, topic in each.items()} for each in profile.all_status]
+    none = JointTargets.none(limits.num_joints)
+    for number, mode, speed in ((0, 1, 100.0), (1, 1, 100.0), (arm, 3, 50.0)):
+        topics[number]["safety_mode"].publish(messages.safety_mode(mode))
+        topics[number]["speed_scaling"].publish(messages.number(speed))
+        watched.read(clock.now())
+        inputs = watched.inputs(clock.now(), none)
+        assert (inputs.is_safe[0], inputs.speed_scaling[0]) == (mode == 1, speed / 100.0)
+
+
 def test_the_end_of_the_control_loop_stops_the_robot_and_ends_the_servo(stage: Stage):
     lab = stage.lab
     stage.arm(60)
@@ -175,31 +192,13 @@ def test_an_old_request_to_arm_does_not_count(stage: Stage):
 
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
-TARGETS = JointTargets(
-    joint_pos_target=NUMBERS,
-    target_stamp=1.0,
-    image_stamp=0.5,
-    box_stamp=0.4,
-    is_perception_sound=False,
-    is_stop_requested=True,
-)
-COMMAND = Command(
-    time=1.0,
-    mode=3,
-    stopped_by=4,
-    found=1 << 15,
-    refused=6,
-    clamped=7,
-    joint_pos_command=np.full(len(JOINTS), np.nan),
-    joint_pos=NUMBERS,
-    duration=4e-4,
-    target_stamp=0.99,
-    image_stamp=0.98,
-)
+TARGETS = JointTargets.of(np.array([1.0, 0.5, 0.4, False, True, *NUMBERS]))
+COMMAND = Command.of(np.array([1.0, 4e-4, 0.99, 0.98, 3, 4, 1 << 15, 6, 7, *(np.nan * NUMBERS), *NUMBERS]))
 
 
 def test_targets_and_commands_arrive_unchanged(ends: tuple[LoopEnd, ServoEnd]):
     loop, servo = ends
+    assert (COMMAND.found, TARGETS.is_stop_requested, TARGETS.box_stamp) == (1 << 15, True, 0.4)
     loop.send(TARGETS)
     servo.send(COMMAND)
     (ordered,), (decided,) = servo.receive(), loop.receive()

@@ -43,14 +43,16 @@ class Survey:
     def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
         """Subscribe to the topics of a profile."""
         self._transport, self._clock, self._profile = transport, clock, profile
-        status = profile.status
+        readers = {
+            "safety_mode": messages.read_safety_mode,
+            "robot_mode": messages.read_robot_mode,
+            "program_running": messages.read_boolean,
+            "speed_scaling": messages.read_number,
+        }
         decoders: dict[Topic | None, Callable[[bytes], Any]] = {
             profile.camera.image: self._stamp_of_image,
             profile.camera.info: messages.read_camera_info,
-            status.safety_mode: messages.read_safety_mode,
-            status.robot_mode: messages.read_robot_mode,
-            status.program_running: messages.read_boolean,
-            status.speed_scaling: messages.read_number,
+            **{topic: readers[name] for arm in profile.all_status for name, topic in arm.items()},
             **{part.state_topic: messages.read_joint_state for part in profile.robots},
         }
         self._decoders = {topic: decode for topic, decode in decoders.items() if topic}
@@ -267,17 +269,19 @@ def checks_of_laboratory(
     Beside a twin on this machine (loopback) the settings of the machine need not be good.
     """
     limits = ServoLimits.of(find_workcell(profile.workcell))
-    status, pendant = profile.status, "at the pendant"
-    states = (
-        ("robot mode", status.robot_mode, messages.RUNNING_ROBOT_MODE, f"switch the robot on {pendant}"),
-        ("safety mode", status.safety_mode, messages.NORMAL_SAFETY_MODE, f"end the safety stop {pendant}"),
-        ("program", status.program_running, True, f"press play {pendant}, check its host address"),
-        ("speed scaling", status.speed_scaling, FULL_SPEED, f"push the slider to 100 % {pendant}"),
-    )
+    pendant = "at the pendant"
+    states = {
+        "robot_mode": ("robot mode", messages.RUNNING_ROBOT_MODE, f"switch the robot on {pendant}"),
+        "safety_mode": ("safety mode", messages.NORMAL_SAFETY_MODE, f"end the safety stop {pendant}"),
+        "program_running": ("program", True, f"press play {pendant}, check its host address"),
+        "speed_scaling": ("speed scaling", FULL_SPEED, f"push the slider to 100 % {pendant}"),
+    }
     probes: dict[str, Callable[[], str]] = {"network": partial(network, survey)}
-    for name, topic, wanted, fix in states:
-        if topic:
-            probes[name] = partial(state, survey, topic, wanted, fix)
+    for number, arm in enumerate(profile.all_status, start=1):
+        for field, (name, wanted, fix) in states.items():
+            if topic := arm.get(field):
+                title = name if number == 1 else f"{name} of arm {number}"
+                probes[title] = partial(state, survey, topic, wanted, fix)
     for part in profile.robots:
         age = float(limits.joints.position_age[part.ids].min())
         probes[f"joints of {part.name}"] = partial(joint_states, survey, part, age)

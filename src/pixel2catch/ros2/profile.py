@@ -89,8 +89,25 @@ class HeldJoint:
     """A driver joint that the work cell does not control. It is held at its angle."""
 
     angle: Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]  #: [rad].
+    range: tuple[float, float] = (-FARTHEST, FARTHEST)  #: Lowest and highest angle of the joint [rad].
     #: Its name in joint states. Without it, the joint is not moved to its angle evenly, but at once.
     name_in_state: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an angle out of range."""
+        if not self.range[0] <= self.angle <= self.range[1]:
+            lower, upper = self.range
+            raise InvalidValueError(f"angle is {self.angle:g}; it may be {lower:g} to {upper:g} rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusTopics:
+    """Status topics of an arm's driver; one that is left out is not checked."""
+
+    safety_mode: Topic | None = None
+    robot_mode: Topic | None = None
+    program_running: Topic | None = None
+    speed_scaling: Topic | None = None  #: [%].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +131,7 @@ class RobotPart:
     rate_hz: Limit  #: Rate at which the driver takes commands [Hz].
     limits: MotionBudget = MotionBudget()
     controller: Controller | None = None  #: Not checked if absent.
+    status: StatusTopics | None = None  #: Of a further arm; the first arm's is the profile's.
     notice: str = ""  #: What its driver does that an operator must expect; said before anything is sent.
     joint_order: tuple[str, ...] = ()  #: All joints of the work cell; the profile fills it in.
 
@@ -220,16 +238,6 @@ class CameraProfile:
         return "" if found == ours else wrong
 
 
-@dataclass(frozen=True, kw_only=True)
-class StatusTopics:
-    """Status topics of the arm's driver; one that is left out is not checked."""
-
-    safety_mode: Topic | None = None
-    robot_mode: Topic | None = None
-    program_running: Topic | None = None
-    speed_scaling: Topic | None = None  #: [%].
-
-
 _OWN = {
     name: Topic(name=f"/pixel2catch/{name}", type=TOPICS[name])
     for name in ("arm", "dead_man", "stop", "prompt", "status")
@@ -312,11 +320,17 @@ class Profile:
             return decoded(cls, _with_topics(parse_yaml(read_text(path, MOST_YAML))))
 
     @property
+    def all_status(self) -> list[dict[str, Topic]]:
+        """Status topics of each arm by their fields, without those that are not checked."""
+        every = (self.status, *(part.status for part in self.robots if part.status))
+        return [{name: topic for name, topic in vars(each).items() if topic} for each in every]
+
+    @property
     def driver_topics(self) -> set[Topic]:
         """Topics that the robot's drivers send: joint states and status."""
         controllers = {part.controller.activity for part in self.robots if part.controller}
         states = {part.state_topic for part in self.robots}
-        return states | controllers | {topic for topic in vars(self.status).values() if topic}
+        return states | controllers | {topic for status in self.all_status for topic in status.values()}
 
     def require(self, joints: Iterable[str]) -> None:
         """Refuse a policy that moves joints which this robot does not have, by a `DeploymentError`."""

@@ -51,6 +51,12 @@ LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
 #: Lead of a command over its joint [rad], and share of it that the joint's motion explains if it follows. If
 #: several joints lag behind and none follows, the driver ignores commands. Source: ours; UR's from 0.04 rad.
 LEAST_AHEAD, LEAST_FOLLOWING = 0.04, 0.5
+HAND_ERROR = 0.1  #: Distance of a free finger from its expected position that is a fault [rad]. Source: ours.
+HAND_TIME = 0.02  #: Duration of that distance from which it is a fault [s]. Source: ours.
+#: Lead of a finger's command from which its motion is quick [rad], and duration of quick motions in which no
+#: object touches the hand yet [s]. Source: ours; in 60 rehearsed throws the first contact came after 0.5 s.
+QUICK_LEAD, FREE_TIME = 0.08, 0.4
+CALM_ERROR, CALM_TIME = 0.05, 0.6  #: Largest error of a calm finger [rad]; duration [s]. Source: ours.
 CLOCK_ERROR = 1e-3  #: Time by which a stamp may be in the future [s]. Source: ours; processes read the clock.
 
 
@@ -188,10 +194,12 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
     An arm joint follows its servo: near its command at rest, behind it by the lag in motion. A finger may be
     stopped by what it holds. Some faults are only found in robots that have been commanded for a tick.
     """
-    found, of_commands, num_fingers, num_frozen, num_ahead, num_following = 0, 0, 0, 0, 0, 0
+    found, of_commands, num_fingers, num_frozen, num_off, num_ahead, num_following = 0, 0, 0, 0, 0, 0, 0
     for number in range(len(joints)):
         joint, position, stamp = joints[number], inputs[number].joint_pos, inputs[number].joint_stamp
         limit = limits[number]
+        if limit.is_first:  # of its arm or hand
+            num_off, num_ahead, num_following = 0, 0, 0
         is_jump = update_estimates(joint, position, stamp, is_commanded, limit)
         is_impossible = (position < limit.least) or (position > limit.most) or is_jump
         found |= bit(Fault.JOINTS_STALE, not is_recent(now, stamp, limit.position_age))
@@ -201,18 +209,46 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
         is_off, is_frozen = abs(position - joint.expected) > most, joint.still_time > FROZEN_TIME
         of_commands |= bit(Fault.JOINTS_IMPLAUSIBLE, abs(position - joint.explained) > limit.escape)
         of_commands |= bit(Fault.JOINT_SPEED, abs(joint.speed) > limit.joint_speed)
-        of_commands |= bit(Fault.TRACKING_ERROR, is_off and limit.is_arm)
+        num_off += is_off and limit.is_arm
         of_commands |= bit(Fault.JOINTS_FROZEN, is_frozen and limit.is_arm)
         is_ahead = limit.is_arm and abs(joint.ahead) > LEAST_AHEAD
         num_ahead += is_ahead
         num_following += is_ahead and joint.lag * joint.speed / joint.ahead > LEAST_FOLLOWING
+        is_ignored = num_off > 0 and num_ahead > 1 and num_following == 0
+        of_commands |= bit(Fault.TRACKING_ERROR, is_off and limit.is_arm)
+        of_commands |= bit(Fault.COMMANDS_IGNORED, is_ignored and limit.is_last)
         num_fingers += limit.is_finger
         num_frozen += is_frozen and limit.is_finger
     of_commands |= bit(Fault.JOINTS_FROZEN, num_frozen == num_fingers and num_fingers > 0)
-    if of_commands & Fault.TRACKING_ERROR.value and num_ahead > 1 and num_following == 0:
+    if of_commands & Fault.COMMANDS_IGNORED.value:
         of_commands ^= Fault.TRACKING_ERROR.value
-        of_commands |= Fault.COMMANDS_IGNORED.value
     return found | of_commands if is_commanded else found
+
+
+def hand_faults(robot: Record, joints: Records, limits: Records) -> int:
+    """Update how long fingers move freely, and return the faults of free fingers that do not follow.
+
+    Until an object touches it, a hand follows its commands as an arm does. It is free up to the ramp, for
+    `FREE_TIME` from its first quick motion on, and again after it was calm for `CALM_TIME`.
+    """
+    is_quick, is_calm, is_astray, is_frozen = False, True, False, False
+    for number in range(len(joints)):
+        joint, limit = joints[number], limits[number]
+        if limit.is_finger:
+            error = abs(joint.measured - joint.expected) - limit.lag_error * joint.slack
+            joint.astray_time = joint.astray_time + limit.dt if error > HAND_ERROR else 0.0
+            is_quick |= abs(joint.command - joint.expected) > QUICK_LEAD
+            is_calm &= error < CALM_ERROR
+            is_astray |= joint.astray_time > HAND_TIME
+            is_frozen |= joint.still_time > FROZEN_TIME
+    dt = limits[0].dt
+    robot.calm_time = robot.calm_time + dt if is_calm and not is_quick else 0.0
+    if robot.mode != Mode.RUN or robot.calm_time > CALM_TIME:
+        robot.free_time = FREE_TIME
+    elif is_quick or robot.free_time < FREE_TIME:
+        robot.free_time -= dt
+    is_free = robot.free_time > 0.0
+    return bit(Fault.HAND_ASTRAY, is_astray and is_free) | bit(Fault.JOINTS_FROZEN, is_frozen and is_free)
 
 
 def update_estimates(

@@ -247,11 +247,15 @@ class ServoLimits:
             np.isfinite(joints.tracking_error),
             joints.lead / (joints.lag * joints.deceleration),
         )
+        sizes = [len(group.joints) for group in self.workspace.workcell.groups]
+        group = np.repeat(np.arange(len(sizes)), sizes)[: self.num_joints]
         return records(
             **{**vars(joints), "speed": np.minimum(joints.speed, joints.step / self.dt)},
             **motion,
             ramp_time=self.ramp_time,
             control_dt=CONTROL_DT,
+            is_first=np.diff(group, prepend=-1) > 0,  # of its arm or hand
+            is_last=np.diff(group, append=len(sizes)) > 0,
             is_arm=is_arm,  # it must stay near its expected position
             is_finger=np.isfinite(joints.escape),  # an object may hold it
             stop_time=stop_time,  # in which a stop brings the joint to rest [s]

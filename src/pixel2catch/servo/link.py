@@ -77,6 +77,7 @@ class Fault(IntFlag):
     CONTROLLER = auto()
     JOINTS_FROZEN = auto()
     COMMANDS_IGNORED = auto()
+    HAND_ASTRAY = auto()
 
 
 def flag_names(kind: type[IntFlag], found: int) -> list[str]:

@@ -107,11 +107,7 @@ class _Latest(Generic[T]):
         self.value: T | None = None
         self._transport, self._topic, self._read, self._longest = transport, topic, read, longest
         self._subscription, self._stamp = transport.subscription(topic, DEPTH), -np.inf
-        self._num_senders = 1
-
-    @property
-    def is_known(self) -> bool:
-        return self.value is not None and self._num_senders == 1
+        self.num_senders = 1
 
     def update(self, now: float) -> None:
         for value, arrival in _decoded(self._subscription.take(), self._read):
@@ -121,8 +117,8 @@ class _Latest(Generic[T]):
 
     def count_senders(self) -> None:
         """Discard a latched value whose sender is gone."""
-        self._num_senders = self._transport.num_other_publishers(self._topic)
-        self.value = self.value if self._num_senders else None
+        self.num_senders = self._transport.num_other_publishers(self._topic)
+        self.value = self.value if self.num_senders else None
 
 
 class ServoSubscriptions:
@@ -134,20 +130,21 @@ class ServoSubscriptions:
         """Subscribe, and watch the subscribers of the commands, of which a dry run has none."""
         self._transport, self._publishers, self._profile = transport, commands, profile
         self.joints = JointStates(transport, profile, limits.num_joints)
-        status, latest = profile.status, partial(_Latest[Any], transport)
-        modes: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
-            (status.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
-            (status.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
-            (status.program_running, messages.read_boolean),
-        ]
+        latest = partial(_Latest[Any], transport)
+        modes: dict[str, Callable[[bytes], bool]] = {
+            "safety_mode": lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE,
+            "robot_mode": lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE,
+            "program_running": messages.read_boolean,
+        }
         controllers = [part.controller for part in profile.robots if part.controller]
-        self._modes = [latest(topic, read) for topic, read in modes if topic]
+        status = [each for arm in profile.all_status for each in arm.items()]
+        self._modes = [latest(topic, modes[name]) for name, topic in status if name in modes]
         self._controllers = [
             latest(each.activity, lambda data, name=each.name: name in messages.read_active_controllers(data))
             for each in controllers
         ]
         scaling = partial(latest, read=messages.read_number, longest=SCALING_AGE)
-        self._scaling = [scaling(topic) for topic in (status.speed_scaling,) if topic]
+        self._scaling = [scaling(topic) for name, topic in status if name not in modes]
         self._status = (*self._modes, *self._controllers, *self._scaling)
         topics, self._operator_age = profile.operator, limits.operator_age
         self._dead_man, self._arm, self._stop = (
@@ -189,7 +186,8 @@ class ServoSubscriptions:
 
     def inputs(self, now: float, targets: JointTargets) -> ServoInputs:
         """Return the inputs of a tick."""
-        percent = next((each.value for each in self._scaling if each.value is not None), 100.0)
+        percents = [each.value for each in self._scaling if each.value is not None]
+        shares = [round(percent / 100.0, SCALING_DIGITS) for percent in percents]
         passed_on = ("target_stamp", "image_stamp", "box_stamp", "is_perception_sound")
         values = {name: getattr(targets, name) for name in passed_on} | {
             "now": now,
@@ -197,9 +195,9 @@ class ServoSubscriptions:
             "pressed_stamp": self._pressed_stamp,
             "arm_stamp": self._arm_stamp,
             "is_stop_requested": self._is_stop_requested or targets.is_stop_requested,
-            "speed_scaling": round(percent / 100.0, SCALING_DIGITS),
+            "speed_scaling": next((share for share in shares if share != 1.0), 1.0),
             "is_safe": all(each.value is not False for each in self._modes),
-            "is_status_known": all(each.is_known for each in self._status),
+            "is_status_known": all(each.value is not None and each.num_senders == 1 for each in self._status),
             "has_controller": all(each.value is not False for each in self._controllers),
             "has_other_publisher": self._has_other_publisher,
             "has_other_operator": self._has_other_operator,

@@ -24,11 +24,12 @@ ROBOT_STATE = np.dtype(
         ("used_press", np.float64),  # time of the switch's last press before the last stop [s]
         ("target_begun", np.float64),  # time at which the motion to the newest target began [s]
         ("target_stamp", np.float64),  # stamp of that target [s]
+        ("calm_time", np.float64),  # time for which the fingers have been near their expected positions [s]
+        ("free_time", np.float64),  # time for which no object touches the fingers yet [s]
         ("is_returning", np.bool_),  # whether the joints have been measured since the last stop
     ],
     align=True,
 )
-"""State of a robot."""
 
 JOINT_STATE = np.dtype(
     [
@@ -49,6 +50,7 @@ JOINT_STATE = np.dtype(
         ("slack", np.float64),  # distance behind the command that recent motion allows [rad]
         ("anchor", np.float64),  # command when the measurement last changed [rad]
         ("still_time", np.float64),  # time without a change while the command moved [s]
+        ("astray_time", np.float64),  # time for which a finger has been off its expected position [s]
         ("ahead", np.float64),  # mean distance of the command ahead of the joint [rad]
         ("estimated_lag", np.float64),  # that distance per speed [s]
         ("evidence", np.float64),  # motion from which it is estimated [rad²/s]
@@ -57,7 +59,6 @@ JOINT_STATE = np.dtype(
     ],
     align=True,
 )
-"""State of a joint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,4 +98,3 @@ ROBOT_INPUT, JOINT_INPUT = (
     )
     for is_of_joints in (False, True)
 )
-"""Inputs of a robot, and of a joint."""

@@ -45,6 +45,8 @@ joints frozen: measured joint positions do not change while the joints are comma
     | Check the encoders and the driver: positions must not be repeated.
 commands ignored: the driver of the arm ignores the commands
     | Its cycles slip: give driver and servo cores of their own, or raise missed_cycles in the profile.
+hand astray: a finger does not follow its command, and nothing can hold it yet
+    | Check power and driver of the hand, and order, sign and scale of its joints in the profile.
 """
 """Names of `Fault`: what is wrong, which ends a sentence "stopped: ..." | what to do, in sentences."""
 

@@ -32,6 +32,7 @@ from pixel2catch.servo.laws import (
     bit,
     clipped,
     entry,
+    hand_faults,
     interpolated,
     is_active,
     is_driven,
@@ -139,8 +140,10 @@ def has_other_publisher(robot: Record) -> bool:
 def read_inputs(robot: Record, joints: Records, inputs: Record, own_inputs: Records, limits: Limits) -> None:
     """Find the faults of this tick, and update joint positions and estimates."""
     now, own = inputs.now, limits.robot
-    is_finite, is_far = True, False
-    found = joint_faults(joints, own_inputs, now, is_active(robot) and robot.ticks > 0, limits.joints)
+    is_finite, is_far, is_commanded = True, False, is_active(robot) and robot.ticks > 0
+    found = joint_faults(joints, own_inputs, now, is_commanded, limits.joints)
+    if is_commanded:
+        found |= hand_faults(robot, joints, limits.joints)
     for number in range(len(joints)):
         joint, measured, target = joints[number], own_inputs[number], own_inputs[number].joint_pos_target
         joint.joint_pos = measured.joint_pos if np.isfinite(measured.joint_pos) else joint.command

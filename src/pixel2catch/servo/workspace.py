@@ -187,28 +187,19 @@ def dot(one: np.ndarray, other: np.ndarray) -> float:
 
 def link_frames(space: Space, joint_pos: np.ndarray) -> np.ndarray:
     """Return world frames (watched, 3, 4) at the far ends of the links; the last of an arm is the palm's."""
-    frames, own = np.empty((len(joint_pos), 3, 4)), np.empty((3, 4))
+    frames = np.empty((len(joint_pos), 3, 4))
     for arm in range(len(space.hands)):
         first = space.first_joints[arm]
         for link in range(first, space.first_joints[arm + 1]):
-            cosine, sine, terms = cos(joint_pos[link]), sin(joint_pos[link]), space.terms[link]
-            for row in range(3):
-                for column in range(4):
-                    turned = cosine * terms[1, row, column] + sine * terms[2, row, column]
-                    own[row, column] = terms[0, row, column] + turned
-            if link == first:
-                frames[link] = own
-            else:
-                compose(frames[link - 1], own, frames[link])
+            terms, frame = space.terms[link], frames[link]
+            frame[:] = terms[0] + (cos(joint_pos[link]) * terms[1] + sin(joint_pos[link]) * terms[2])
+            if link > first:
+                before, own = frames[link - 1], frame.copy()
+                for row in range(3):
+                    for column in range(4):
+                        frame[row, column] = dot(before[row], own[:, column])
+                    frame[row, 3] += before[row, 3]
     return frames
-
-
-def compose(before: np.ndarray, own: np.ndarray, frame: np.ndarray) -> None:
-    """Write the product of two frames into a third."""
-    for row in range(3):
-        for column in range(4):
-            frame[row, column] = dot(before[row], own[:, column])
-            frame[row, column] += before[row, 3] if column == 3 else 0.0
 
 
 def is_hand_inside(space: Space, hand: np.ndarray, palm: np.ndarray) -> bool:

@@ -117,8 +117,8 @@ class StatusPublisher:
 
     def __init__(self, profile: Profile, transport: Transport) -> None:
         """Create publishers of the topics that the profile has, with all of its controllers active."""
-        topics = vars(profile.status)
-        self._publishers = {name: transport.publisher(topic) for name, topic in topics.items() if topic}
+        topics = [each for status in profile.all_status for each in status.items()]
+        self._publishers = [(name, transport.publisher(topic)) for name, topic in topics]
         controllers = [part.controller for part in profile.robots if part.controller]
         for topic in {each.activity for each in controllers}:
             active = {each.name: messages.ACTIVE for each in controllers if each.activity == topic}
@@ -132,7 +132,7 @@ class StatusPublisher:
             status["safety_mode"] = messages.safety_mode(safety_mode)
             status["robot_mode"] = messages.robot_mode(messages.RUNNING_ROBOT_MODE)
             status["program_running"] = messages.boolean(is_running)
-        for name, publisher in self._publishers.items():
+        for name, publisher in self._publishers:
             if name in status:
                 publisher.publish(status[name])
         self._last = (safety_mode, is_running)
