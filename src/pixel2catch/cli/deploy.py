@@ -156,10 +156,10 @@ def _check_joints(
     is_over: Callable[[], bool],
     on_status: Callable[[dict[str, Any]], None],
 ) -> None:
-    """Let an armed robot move each joint, and write that the joints of the profile were checked today.
+    """Move each joint by some degrees once the robot is armed; record in a file that this was done today.
 
     Raises:
-        DeploymentError: Joints do not fit the profile, or not all were moved.
+        DeploymentError: A joint does not fit the profile, or not all were moved.
     """
     from pixel2catch.deployment.follower import follow
     from pixel2catch.deployment.joint_check import JointCheck, record_of_today

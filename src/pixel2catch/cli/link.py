@@ -134,7 +134,7 @@ class Link(Network):
         )
 
     def limits(self, profile: "Profile") -> "ServoLimits":
-        """Return the servo's limits for this robot; say if they are those without identified dynamics."""
+        """Return the servo's limits for this robot; print a note if its dynamics were not identified."""
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.servo.limits import JointLimits, ServoLimits

@@ -66,7 +66,7 @@ class Survey:
         self.endpoints: list[Endpoint] = []  #: Publishers and subscriptions of all other programs.
 
     def take(self) -> None:
-        """Run until everything of the profile is found, at most for `DISCOVERY`, then for `SECONDS`."""
+        """Wait for all topics of the profile, at most for `DISCOVERY`; then receive for `SECONDS`."""
         publish = {topic.name for topic in self._decoders}
         receive = {part.command_topic.name for part in self._profile.robots}
         wanted = {(name, True) for name in publish} | {(name, False) for name in receive}
@@ -180,7 +180,7 @@ def state(survey: Survey, topic: Topic, wanted: float, fix: str) -> str:
 
 
 def joint_states(survey: Survey, part: RobotPart, age: float) -> str:
-    """Check that all joints of a part are published, at the driver's rate and without pauses [s]."""
+    """Check that all joints of a part are published, at the driver's rate and without pauses."""
     found = survey.messages_of(part.state_topic, inf)
     wanted = {theirs.name_in_state for theirs in part.joints.values()}
     names = {name for _, reading in found for name in reading.names}

@@ -38,7 +38,7 @@ ONE_THREAD: dict[str, str] = dict.fromkeys(THREADS, "1")  #: Variables that give
 
 Json = dict[str, Any]
 Work = Callable[[str], None]
-Call = Callable[..., str | None]  #: A function that returns the text of an error or nothing.
+Call = Callable[..., str | None]  #: A function for another process; it returns the text of an error, or None.
 
 
 class Slot(ABC):

@@ -125,7 +125,7 @@ class Recording:
             require_motion(f"{self.name}: {name}", self.joints, time, positions, self.workcell)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
-        """Return the commands at some times of their clock [s]; see `held`."""
+        """Return the newest command at each time of the commands' clock [s], as the function `held`."""
         return held(self.t_cmd, self.q_cmd, time)
 
     def select(self, joints: tuple[str, ...]) -> "Recording":

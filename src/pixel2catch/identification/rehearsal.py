@@ -96,7 +96,7 @@ def clearances(
     positions: Float64[np.ndarray, "num_times num_joints"],
     workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> tuple[Clearance, ...]:
-    """Return the smallest distances in a motion, one for each of `RULES`; other joints hold their start."""
+    """Return the smallest distance in a motion for each of `RULES`; other joints are in the start pose."""
     distances, least = Distances(workcell), list(RULES)
     joint_pos = np.array([joint.home for joint in workcell.joints])
     columns = [workcell.joint_names.index(name) for name in joints]
@@ -113,8 +113,8 @@ class Violation:
     """A limit or a distance that a motion violates."""
 
     text: str  #: the violation as a sentence
-    joints: tuple[str, ...]  #: joints whose motion should shrink
-    remedy: float = 0.85  #: factor on their motion. Default: ours.
+    joints: tuple[str, ...]  #: joints whose amplitude is reduced to avoid it
+    remedy: float = 0.85  #: factor on their amplitude. Default: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

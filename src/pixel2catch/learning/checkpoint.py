@@ -1,4 +1,4 @@
-"""The folder of a training run, and the checkpoint from which a training resumes.
+"""`RunFolder`, the files of a training run, and `Checkpoint`, from which a training resumes.
 
 The environments are not part of a checkpoint: a resumed training begins with new episodes.
 """

@@ -34,7 +34,7 @@ class BoxHistory:
     def begun(
         cls, box: Float[Tensor, "num_envs 4"], age: Float[Tensor, " num_envs"], num_boxes: int
     ) -> "BoxHistory":
-        """Return the history of an object at rest: one box [px] in every control step before `age`."""
+        """Return the history of an object at rest: the same box [px], of age `age`, `age + 1`, and so on."""
         steps = torch.arange(num_boxes, device=age.device, dtype=age.dtype)
         return cls(box=box[:, None].expand(-1, num_boxes, -1).clone(), age=age[:, None] + steps)
 

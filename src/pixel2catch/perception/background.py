@@ -42,7 +42,7 @@ until then a region that equals the background is not the object. Source: ours."
 
 SHIFT = 4  #: A colour is the upper four bits of each channel: 16 levels. Source: ours.
 LEVELS = 256 >> SHIFT
-FADE = 0.8  #: Weight of the earlier colours, in every image. Source: ours; five images.
+FADE = 0.8  #: Factor on the colours of earlier images at each new one. Source: ours, five images.
 LEAST_COUNT = 0.1  #: Pixels of a colour and its neighbours below which it is unknown. Source: ours.
 Size = Float[np.ndarray, "3"]  #: Width, height [px] and area [px²].
 Colors = UInt8[np.ndarray, "_ 3"]  #: Red, green and blue of some pixels.

@@ -188,10 +188,10 @@ def filter_step(transition: Values, state: Values, command: Values) -> None:
 class DryFriction:
     """Dry friction of identified joints: each joint drags a spring whose force is at most its friction.
 
-    It brakes a moving joint until it rests and then holds it (one Maxwell slip element). The spring is as
-    stiff as the time step allows: a joint that sticks swings at √(grip / inertia), the inertia is at least
-    the armature, and the integration is stable up to 2 / dt; this is a half of it. Arrays and tensors are
-    (num_copies, num_joints) and keep their memory.
+    It brakes a moving joint until it rests and then holds it (one Maxwell slip element). A joint that sticks
+    swings at √(stiffness / inertia), which the integration allows up to 2 / dt. The stiffness is that of
+    1 / dt with the armature alone as inertia. Arrays and tensors are (num_envs, num_joints) and keep their
+    memory.
     """
 
     def __init__(self, frictionloss: Values, armature: Values, joint_pos: Values, dt: float) -> None:

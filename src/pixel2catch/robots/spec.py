@@ -62,7 +62,7 @@ class PalmSpec:
     """A palm with fingers."""
 
     name: str
-    site: str  #: Name of the site at the centre of its surface.
+    site: str  #: Name of the site at the centre of the palm's surface.
     body: str
     fingers: tuple[FingerSpec, ...]
     #: Lower corner of a box, frame of the body, that contains palm, fingers at every position, and the link

@@ -99,7 +99,9 @@ ONE_INTERFACE = """<CycloneDDS xmlns="https://cdds.io/config"><Domain Id="any">
 </Domain></CycloneDDS>
 """
 
-ONLY_WATCHES = "watches=1;"  #: Mark in the user data of subscriptions that only watch. Source: ours.
+ONLY_WATCHES = (
+    "watches=1;"  #: User data of subscriptions that no driver counts as its source of commands. Source: ours.
+)
 
 NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)  #: A slow reader loses messages.
 

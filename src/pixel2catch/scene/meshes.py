@@ -66,7 +66,7 @@ def mesh_object(
 
 
 def _read(file: Path) -> Any:
-    """Read a mesh that is not flat, its faces counter-clockwise seen from outside."""
+    """Read a mesh, turn its faces counter-clockwise seen from outside, and refuse it if it is flat."""
     with needs_extra("meshes", "an object of a mesh needs trimesh and CoACD", InvalidValueError):
         trimesh, _ = importlib.import_module("trimesh"), importlib.import_module("coacd")
     try:

@@ -157,7 +157,7 @@ class LinkEnd(Generic[Sent, Received]):
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_SIZE)
         self._socket, self._received = end, received
         self.num_dropped = 0  #: Packets that did not fit, or were sent after the other end had closed.
-        self.is_closed = False  #: Whether one of the ends is closed.
+        self.is_closed = False  #: Whether this end or the other one is closed.
 
     def send(self, message: Sent) -> None:
         """Send a packet, or drop it."""

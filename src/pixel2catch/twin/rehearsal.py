@@ -51,7 +51,7 @@ class RehearsalOperator(OperatorConsole):
 
     @property
     def phase(self) -> str:
-        """Phase of the throw."""
+        """The twin's `Phase` of the throw; empty before its first state."""
         return self.truth.get("phase", "")
 
     def request(self, **request: Any) -> None:

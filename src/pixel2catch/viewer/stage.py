@@ -21,7 +21,7 @@ class Playback:
     def __init__(self) -> None:
         """Begin in real time."""
         self._changed = Condition()
-        self.speed = 1.0  #: Seconds on the page in a real second.
+        self.speed = 1.0  #: Simulated time per real time.
         self.is_paused = False  #: Whether time stands still.
         self._is_interrupted, self._due = False, 0.0
 

@@ -251,10 +251,11 @@ def _fit(
 
 
 def _fit_with_common(corners: _Corners, poses: _Fit, square_error: float) -> _Fit:
-    """Fit the common parameters, too, with this standard deviation of the square; infinite if unknown.
+    """Fit the poses again, and with them the squares' edge and offsets of the joints.
 
-    Corners of one image err together: the noise is scaled up by the poses' scatter over that of independent
-    corners.
+    The given edge has a relative standard deviation of `square_error`; it is infinite if no edge is given.
+    Errors of the corners of one image are correlated, so the noise is larger by the ratio of the jackknife's
+    scatter to that of independent corners.
     """
     spare = max(len(poses.residuals) - NUM_POSES, 1)
     noise = max(float(np.linalg.norm(poses.residuals)) / np.sqrt(spare), LEAST_NOISE)
