@@ -193,35 +193,32 @@ def test_images_are_processed_while_a_path_is_searched(around: Surroundings, mon
 
 
 def test_stops_and_refusals_are_reported_once_and_counted(bench: LoopBench, around: Surroundings):
+    """The sender of a stop request is named until the robot is armed again."""
     around.tick(Mode.RUN)
+    around.broker.node(around.clock).publisher(PROFILE.operator.stop).publish(messages.boolean(True))
     for refused in (0, Fault.START_POSE, 0):
         around.tick(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=refused)
     first, second = bench.step(), bench.step()
     assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
     assert (first["refused"], second["refused"]) == (["start pose"], [])
+    assert all("requested by publisher" in status["message"] for status in (first, second))
     summary = bench.loop.statistics.summary()
     assert summary["stops"] == {"image stale, dead man": 1}
     assert summary["refusals"] == {"start pose": 1}
-
-
-def test_the_sender_of_a_stop_request_is_reported_until_the_robot_is_armed_again(
-    bench: LoopBench, around: Surroundings
-):
-    around.tick(Mode.RUN)
-    around.broker.node(around.clock).publisher(PROFILE.operator.stop).publish(messages.boolean(True))
-    around.tick(Mode.STOPPED, stopped_by=Fault.STOP_REQUEST)
-    assert all("requested by publisher" in bench.step()["message"] for _ in range(2))
     around.tick(Mode.ARMED)
     assert "requested by" not in bench.step()["message"]
 
 
-def test_an_incomplete_recording_is_reported_beside_everything_else(badly_recorded: Surroundings):
+def test_an_incomplete_recording_and_a_servo_that_has_ended_are_reported(badly_recorded: Surroundings):
     bench = LoopBench(badly_recorded)
     badly_recorded.tick(Mode.RUN)
     bench.point("{}")
     message = bench.step()["message"]
     assert "a prompt is not" in message
     assert "the recording lacks" in message
+    badly_recorded.servo.close()
+    with pytest.raises(DeploymentError, match="press its stop"):
+        bench.step()
 
 
 def test_the_latency_is_from_the_image_to_the_first_command_with_it(bench: LoopBench, around: Surroundings):
@@ -233,12 +230,6 @@ def test_the_latency_is_from_the_image_to_the_first_command_with_it(bench: LoopB
     latency = bench.loop.statistics.summary()["image_to_command_ms"]
     assert latency["count"] == 1
     assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
-
-
-def test_a_servo_process_that_has_ended_is_an_error(bench: LoopBench, around: Surroundings):
-    around.servo.close()
-    with pytest.raises(DeploymentError, match="press its stop"):
-        bench.step()
 
 
 def decided(timer: DecisionTimer, ends: list[tuple[float, float]], until: float, step: float) -> np.ndarray:

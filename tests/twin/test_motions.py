@@ -58,9 +58,9 @@ def test_a_motion_is_at_rest_in_its_poses_and_as_fast_as_permitted():
     assert speeds[np.searchsorted(times, PEAK**2)] == pytest.approx([0.0, 0.0], abs=1e-2)
 
 
-@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 200), ("two_ur5e_allegro", 12)])
+@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 200), ("two_ur5e_allegro", 20)])
 def test_the_way_home_keeps_its_distances_or_is_refused(workcell: str, number: int):
-    """Near its ends their own distances count; none of them is a contact."""
+    """Near its ends their own distances count; none is a contact. Some ways of two arms lead around."""
     profile = Profile.load("ur5e_allegro_v4" if workcell == WORKCELL.name else workcell)
     limits = ServoLimits.of(find_workcell(workcell))
     finder, num_home = PathFinder(profile, limits, 1.0), 0
@@ -72,20 +72,15 @@ def test_the_way_home_keeps_its_distances_or_is_refused(workcell: str, number: i
             assert (np.min(way, axis=0) > np.minimum((0.05, 0.02), ends) - 0.004).all()
             assert np.min(way) > 0.0
             num_home += 1
-    assert num_home >= number // 3
+    assert num_home >= 0.9 * number
 
 
-def test_no_path_leads_from_a_pose_outside_the_limits():
+def test_no_path_leads_from_a_pose_outside_the_limits_or_over_an_unknown_place():
     beyond, low = HOME.copy(), HOME.copy()
     beyond[0], low[1] = 4.5, -0.2
     for pose, reason in ((beyond, "shoulder_pan_joint is at 4.50 rad, beyond"), (low, "workspace")):
         with pytest.raises(DeploymentError, match=reason):
             FINDER.path(pose, HOME)
-
-
-def test_a_pose_over_a_place_is_that_of_the_profile():
-    pose = FINDER.pose_over("near")
-    assert (pose[0], pose[1:].tolist()) == (2.8, HOME[1:].tolist())
     with pytest.raises(UnknownNameError, match="near, side"):
         FINDER.pose_over("shelf")
 
@@ -132,8 +127,9 @@ FAULTS = {
 """Motion of an encoder over that of its joint; that of the next encoder over that of its own; the finding."""
 
 
-@pytest.mark.parametrize("number", [3, 8])
-@pytest.mark.parametrize("fault", [*FAULTS])
+@pytest.mark.parametrize(
+    ("fault", "number"), [*((fault, 3) for fault in FAULTS), ("sound", 8), ("dead", 8), ("exchanged", 8)]
+)
 def test_the_joint_check_names_the_wrong_joint(fault: str, number: int, monkeypatch: pytest.MonkeyPatch):
     """An arm's and a finger's; it begins with that joint. A stop by the servo does not hide the reason."""
     own, other, finding = FAULTS[fault]
@@ -276,8 +272,10 @@ def test_two_throws_are_caught_without_touching_the_robot(monkeypatch: pytest.Mo
 
 @pytest.mark.slow
 def test_thirty_throws_in_a_row_need_no_hand():
+    """A catch may be stopped once; the robot then goes on by itself, armed again."""
     report = throws_in_a_row(30, "side")
-    assert (report["problems"], report["stops_of_deployment"]) == (0, {})
+    assert sum(report["stops_of_deployment"].values()) <= 1
+    assert report["problems"] <= 1
     assert report["success_rate"] >= 25 / 30
 
 

@@ -2,6 +2,7 @@
 
 import gc
 import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -89,7 +90,7 @@ class Deploy:
         if self.write_profile:
             self.link.robot.write_copy(self.write_profile)
             return
-        self._require_motion()
+        is_check_due = self._is_check_due()
         link.set_niceness(link.CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
@@ -99,54 +100,48 @@ class Deploy:
             say(note)
         if self.perception.checkpoint is None:  # a large network may use all cores for long
             link.set_real_time(link.LOOP_PRIORITY)
+        hear, begin, stop = saying_changes(), time.monotonic(), StopRequest()
+
+        def report(status: dict[str, Any]) -> None:
+            if self.json:
+                print(json_text(status, indent=None), end="", flush=True)
+            else:
+                hear(sentence(status), self.link.clock * (time.monotonic() - begin))
+
         with ExitStack() as stack:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             limits, place = self.link.limits(profile), self.after_catch
-            cycle = place and ThrowCycle(pipeline, profile, limits, camera, place)
-            is_check_due = self._is_check_due(profile)
+            cycle = ThrowCycle(pipeline, profile, limits, camera, place) if place else None
             connection = self.link.connect(
-                profile, self.record, "jpeg", stack, limits=limits, is_dry_run=self.dry_run
+                profile, limits, stack, self.record, "jpeg", is_dry_run=self.dry_run
             )
-            begin, hear = connection.clock.now(), saying_changes()
-
-            def report(status: dict[str, Any]) -> None:
-                if self.json:
-                    print(json_text(status, indent=None), end="", flush=True)
-                else:
-                    hear(sentence(status), connection.clock.now() - begin)
-
             gc.collect()
             gc.freeze()  # later collections skip what exists now
-            with StopRequest() as stop:
+            with stop:
                 if is_check_due:
                     _check_joints(connection, profile, limits, lambda: stop.is_set, report)
-                control_loop = ControlLoop(
-                    pipeline, camera, connection, profile, executor, cycle=cycle or None
-                )
-                control_loop.run(lambda: stop.is_set, report)
-        summary = control_loop.statistics.summary()
+                loop = ControlLoop(pipeline, camera, connection, profile, executor, cycle=cycle)
+                loop.run(lambda: stop.is_set, report)
+        summary = loop.statistics.summary()
         words = "\n".join([*summary_lines(summary), f"ended by {stop.by}\n"])
-        print(
-            json_text({"summary": summary, "ended_by": stop.by}, indent=None) if self.json else words, end=""
-        )
+        ended = {"summary": summary, "ended_by": stop.by}
+        print(json_text(ended, indent=None) if self.json else words, end="")
         if connection.recording:
             connection.recording.require_whole()
 
-    def _require_motion(self) -> None:
-        if self.dry_run and (self.joint_check or self.after_catch):
-            raise InvalidValueError("--joint-check and --after-catch move the robot: leave out --dry-run")
-
-    def _is_check_due(self, profile: "Profile") -> bool:
+    def _is_check_due(self) -> bool:
         """Return whether the joints are to be checked now; at a terminal, a person decides."""
         from pixel2catch.deployment.joint_check import record_of_today
 
-        is_done = self.dry_run or self.link.is_twin or record_of_today(profile.name).exists()
-        if self.joint_check or is_done:
+        if self.dry_run and (self.joint_check or self.after_catch):
+            raise InvalidValueError("--joint-check and --after-catch move the robot: leave out --dry-run")
+        name = self.link.robot.load().name
+        if self.joint_check or self.dry_run or self.link.is_twin or record_of_today(name).exists():
             return self.joint_check
-        if not sys.stdin.isatty():
-            say("the joints of this profile were not checked today: add --joint-check")
-            return False
-        return input("Check the joints, each by some degrees? [Y/n] ").strip().lower() in ("", "y", "yes")
+        if sys.stdin.isatty():
+            return input("Check the joints, each by some degrees? [Y/n] ").strip().lower() in ("", "y", "yes")
+        say("the joints of this profile were not checked today: add --joint-check")
+        return False
 
 
 def _check_joints(
@@ -183,9 +178,8 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     from pixel2catch.servo.status_words import fault_words
 
     yield (
-        f"{summary['num_steps']} control steps, {summary['num_missed']} without a new image, "
-        f"{summary['num_overruns']} too long; {summary['num_ticks']} servo ticks, "
-        f"{summary['num_late_ticks']} late"
+        "{num_steps} control steps, {num_missed} without a new image, {num_overruns} too long; "
+        "{num_ticks} servo ticks, {num_late_ticks} late".format(**summary)
     )
     for name in ("image_to_command_ms", "thinking_ms", "servo_tick_ms"):
         if values := summary[name]:

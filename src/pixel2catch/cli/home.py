@@ -50,7 +50,7 @@ def move_once(link: Link, what: str, goal_of: "Callable[[PathFinder, Joints], Jo
     limits = slow.limits(profile)
     finder, hear = PathFinder(profile, limits, EVEN), saying_changes()
     with ExitStack() as stack:
-        connection = slow.connect(profile, None, "none", stack, limits=limits)
+        connection = slow.connect(profile, limits, stack)
         stop = stack.enter_context(StopRequest())
         is_done = follow(
             lambda start: finder.motion(start, goal_of(finder, start)),

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
     from pixel2catch.ros2.transport import Clock, Transport
     from pixel2catch.servo.limits import ServoLimits
 
-REACH = {
-    LOOPBACK: "the digital twin on this machine; for a robot: --network INTERFACE",
-    ROS: "what ROS 2 reaches",
-    ANY: "everything that DDS reaches",
-}
+TWIN = "the digital twin on this machine; for a robot: --network INTERFACE"
+REACH = {LOOPBACK: TWIN, ROS: "what ROS 2 reaches", ANY: "everything that DDS reaches"}
 NODE = "pixel2catch"  #: Name of the node; the servo's ends in `_servo`.
 
 
@@ -100,23 +97,21 @@ class Link(Network):
     def connect(
         self,
         profile: "Profile",
-        record: Path | None,
-        images: "ImageStorage",
+        limits: "ServoLimits",
         stack: ExitStack,
+        record: Path | None = None,
+        images: "ImageStorage" = "none",
         *,
-        limits: "ServoLimits | None" = None,
         is_dry_run: bool = False,
     ) -> "Connection":
         """Join the network and start the servo process; record into a folder, if there is one.
 
-        The limits are those of `limits` unless others are given. The stack ends first the servo, which stops
-        the robot, then the rest.
+        The stack ends first the servo, which stops the robot, then the rest.
         """
         from pixel2catch.deployment.control_loop import Connection
         from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
         from pixel2catch.servo.process import ServoSetup, start_servo
 
-        limits = limits or self.limits(profile)
         speeds = (f"{part.name} {limits.joint_speed(part.ids):.3g} rad/s" for part in profile.robots)
         words = f"{self.in_words(profile)}; joints up to: {', '.join(speeds)}"
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=is_dry_run)

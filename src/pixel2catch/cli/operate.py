@@ -17,8 +17,6 @@ from pixel2catch.viewer import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.operator import Press
-    from pixel2catch.viewer.operator_page import OperatorPage
-
 
 KeyCode = Annotated[int, Within(1, 767)]  #: Code of a key or button. Source: Linux, input-event-codes.h.
 
@@ -58,8 +56,15 @@ class Operate:
             words = self.network.in_words(profile)
             node, clock = stack.enter_context(self.network.join("pixel2catch_operator", words))
             console = OperatorConsole(node, profile.operator, clock)
-            page = self._open(profile, node, clock, console, words=words) if self.web else None
-            if page:
+            page = None
+            if self.web:
+                with needs_extra("viewer"):
+                    from pixel2catch.viewer.operator_page import OperatorPage
+                    from pixel2catch.viewer.visitors import HeldButton
+                button, title = None if switches else HeldButton(), "Pixel2Catch operator"
+                page = OperatorPage(
+                    self.page, title, profile, node, clock, console, button=button, words=words
+                )
                 stack.callback(page.close)
                 say(f"open {page.address} in a browser")
             say_robot, say_change = saying_changes(), saying_changes()
@@ -89,20 +94,9 @@ class Operate:
         if self.keys is None:
             return KEYS
         hold, arm, stop = self.keys
-        if len({*self.keys}) < len(self.keys):
+        if len({*self.keys}) < len(self.keys) or {hold, arm} & {*STOP_KEYS}:
             raise InvalidValueError(
-                f"--keys has a key twice ({hold}, {arm}, {stop}); give three different ones."
-            )
-        if {hold, arm} & {*STOP_KEYS}:
-            raise InvalidValueError(
-                f"--keys {hold} {arm} {stop}: space (57) and escape (1) stop; give others."
+                f"--keys {hold} {arm} {stop}: space (57) and escape (1) stop, and each key has one meaning; "
+                "give three different ones."
             )
         return (hold,), (arm,), (stop, *STOP_KEYS)
-
-    def _open(self, *inputs: Any, words: str) -> "OperatorPage":
-        """Open the page; its button is the switch if there is no device."""
-        with needs_extra("viewer"):
-            from pixel2catch.viewer.operator_page import OperatorPage
-            from pixel2catch.viewer.visitors import HeldButton
-        button = None if self.device else HeldButton()
-        return OperatorPage(self.page, "Pixel2Catch operator", *inputs, button=button, words=words)

@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,12 +16,9 @@ from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-
+    from pixel2catch.deployment.control_loop import Connection
+    from pixel2catch.deployment.paths import Motion
     from pixel2catch.identification.recording import Trajectory
-    from pixel2catch.progress import ProgressBar
     from pixel2catch.ros2.profile import Profile, RobotPart
 
 PATIENCE = 10.0  #: Time for arming a twin in this process, on top of the trajectory [s]. Source: ours.
@@ -51,7 +48,7 @@ class Record:
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import follow
-            from pixel2catch.deployment.paths import Motion
+            from pixel2catch.servo.status_words import sentence
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
         profile = self.link.robot.load()
@@ -60,26 +57,26 @@ class Record:
                 from pixel2catch.twin.lab_node import twin_profile
             profile = twin_profile(trajectory.workcell)
         profile.require(trajectory.joints)
+        hear, motion, topic = saying_changes(), whole_robot(trajectory), profile.operator.status
         with ExitStack() as stack:
-            if self.lockstep:
-                from pixel2catch.twin.stepped import recorded_in_step
+            connection = self._connect(trajectory, profile, stack)
+            clock = connection.clock
+            limit = clock.now() + motion.duration + PATIENCE if self.lockstep else inf
+            stop, bar = stack.enter_context(StopRequest()), stack.enter_context(progress_bar("trajectory"))
 
-                limits = self.link.limits(profile)
-                twin = recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out)
-                connection = stack.enter_context(twin)
-            else:
-                connection = self.link.connect(profile, self.out, "none", stack)
-            motion = Motion(at=whole_robot(trajectory), duration=trajectory.duration)
-            limit = connection.clock.now() + motion.duration + PATIENCE
-            with StopRequest() as stop, progress_bar("trajectory") as bar:
-                is_done = follow(
-                    lambda _: motion,
-                    "trajectory",
-                    connection,
-                    profile.operator.status,
-                    lambda: stop.is_set or (self.lockstep is not None and connection.clock.now() > limit),
-                    partial(_report, saying_changes(), bar),
-                )
+            def report(status: dict[str, Any]) -> None:
+                hear(sentence(status))
+                if status["done"]:
+                    bar.show(status["done"])
+
+            is_done = follow(
+                lambda _: motion,
+                "trajectory",
+                connection,
+                topic,
+                lambda: stop.is_set or clock.now() > limit,
+                report,
+            )
         if connection.recording:
             connection.recording.require_whole()
         if not is_done:
@@ -90,35 +87,34 @@ class Record:
             if {*part.joints} & {*trajectory.joints}:
                 print(self._next_command(profile, part))
 
+    def _connect(self, trajectory: "Trajectory", profile: "Profile", stack: ExitStack) -> "Connection":
+        limits = self.link.limits(profile)
+        if self.lockstep is None:
+            return self.link.connect(profile, limits, stack, self.out)
+        from pixel2catch.twin.stepped import recorded_in_step
+
+        return stack.enter_context(recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out))
+
     def _next_command(self, profile: "Profile", part: "RobotPart") -> str:
         source = f"--profile {self.link.robot.profile if self.lockstep is None else profile.name}"
-        if self.lockstep and profile.name == f"twin_of_{profile.workcell}":  # a profile without a file
+        if self.lockstep and profile.name.startswith("twin_of"):  # a profile without a file
             source = f"--workcell {profile.workcell} --command-topic {part.command_topic.name}"
-        return (
-            f"pixel2catch identify {self.out} ... --robot {part.name} {source} --out identified-{part.name}"
-        )
+        robot = f"--robot {part.name} {source} --out identified-{part.name}"
+        return f"pixel2catch identify {self.out} ... {robot}"
 
 
-def _report(say_change: "Callable[[str], None]", bar: "ProgressBar", status: dict[str, Any]) -> None:
-    """Print a status where it changes, and the share of the trajectory from its beginning on."""
-    from pixel2catch.servo.status_words import sentence
-
-    say_change(sentence(status))
-    if status["done"]:
-        bar.show(status["done"])
-
-
-def whole_robot(trajectory: "Trajectory") -> "Callable[[float], np.ndarray]":
-    """Return the targets of all joints by time [rad]; joints without a trajectory hold the start pose."""
+def whole_robot(trajectory: "Trajectory") -> "Motion":
+    """Return the motion of all joints; those without a trajectory hold the start pose."""
     import numpy as np
+
+    from pixel2catch.deployment.paths import Motion
 
     joints = trajectory.workcell.joints
     columns = [[joint.name for joint in joints].index(name) for name in trajectory.joints]
-    home = np.array([joint.home for joint in joints])
 
     def at(time: float) -> np.ndarray:
-        target = home.copy()
+        target = np.array([joint.home for joint in joints])
         target[columns] = trajectory.at(np.array([time]))[0]
         return target
 
-    return at
+    return Motion(at=at, duration=trajectory.duration)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import prepare, say
+from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 REPORT = "report.json"  #: The report's file in the output folder; the output of both processes is beside it.
 LOCKSTEP_ONLY = ("perception_ms", "perception_jitter_ms", "clock_error_ms", "plain")
-"""Fields that need `lockstep`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +39,7 @@ class Rehearse:
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.rendering.renderer import find_gl_backend
 
         with needs_extra("deployment"):
@@ -58,8 +59,6 @@ class Rehearse:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
         if cfg.lockstep:
-            from pixel2catch.cli.console import prepare
-            from pixel2catch.evaluation.loading import load_policy
             from pixel2catch.twin.stepped import rehearse_stepped
 
             prepare("cpu")
@@ -82,8 +81,6 @@ def in_words(outcome: "Outcome") -> str:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    from pixel2catch.cli.deploy import summary_lines
-
     for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):
         low, high = report[f"{name}_interval"]
         yield f"{short} {100 * report[name]:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
@@ -91,9 +88,8 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield f"{report['num_throws']} throws in {report['seconds']:.0f} s at clock {report['clock']:g}"
     else:
         least, jitter = 1e3 * report["perception_time"], 1e3 * report["perception_jitter"]
-        times = f"{least:g} to {least + jitter:g}" if jitter else f"{least:g}"
-        error = f", clock error {1e3 * report['clock_error']:g} ms" if report["clock_error"] else ""
-        yield f"{report['num_throws']} throws in lockstep, perception {times} ms{error}"
+        times = f"{least:g} to {least + jitter:g} ms, clock error {1e3 * report['clock_error']:g} ms"
+        yield f"{report['num_throws']} throws in lockstep, perception {times}"
     yield from (f"stopped without a request: {reason}: {count}" for reason, count in report["stops"].items())
     yield from summary_lines(report["deploy"])
     yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

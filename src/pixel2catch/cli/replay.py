@@ -55,13 +55,11 @@ class Replay:
 def _lines(report: dict[str, Any]) -> Iterator[str]:
     yield from summary_lines(report["deploy"])
     same = report["decided"]
-    yield (
-        f"images with targets: {same['num_then']} in the recording, {same['num_now']} in the replay, "
-        f"{same['num_both']} in both"
+    counts = (
+        f"{same['num_then']} in the recording, {same['num_now']} in the replay, {same['num_both']} in both"
     )
+    yield f"images with targets: {counts}"
     for part, difference in same.items():
         if not part.startswith("num_"):
-            yield (
-                f"{part}: difference of the targets [rad]: median {difference['median']:.4f}, "
-                f"max {difference['max']:.4f}"
-            )
+            median, most = difference["median"], difference["max"]
+            yield f"{part}: difference of the targets [rad]: median {median:.4f}, max {most:.4f}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from pixel2catch.camera.image import Box
 from pixel2catch.deployment.operator import OperatorRequests
-from pixel2catch.deployment.perception import ImageSubscriber, PerceptionRunner
+from pixel2catch.deployment.perception import INLINE, ImageSubscriber, PerceptionRunner
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import SERVO, TARGETS, DeploymentRecorder
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
@@ -27,9 +27,7 @@ from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, link
 from pixel2catch.servo.process import Servo, ServoSetup
 
 POLL = 0.002  #: Longest real time between two polls of servo and network [s]; an image ends it. Source: ours.
-BUSY_POLL = (
-    0.005  #: The same while an image is processed: more polls take time from perception. Source: ours.
-)
+BUSY_POLL = 0.005  #: The same while an image is processed, which needs the time. Source: ours.
 SILENCE = 1.0  #: Time after a good image from which its box is not reported [s]. Source: ours.
 QUANTILE = 0.9  #: Share of the images that are processed before their decision. Source: ours.
 NUM_AGES = 60  #: Processed images that the decision time is taken from: two to four seconds. Source: ours.
@@ -48,11 +46,7 @@ class Connection:
     robot_words: str = ""  #: Robot, network and speeds, for the operator's page.
 
     def receive(self) -> Iterator[Command]:
-        """Yield and record the servo's commands since the last call.
-
-        Raises:
-            DeploymentError: The servo process has ended.
-        """
+        """Yield and record the servo's new commands; raise DeploymentError if its process has ended."""
         for command in self.servo.receive():
             if self.recording:
                 self.recording.record_row(SERVO, command.row, command.time)
@@ -114,14 +108,14 @@ class ControlLoop:
         camera: CameraSpec,
         connection: Connection,
         profile: Profile,
-        executor: Executor | None = None,
+        executor: Executor = INLINE,
         perception_time: Callable[[], float] = float,
         cycle: ThrowCycle | None = None,
     ) -> None:
         """Subscribe and announce; the policy was trained for this camera. The cycle moves between throws.
 
-        The executor has one thread for perception. None is for stepped time: perception runs in the caller's
-        thread, and `perception_time` draws how long it takes for an image [s].
+        The executor has one thread for perception. In stepped time `perception_time` draws how long
+        perception takes for an image [s].
         """
         self.statistics = RunStatistics()
         self._pipeline, self._connection = pipeline, connection
@@ -212,10 +206,7 @@ class ControlLoop:
         return targets, ""
 
     def _with_image(self, targets: JointTargets, stamp: float) -> JointTargets:
-        """Return targets with the exposure time of the newest image [s] and the state of perception.
-
-        Those of a motion between throws depend on neither.
-        """
+        """Return targets with the newest image's exposure time [s], and whether perception is sound."""
         if self._cycle and self._cycle.phase != "throw":
             return targets
         stamp = min(stamp, self._clock.now())
@@ -292,11 +283,7 @@ class SteppedServo:
         self.connection = Connection(transport=loop_node, servo=loop_end, clock=clock, recording=recording)
 
     def tick(self) -> None:
-        """Tick once.
-
-        Raises:
-            Exception: An unexpected error of the servo.
-        """
+        """Tick once; raise unexpected errors of the servo."""
         self._servo.tick()
         if self._servo.unforeseen:
             raise self._servo.unforeseen

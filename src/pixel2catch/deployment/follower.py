@@ -82,11 +82,7 @@ def follow(
 
 
 def _armed_at(command: Command, before: float) -> float:
-    """Return when the servo was first armed: `before`, if that is finite [s].
-
-    Raises:
-        DeploymentError: It has stopped the robot since.
-    """
+    """Return when the servo was first armed, `before` if finite [s]; raise if it has stopped since."""
     if command.mode == Mode.STOPPED and before < inf:
         raise DeploymentError(
             f"the robot was stopped ({', '.join(flag_names(Fault, command.stopped_by))}) "

@@ -71,11 +71,7 @@ class OperatorRequests:
 
 
 def read_prompt(data: bytes) -> BoxPrompt:
-    """Read a prompt message.
-
-    Raises:
-        DeploymentError: It is not a box in an image.
-    """
+    """Read a prompt message; raise DeploymentError if it is not a box in an image."""
     with suppress(DeploymentError, ValueError, TypeError, KeyError, OverflowError):
         xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
         if -inf < xmin < xmax < inf and -inf < ymin < ymax < inf:
@@ -85,9 +81,7 @@ def read_prompt(data: bytes) -> BoxPrompt:
     )
 
 
-SWITCH_TIME = 0.04
-"""Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of the servo's timeout."""
-
+SWITCH_TIME = 0.04  #: Time between two messages of the switch [s]. Source: ours, a fifth of its timeout.
 FARTHEST = 1e9  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
 SEVERAL = {"mode": "several", "message": "", "stopped_by": [], "refused": [], "found": []}
 """The status while several programs publish one: either may be that of the robot."""
@@ -154,21 +148,15 @@ def is_status(found: dict[str, Any]) -> bool:
     """Return whether a message has the entries of a status that operators and pages read."""
     box, latency = found.get("box") or [0.0] * 4, found.get("latency_ms") or {}
     lists = [found.get(name) for name in ("stopped_by", "refused", "found")]
-    if not (
-        isinstance(box, list) and isinstance(latency, dict) and all(isinstance(each, list) for each in lists)
-    ):
+    if not (isinstance(latency, dict) and all(isinstance(each, list) for each in (box, *lists))):
         return False
-    numbers, texts = (
-        [*box, *latency.values()],
-        [found.get("mode"), found.get("message"), *chain(*filter(None, lists))],
-    )
+    numbers = [*box, *latency.values()]
+    texts = [found.get("mode"), found.get("message"), *chain(*filter(None, lists))]
     are_numbers = all(isinstance(each, int | float) and abs(each) < FARTHEST for each in numbers)
     return len(box) == 4 and are_numbers and all(isinstance(each, str) for each in texts)
 
 
-EVENT = struct.Struct("@llHHi")
-"""Seconds, microseconds, type, code and value of an input event. Source: Linux, `struct input_event`."""
-
+EVENT = struct.Struct("@llHHi")  #: Time (s, µs), type, code, value. Source: Linux, `struct input_event`.
 SYNC, KEY = 0, 1  #: Types of events. Source: Linux, `EV_SYN` and `EV_KEY`.
 DROPPED = 3  #: Code of a `SYNC` after lost events. Source: Linux, `SYN_DROPPED`.
 MOST_EVENTS = 64  #: Events read at once.
@@ -187,11 +175,7 @@ class Switches(AbstractContextManager["Switches"]):
     """The keys of a Linux input device: a pedal, a gamepad or a keyboard."""
 
     def __init__(self, device: Path) -> None:
-        """Open a device such as /dev/input/by-id/usb-…-event-kbd.
-
-        Raises:
-            DeploymentError: It cannot be opened.
-        """
+        """Open a device such as /dev/input/by-id/usb-…-event-kbd; raise DeploymentError if that fails."""
         try:
             self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
@@ -203,11 +187,7 @@ class Switches(AbstractContextManager["Switches"]):
         self.pressed: set[int] = set()  #: Codes of the keys that are pressed.
 
     def poll(self) -> list[Press]:
-        """Return what was pressed and released since the last call.
-
-        Raises:
-            DeploymentError: The device was unplugged.
-        """
+        """Return what was pressed and released since then; raise DeploymentError if it was unplugged."""
         presses: list[Press] = []
         for kind, code, value in self._events():
             if (kind, code) == (SYNC, DROPPED):
@@ -250,10 +230,7 @@ def operate_by_keys(
     """Hold, arm and stop by keys until it is over; then release the switch.
 
     The keys are codes of those that hold, arm and stop. A key that is pressed before the start has to be
-    pressed again. `report` gets the presses and the newest status in every poll.
-
-    Raises:
-        DeploymentError: The device was unplugged.
+    pressed again. `report` gets the presses and the newest status in every poll. Raises as `Switches.poll`.
     """
     hold, arm, stop = keys
     try:

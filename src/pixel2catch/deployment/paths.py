@@ -26,7 +26,7 @@ SHORTEST = 1e-3  #: Least time between two poses [s].
 STEP = 0.04  #: Largest motion of a joint between two poses that are checked [rad]. Source: ours.
 NEAR = 0.25  #: Motion from the start or the goal in which their own distances are enough [rad]. Source: ours.
 LEAST_DISTANCE = 0.003  #: Distance at the start or the goal that counts as contact [m]. Source: ours.
-NUM_BETWEEN = 200  #: Number of random poses over which a path may lead. Source: ours.
+NUM_BETWEEN = 200  #: Number of poses over which a path may lead. Source: ours.
 DETOUR = 0.5  #: Length by which each intermediate pose must shorten a path [rad]. Source: ours.
 
 
@@ -50,8 +50,7 @@ class Motion:
 
 def blind_targets(joint_pos: Joints, now: float) -> JointTargets:
     """Return the targets of a motion [rad] at a time [s], which depend on no image."""
-    stamps = dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now)
-    return JointTargets(joint_pos_target=joint_pos, **stamps)
+    return JointTargets(joint_pos_target=joint_pos, target_stamp=now, image_stamp=now, box_stamp=now)
 
 
 class PathFinder:
@@ -67,11 +66,7 @@ class PathFinder:
         self.is_arm = limits.joint_records["is_arm"]  #: Whether each joint is an arm's.
 
     def pose_over(self, name: str) -> Joints:
-        """Return the pose over a place of the profile, with an open hand [rad].
-
-        Raises:
-            UnknownNameError: There is no such place.
-        """
+        """Return the pose over a place of the profile, with an open hand [rad]; raise if there is no such."""
         if name not in self._places:
             raise UnknownNameError("place", name, self._places)
         angles = self._places[name].joints
@@ -99,8 +94,9 @@ class PathFinder:
                 raise DeploymentError(
                     f"no motion: {name} is not allowed, {reason}. Move the robot by hand (free drive)."
                 )
-        shape = (NUM_BETWEEN, len(start))
-        between = np.random.default_rng(0).uniform(self._joints.lower, self._joints.upper, shape)
+        shape, rng = (NUM_BETWEEN, len(start)), np.random.default_rng(0)
+        between = np.where(rng.random(shape) < 0.5, start, goal)  # some joints before the others
+        between[::2] = rng.uniform(self._joints.lower, self._joints.upper, shape)[::2]
         between[:, ~self.is_arm] = start[~self.is_arm]
         poses = np.array([start, goal, *(pose for pose in between if not self.refusal(pose))])
         lengths = np.abs(poses[:, None] - poses).max(axis=-1) + DETOUR

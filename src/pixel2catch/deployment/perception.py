@@ -6,6 +6,7 @@ from concurrent.futures import Executor, Future, wait
 from dataclasses import replace
 from functools import partial
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +24,11 @@ from pixel2catch.servo.limits import Joints
 DEPTH = 4  #: Images kept between two polls; only the newest is processed. Source: ours.
 JOINT_MEMORY = 0.5  #: Time for which joint positions are kept [s]. Source: ours; images arrive sooner.
 LENS_TOLERANCE = 0.02  #: Relative difference of focal lengths, and of centres by the width. Source: ours.
-
-EARLIEST, LATEST = -0.05, 0.5
-"""Range of the age of an image at arrival by its stamp [s]. Outside it the stamp is of another clock.
-Source: ours."""
-
-NUM_EQUAL = 4
-"""Number of equal images in a row that shows a frozen camera; sensor noise changes every image. Source: ours;
-a camera that is read faster than it exposes repeats single images."""
-
-DISTRUST_TIME = 1.0
-"""Time for which images are refused after one that is older than the one before [s]. Source: ours."""
+EARLIEST, LATEST = -0.05, 0.5  #: Range of an image's age at arrival by a good stamp [s]. Source: ours.
+NUM_EQUAL = 4  #: Equal images in a row of a frozen camera; others may repeat one. Source: ours.
+DISTRUST_TIME = 1.0  #: Time for which images are refused after one older than the last [s]. Source: ours.
+ROUNDING = 1e-9  #: Difference up to which two times are equal [s].
+LONGEST_WAIT = 0.25 * CONTROL_DT  #: Time after which a waiting image is dropped [s]. Source: ours.
 
 
 class ImageSubscriber:
@@ -184,28 +179,33 @@ def lens_difference(found: CameraSpec, expected: CameraSpec) -> str:
     )
 
 
-ROUNDING = 1e-9  #: Difference up to which two times are equal [s].
+class InlineExecutor(Executor):
+    """Runs work at once in the caller's thread, for stepped time."""
 
-LONGEST_WAIT = 0.25 * CONTROL_DT
-"""Time after which a waiting image is dropped, because a younger one is about to arrive [s]. Source: ours,
-from simulated perception times of 27 to 110 ms."""
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """See `Executor.submit`; raises what the function raises."""
+        future = Future[Any]()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+INLINE = InlineExecutor()
 
 
 class PerceptionRunner:
     """Runs perception on one image at a time. Of the images that arrive meanwhile, the newest waits.
 
-    With an executor perception runs in its thread. Without one it runs at once in the caller's thread, and
-    its result counts after a stated time of the clock, so that stepped time can rehearse slow perception.
+    A result counts after a stated time of the clock, so that stepped time can rehearse slow perception.
     """
 
     def __init__(
         self,
         pipeline: PolicyPipeline,
         clock: Clock,
-        executor: Executor | None = None,
+        executor: Executor = INLINE,
         duration: Callable[[], float] = float,
     ) -> None:
-        """Start without an image; `duration` draws how long perception takes in the caller's thread [s]."""
+        """Start without an image; `duration` draws the least time that perception takes [s]."""
         self._pipeline, self._clock, self._executor, self._duration = pipeline, clock, executor, duration
         self._waiting: tuple[Image, float] | None = None
         self._running: Future[Box] | None = None
@@ -223,7 +223,7 @@ class PerceptionRunner:
 
     def wait(self, seconds: float) -> None:
         """Wait for the result, at most for a real time [s]."""
-        if self._running and self._executor:
+        if self._running and not self._running.done():
             wait((self._running,), seconds)
         else:
             self._clock.sleep_until(min(self._due, self._clock.now() + seconds))
@@ -242,11 +242,7 @@ class PerceptionRunner:
         self._waiting = (image, self._clock.now())
 
     def poll(self) -> Box | None:
-        """Give a new box of this throw to the pipeline and return it; start with the next image.
-
-        Raises:
-            PerceptionError: The first image has the wrong size.
-        """
+        """Give a new box of this throw to the pipeline and return it; start with the next image."""
         box = self._finish()
         now = self._clock.now()
         if self._waiting and now - self._waiting[1] > LONGEST_WAIT:
@@ -258,11 +254,8 @@ class PerceptionRunner:
     def _start(self, image: Image, received: float, now: float) -> None:
         self._waiting, self._image = None, image
         self._started = {"exposed": image.stamp, "received": received, "begun": now}
-        if self._executor:
-            self._running = self._executor.submit(self._pipeline.tracker.step, image, now)
-        else:
-            self._running, self._due = Future(), now + self._duration()
-            self._running.set_result(self._pipeline.tracker.step(image, now))
+        self._running = self._executor.submit(self._pipeline.tracker.step, image, now)
+        self._due = now + self._duration()
         self._running.add_done_callback(lambda _: self._pipeline.tracker.settle())  # while the policy decides
 
     def _finish(self) -> Box | None:

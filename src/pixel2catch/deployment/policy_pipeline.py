@@ -25,10 +25,11 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.servo.limits import LOSS_TIME, Joints
 from pixel2catch.servo.link import JointTargets
 
+Batch = Float[Tensor, "1 num_joints"]  #: Numbers of all joints, as policies take them.
 _UNKNOWN = torch.full((1, 3), torch.nan)
 
 
-def _batch(joint_pos: Joints) -> Float[Tensor, "1 num_joints"]:
+def _batch(joint_pos: Joints) -> Batch:
     return torch.tensor(joint_pos[None], dtype=torch.float32)
 
 
@@ -36,11 +37,7 @@ class PolicyController:
     """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
     def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
-        """Take a policy for the robots and the camera of the laboratory.
-
-        Raises:
-            PolicyMismatchError: It was trained for another robot or camera, or needs what no camera measures.
-        """
+        """Raise PolicyMismatchError for another robot or camera, or inputs that no camera measures."""
         self.method = method_of(policy.contract)  #: The method that the policy was trained with.
         policy.contract.require(contract_of(self.method, workcell, camera))
         self._policy = policy
@@ -50,26 +47,19 @@ class PolicyController:
         roles = [group.role for group in workcell.groups for _ in group.joints]
         self.is_arm = np.array(roles) == "arm"  #: Whether each joint is an arm's.
         self.history: History | None = None  #: Measurements of this throw; None before its first step.
-        self._action: Float[Tensor, "1 num_joints"] = torch.zeros(1, len(self.joints))
-        self._target: Float[Tensor, "1 num_joints"] | None = None
+        self._action: Batch = torch.zeros(1, len(self.joints))
+        self._target: Batch | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
         _refuse_unmeasured_terms(self.method, self._measure(torch.zeros(1, len(self.joints)), nowhere))
 
-    def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
+    def reset(self, joint_pos_target: Batch | None = None) -> None:
         """Start a new throw from these joint targets [rad]; None for the measured positions."""
         self.history, self._action, self._target = None, torch.zeros_like(self._action), joint_pos_target
         self._policy.reset()
 
     @torch.inference_mode()
-    def step(
-        self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory
-    ) -> Float[Tensor, "1 num_joints"]:
-        """Return the joint targets for the end of the next control step [rad].
-
-        Args:
-            joint_pos: Measured joint positions in joint order [rad].
-            boxes: As many boxes as the method remembers.
-        """
+    def step(self, joint_pos: Batch, boxes: BoxHistory) -> Batch:
+        """Return the joint targets for the end of the next control step, by measured positions [rad]."""
         past, now = self.history, self._measure(joint_pos, boxes)
         history = History(past.before, past.now, now) if past else History(now, now, now)
         layouts = self.method.layouts
@@ -79,7 +69,7 @@ class PolicyController:
         self.history = history
         return self._target
 
-    def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> Measurement:
+    def _measure(self, joint_pos: Batch, boxes: BoxHistory) -> Measurement:
         """Return the measurement as the environment makes it, with NaN for what only a tracker measures."""
         palm_pos, palm_quat = self._geometry.palm_poses(joint_pos)
         return Measurement(
@@ -105,9 +95,7 @@ def _refuse_unmeasured_terms(method: Method, measurement: Measurement) -> None:
             )
 
 
-LONGEST_GAP = (
-    0.7  #: Age of the newest box from which the policy is not stepped [s]. Source: ours, rehearsals.
-)
+LONGEST_GAP = 0.7  #: Age of a box from which the policy is not stepped [s]. Source: ours, rehearsals.
 MOTION = 6.0  #: Change of the box centre from which the object has moved [px]. Source: ours.
 
 STILL_TIME = (ThrowCfg().hover_steps[1] + 1) * CONTROL_DT
@@ -159,15 +147,12 @@ class ObjectSight:
 
 
 BOX_AGE = 1.8 * CONTROL_DT
-"""Age of the box that a policy without ages gets, if images are not older [s]. Source: ours. It leads the
-object by the one or two control steps of its training, and needs the same age in every step."""
+"""Age of the box that a policy without ages gets, as in training; images may be older [s]. Source: ours."""
 
 MEMORY = 8  #: Least number of boxes that are kept, one for each image.
 FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is seen. Source: ours.
 
-LONGEST_PERCEPTION = 0.4
-"""Age of the newest processed image from which perception counts as hanging [s]. Source: ours; where an image
-takes 100 ms, it is up to 0.25 s old when the next one is done."""
+LONGEST_PERCEPTION = 0.4  #: Age of the newest processed image that is a fault [s]. Source: ours.
 
 
 class PolicyPipeline:

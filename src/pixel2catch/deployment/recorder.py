@@ -35,11 +35,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
     """
 
     def __init__(self, folder: Path) -> None:
-        """Start a recording in a new folder.
-
-        Raises:
-            DeploymentError: The folder exists or cannot be made.
-        """
+        """Start a recording in a new folder; raise DeploymentError if it exists or cannot be made."""
         self.num_written: Counter[str] = Counter()  #: Messages written, by topic.
         self.num_dropped: Counter[str] = Counter()  #: Messages lost, by topic.
         self.problem = ""  #: Why nothing can be written; empty if messages can.
@@ -59,10 +55,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         atexit.register(self.__exit__)  # a second signal may come where no context ends
 
     def record(self, topic: Topic, data: bytes, stamp: float, convert: Convert = bytes) -> None:
-        """Record a message of a time of day [s], converted in the recorder's thread. Any thread may call it.
-
-        A message whose conversion raises is dropped and counted.
-        """
+        """Record a message of a time of day [s], from any thread; it is converted in the recorder's."""
         with self._lock:
             if self.problem or self._waiting + len(data) > MOST_WAITING:
                 self.num_dropped[topic.name] += 1

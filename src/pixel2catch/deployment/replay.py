@@ -33,10 +33,7 @@ PERCEPTION_TIME = 0.01  #: Time that perception takes for an image in a replay [
 def played(recording: Path, topics: set[Topic]) -> Iterator[tuple[float, Topic, bytes]]:
     """Yield time since the epoch [s], topic and content of the messages of some topics of a rosbag2.
 
-    JPEG images become raw ones. Damaged ones are left out.
-
-    Raises:
-        PerceptionError: The recording cannot be read.
+    JPEG images become raw ones. Damaged ones are left out. Raises as `opened_bag`.
     """
     known = {(topic.name, topic.type): topic for topic in topics}
     with opened_bag(recording) as reader:
@@ -118,11 +115,7 @@ def _begin(recording: Path, profile: Profile) -> float:
 
 
 def recorded_targets(recording: Path) -> list[JointTargets]:
-    """Return the first targets for every image of a recording; `image_stamp` is since the epoch [s].
-
-    Raises:
-        PerceptionError: It cannot be read.
-    """
+    """Return the first targets for every image of a recording; `image_stamp` is since the epoch [s]."""
     first, offset = dict[float, JointTargets](), 0.0
     with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic in (TARGETS.name, SERVO.name)]
@@ -140,11 +133,9 @@ def recorded_targets(recording: Path) -> list[JointTargets]:
 def compare(
     then: Sequence[JointTargets], now: Sequence[JointTargets], workcell: WorkcellSpec
 ) -> dict[str, Any]:
-    """Compare the targets of a deployment with those of its replay.
+    """Return the numbers of images with targets in a deployment, in its replay and in both.
 
-    Returns:
-        Numbers of images with targets in the deployment, in the replay and in both; for every joint group,
-        such as arm and hand, median and maximum of the difference of its worst joint [rad].
+    And, for every joint group, median and maximum of the difference of its worst joint [rad].
     """
     differences = list[np.ndarray]()
     for targets in now if then else ():

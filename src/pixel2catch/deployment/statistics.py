@@ -17,10 +17,7 @@ PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
 STAGES = ("received", "begun", "perceived", "decided")
 """Stages of an image: it arrives, perception begins, perception ends, its targets are sent to the servo."""
 
-TIMES = ("image_to_command_ms", "thinking_ms", "servo_tick_ms")
-"""Durations in a summary: from the middle of an image's exposure to the first command, of a control step with
-an image, and of a tick."""
-
+TIMES = ("image_to_command_ms", "thinking_ms", "servo_tick_ms")  #: Of exposures, control steps and ticks.
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))  #: Modes in which control steps count.
 
 
@@ -118,11 +115,8 @@ class RunStatistics:
     ) -> dict[str, Any]:
         """Return the status of a control step; refusals and clamps are those since the last one.
 
-        Args:
-            box: Box of the newest image; None without a recent image.
-            message: What is wrong.
-            visibility: Whether the object is seen; None where there is no object.
-            age: Age of the newest box [s].
+        The box is of the newest image, None without a recent one; its age is in s. The visibility is None
+        where there is no object.
         """
         last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0

@@ -1,7 +1,7 @@
 """What the robot does between throws without a person: it carries, releases, returns, and waits."""
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from math import inf
 from typing import Literal
@@ -11,6 +11,7 @@ import torch
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.deployment.paths import Motion, PathFinder, blind_targets
+from pixel2catch.deployment.perception import INLINE
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyPipeline
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.ros2.profile import Profile
@@ -20,10 +21,7 @@ from pixel2catch.servo.link import RECORDER_PRIORITY, JointTargets, give_way
 from pixel2catch.workcells import find_workcell
 
 SHARE = 0.23  #: Speed of a motion as a share of a catch's, with a margin to a quarter. Source: ours.
-
-HELD_DISTANCE = 0.12
-"""Largest distance of a held object from the palm, across the line of sight [m]. Source: ours."""
-
+HELD_DISTANCE = 0.12  #: Distance of a held object from the palm, across the line of sight [m]. Source: ours.
 HELD_TIME = 0.4  #: Time for which an object stays at the palm that is caught [s]. Source: ours.
 MISSED_TIME = 1.0  #: Time without a box after which the object is missed [s]. Source: ours.
 FLIGHT = 60.0  #: Motion of the box from which the object was thrown [px]. Source: ours.
@@ -60,9 +58,8 @@ class ThrowCycle:
         self.message = ""  #: The announcement of the motion.
         self.begin_waiting: Callable[[], None] = lambda: None  #: Called when the robot begins to wait.
         self._pipeline, self._camera = pipeline, camera
-        self._executor = (
-            None if is_stepped else ThreadPoolExecutor(1, "paths", give_way, (RECORDER_PRIORITY,))
-        )
+        own_thread = ThreadPoolExecutor(1, "paths", give_way, (RECORDER_PRIORITY,))
+        self._executor: Executor = INLINE if is_stepped else own_thread
         self._geometry = WorkcellGeometry(find_workcell(profile.workcell))
         self._finder = PathFinder(profile, limits, SHARE)
         self._place = (f"to {place}", self._finder.pose_over(place))
@@ -126,7 +123,7 @@ class ThrowCycle:
             self._num_rests += 1
             self._target = self._pipeline.rest(joint_pos)
         elif self._motion is None:
-            self._motion = self._search(self._target, goal)
+            self._motion = self._executor.submit(self._finder.motion, self._target, goal)
         elif self._motion.done():
             motion = self._motion.result()
             if not self.message:
@@ -140,13 +137,6 @@ class ThrowCycle:
         if not self._goals:
             self.message = "The robot waits for the next throw: point at the object."
             self.begin_waiting()
-
-    def _search(self, start: Joints, goal: Joints) -> Future[Motion]:
-        if self._executor:
-            return self._executor.submit(self._finder.motion, start, goal)
-        done = Future[Motion]()
-        done.set_result(self._finder.motion(start, goal))
-        return done
 
 
 def palm_distance(

@@ -1,7 +1,6 @@
 """Rehearsals and recordings in simulated time: twin, servo and control loop in one process and one thread."""
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache, cached_property, partial
@@ -14,6 +13,7 @@ import numpy as np
 from pixel2catch.camera.image import Pixels
 from pixel2catch.deployment.control_loop import Connection, ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.deployment.perception import INLINE
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, ImageStorage
 from pixel2catch.deployment.statistics import RunStatistics
@@ -65,7 +65,9 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
         self.clock, self.broker, self._open = StepClock(self._wait), Broker(), ExitStack()
         self.lab = SimulatedLab(task, cfg.seed)
         self.profile, self._num_cycles = twin_profile(self.lab.workcell), 0
-        camera = CameraDriver(lambda exposure: _done(draw(self.lab, exposure)), 1e-3 * cfg.clock_error_ms)
+        camera = CameraDriver(
+            lambda exposure: INLINE.submit(draw, self.lab, exposure), 1e-3 * cfg.clock_error_ms
+        )
         self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
         node, self._recording = self.broker.node(self.clock), None
         if cfg.record:
@@ -101,12 +103,6 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
         self.servo.close()
         if self._recording and exception[0] is None:
             self._recording.require_whole()
-
-
-def _done(image: Pixels) -> "Future[Pixels]":
-    future: Future[Pixels] = Future()
-    future.set_result(image)
-    return future
 
 
 def rehearse_stepped(
@@ -150,7 +146,8 @@ def in_step(
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
         cycle, times = None, partial(Random(cfg.seed).uniform, least, least + jitter)
         if cfg.after_catch:
-            cycle = ThrowCycle(pipeline, twin.profile, twin.limits, scene.camera, cfg.after_catch)
+            place, limits = cfg.after_catch, twin.limits
+            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, place, is_stepped=True)
         deployment = pipeline, scene.camera, twin.servo.connection, twin.profile
         loop = ControlLoop(*deployment, perception_time=times, cycle=cycle)
         twin.followers = (twin.servo.tick, loop.poll)
