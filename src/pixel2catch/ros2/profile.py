@@ -259,8 +259,7 @@ class OperatorTopics:
 class Place:
     """A place over which the hand releases what it holds."""
 
-    #: Arm joints by their names in the work cell [rad]; others are at the start pose.
-    joints: dict[str, float]
+    joints: dict[str, float]  #: Arm joints by their names [rad]; others are at the start pose.
 
     def require_valid(self, name: str, arm: Mapping[str, "JointSpec"]) -> None:
         """Refuse joints that no arm has, and angles out of range."""
