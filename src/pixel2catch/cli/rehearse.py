@@ -41,8 +41,10 @@ class Rehearse:
         """Rehearse, write the report and print it."""
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.workcells import known_workcell
 
         with needs_extra("deployment"):
+            from pixel2catch.twin.lab_node import twin_profile
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
         changed = (name for name in LOCKSTEP_ONLY if getattr(cfg, name) != getattr(RehearsalCfg, name))
@@ -58,15 +60,16 @@ class Rehearse:
         def show(outcome: "Outcome") -> None:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
+        policy, _ = load_policy(self.policy)
         if cfg.lockstep:
             from pixel2catch.twin.stepped import rehearse_stepped
 
             prepare("cpu")
-            policy, _ = load_policy(self.policy)
             report = rehearse_stepped(cfg, cfg.task.make(policy), policy, show)
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
-            report = rehearse(cfg, self.policy and str(self.policy), self.out, show)
+            profile = twin_profile(known_workcell(policy.contract.workcell))
+            report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
         print("\n".join(_lines(report)), flush=True)
         write_atomically({self.out / REPORT: json_text(report).encode()})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")

@@ -19,11 +19,11 @@ from pixel2catch.deployment.operator import DEPTH, OperatorConsole, newest
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import OperatorTopics, Profile
+from pixel2catch.ros2.profile import PROFILES, OperatorTopics, Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.twin import RehearsalCfg
-from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
+from pixel2catch.twin.lab_node import COMMAND, STATE
 
 POLL = 0.005  #: Time between two polls of the network [s]. Source: ours.
 CYCLE_TIME = 120.0  #: Largest time of the motions after a throw [s]. Source: ours.
@@ -186,23 +186,27 @@ def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow
     }
 
 
-def rehearse(cfg: RehearsalCfg, policy: str | None, logs: Path, on_throw: OnThrow) -> dict[str, Any]:
+def rehearse(
+    cfg: RehearsalCfg, policy: str | None, profile: Profile, logs: Path, on_throw: OnThrow
+) -> dict[str, Any]:
     """Run throws with twin and deployment, two commands that write into a folder of logs; return the report.
 
     Raises:
-        DeploymentError: A process did not start, or ended early.
+        DeploymentError: The profile is not shipped, or a process did not start, or ended early.
     """
+    if not (PROFILES / f"{profile.name}.yaml").exists():
+        raise DeploymentError(f"no profile is shipped for '{profile.workcell}': rehearse it with --lockstep.")
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     clock, begin = RealClock(cfg.clock), time.perf_counter()
     twin = _options(clock=cfg.clock, seed=cfg.seed, policy=policy, dynamics=cfg.task.dynamics)
-    deploy = _options(clock=cfg.clock, after_catch=cfg.after_catch, record=cfg.record)
+    deploy = _options(profile=profile.name, clock=cfg.clock, after_catch=cfg.after_catch, record=cfg.record)
     with ExitStack() as stack:
         processes = [
             stack.enter_context(_running_command(logs, "twin", *twin, "--objects", *cfg.task.objects)),
             stack.enter_context(_running_command(logs, "deploy", *filter(None, [policy]), "--json", *deploy)),
         ]
         node = stack.enter_context(make_transport("pixel2catch_operator", LOOPBACK, clock))
-        operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
+        operator = RehearsalOperator(node, profile.operator, clock)
 
         def is_ready() -> bool:
             _require_running(processes, logs)
