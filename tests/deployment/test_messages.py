@@ -91,8 +91,9 @@ def image_message(pixels: np.ndarray, encoding: str, step: int, height: int | No
 
 
 def test_padding_and_order_of_the_channels_are_undone_and_an_image_without_is_not_copied():
-    for encoding, sent in (("rgb8", PIXELS), ("bgr8", PIXELS[..., ::-1])):
-        reading = messages.read_image(image_message(sent, encoding, step=16))
+    alpha = np.insert(PIXELS[..., ::-1], 3, 9, axis=-1)
+    for encoding, sent in (("rgb8", PIXELS), ("bgr8", PIXELS[..., ::-1]), ("bgra8", alpha)):
+        reading = messages.read_image(image_message(sent, encoding, step=24))
         np.testing.assert_array_equal(reading.pixels, PIXELS)
         assert (reading.encoding, reading.stamp) == (encoding, 1.0)
     data = messages.image(PIXELS, 0.0)
@@ -104,7 +105,7 @@ def test_padding_and_order_of_the_channels_are_undone_and_an_image_without_is_no
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (image_message(PIXELS, "mono8", 15), "encoded as 'mono8'"),
+        (image_message(PIXELS, "16UC1", 15), "encoded as '16UC1'; set the camera to one of rgb8"),
         (image_message(PIXELS, "rgb8", 15, height=5), "image of 5 x 5 has 60 bytes"),
         (image_message(PIXELS, "rgb8", 15, height=0), "image of 5 x 0"),
     ],

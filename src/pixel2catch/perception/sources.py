@@ -14,11 +14,10 @@ from av.error import FFmpegError
 from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Image, Pixels
-from pixel2catch.errors import PerceptionError
+from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.files import read_bytes, reading
 from pixel2catch.ros2.bags import BAG_SUFFIXES, BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.messages import (
-    CHANNELS,
     COMPRESSED_IMAGE,
     IMAGE,
     MOST_PIXELS,
@@ -42,24 +41,6 @@ OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file", "max_pixel
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 MOST_IMAGE = 2**27  #: Largest image file [bytes]. Source: ours.
-
-CONVERSIONS = {
-    "8UC3": (3, cv2.COLOR_BGR2RGB),
-    "8UC4": (4, cv2.COLOR_BGRA2RGB),
-    "rgba8": (4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (4, cv2.COLOR_BGRA2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "8UC1": (1, cv2.COLOR_GRAY2RGB),
-    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
-    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
-    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
-    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
-}
-"""Bytes of a pixel and OpenCV's conversion of encodings beside `CHANNELS`. Source: REP 118, cv_bridge."""
 
 Size = tuple[int, int]  #: Width and height [px].
 
@@ -289,15 +270,7 @@ def _pixels(message: BagMessage) -> Pixels | None:
                 f"topic {message.topic}: format '{content.format}' is not read; record jpeg or png."
             )
         return unpacked_image(bytes(content.data))
-    if content.encoding in CHANNELS:
+    try:
         return pixels_of(content)
-    if content.encoding not in CONVERSIONS:
-        problem = f"topic {message.topic}: encoding '{content.encoding}' is not read"
-        raise PerceptionError(f"{problem}; record one of {', '.join((*CHANNELS, *CONVERSIONS))}.")
-    size, code = CONVERSIONS[content.encoding]
-    height, width, step = content.height, content.width, content.step
-    is_odd = size == 2 and width % 2 == 1  # two pixels of YUV 4:2:2 share their colour
-    if min(height, width) < 2 or step < size * width or len(content.data) < height * step or is_odd:
-        return None
-    rows = np.asarray(content.data)[: height * step].reshape(height, step)[:, : size * width]
-    return cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, size), code)
+    except DeploymentError as error:
+        raise PerceptionError(f"topic {message.topic}: {error}") from error

@@ -89,8 +89,25 @@ def seconds(header: Any) -> float:
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
 
-CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
-"""Encodings of images that are read, and the order of their channels for red, green and blue."""
+ENCODINGS = {
+    "rgb8": (3, ""),
+    "bgr8": (3, "BGR2RGB"),
+    "8UC3": (3, "BGR2RGB"),
+    "rgba8": (4, "RGBA2RGB"),
+    "bgra8": (4, "BGRA2RGB"),
+    "8UC4": (4, "BGRA2RGB"),
+    "mono8": (1, "GRAY2RGB"),
+    "8UC1": (1, "GRAY2RGB"),
+    "yuv422": (2, "YUV2RGB_UYVY"),
+    "uyvy": (2, "YUV2RGB_UYVY"),
+    "yuv422_yuy2": (2, "YUV2RGB_YUY2"),
+    "yuyv": (2, "YUV2RGB_YUY2"),
+    "bayer_rggb8": (1, "BayerRGGB2RGB"),
+    "bayer_bggr8": (1, "BayerBGGR2RGB"),
+    "bayer_gbrg8": (1, "BayerGBRG2RGB"),
+    "bayer_grbg8": (1, "BayerGRBG2RGB"),
+}
+"""Encodings that are read: bytes of a pixel, and OpenCV's conversion. Source: REP 118, cv_bridge."""
 
 OPTICAL_FRAME = "camera_color_optical_frame"  #: Frame of the images. Source: RealSense driver.
 
@@ -142,21 +159,35 @@ def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
 
 
 def pixels_of(message: Any) -> Pixels | None:
-    """Return the pixels of a decoded image of one of `CHANNELS`, or None if its size and bytes differ."""
+    """Return the pixels of a decoded image, or None if its size and its bytes do not fit.
+
+    Raises:
+        DeploymentError: Its encoding is none of `ENCODINGS`.
+    """
+    if message.encoding not in ENCODINGS:
+        known = ", ".join(ENCODINGS)
+        raise DeploymentError(
+            f"an image is encoded as '{message.encoding}'; set the camera to one of {known}."
+        )
+    size, conversion = ENCODINGS[message.encoding]
     height, width, step = message.height, message.width, message.step
-    if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
+    is_odd = size == 2 and width % 2 == 1  # two pixels of YUV 4:2:2 share their colour
+    if min(height, width) < 1 or step < size * width or len(message.data) < height * step or is_odd:
         return None
-    rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, : 3 * width]
-    # no copy of rgb8 without padding
-    return np.ascontiguousarray(rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]])
+    rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, : size * width]
+    pixels = np.ascontiguousarray(rows).reshape(height, width, size)  # no copy without padding
+    if not conversion:
+        return pixels
+    import cv2
+
+    if "Bayer" in conversion and min(height, width) < 2:
+        return None
+    return cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}"))
 
 
 def read_image(data: bytes) -> Image:
-    """Decode an image; raises as `decode`, for encodings beside `CHANNELS`, and where bytes are missing."""
+    """Decode an image; raises as `decode` and `pixels_of`, and where bytes are missing."""
     message = decode(data, IMAGE)
-    if message.encoding not in CHANNELS:
-        known = " or ".join(CHANNELS)
-        raise DeploymentError(f"an image is encoded as '{message.encoding}'; set the camera to {known}.")
     if (pixels := pixels_of(message)) is None:
         size = f"{message.width} x {message.height} has {len(message.data)} bytes, {message.step} in each row"
         raise DeploymentError(f"an image of {size}: it is damaged.")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,7 +18,7 @@ from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import JointReading
+from pixel2catch.ros2.messages import ENCODINGS, JointReading
 from pixel2catch.ros2.transport import Topic
 
 if TYPE_CHECKING:
@@ -224,7 +224,8 @@ class CameraProfile:
     info: Topic | None = None  #: Topic of the lens, if any.
     width: int  #: Image width [px].
     height: int  #: Image height [px].
-    encoding: Literal["rgb8", "bgr8"] = "rgb8"
+    #: Of its images, one of `messages.ENCODINGS`.
+    encoding: Annotated[str, Meta(pattern=f"^({'|'.join(ENCODINGS)})$")] = "rgb8"
     #: Time from the middle of the exposure of the middle row to the stamp [s]; `calibrate --timing`.
     stamp_offset: Annotated[float, Meta(ge=-0.1, le=0.1)] = 0.0
     #: Time from the first row to the last of a rolling shutter [s]; `calibrate --timing`.
