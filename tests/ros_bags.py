@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from pixel2catch.ros2.messages import STORE
 
@@ -25,8 +25,15 @@ def joint_state(stamp: int, names: Iterable[str], positions: Iterable[float]) ->
     return TYPES["sensor_msgs/msg/JointState"](header(stamp), list(names), *numbers)
 
 
-def save_bag(path: Path, messages: Iterable[Message], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    with Writer(path, version=9, storage_plugin=storage) as bag:
+def save_bag(
+    path: Path,
+    messages: Iterable[Message],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> Path:
+    bag = Writer(path, version=9, storage_plugin=storage)
+    bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
         connections = {}
         for topic, received, message in messages:
             if topic not in connections:

@@ -192,10 +192,18 @@ def test_large_chunks_of_a_bag_are_not_unpacked(tmp_path: Path, monkeypatch: pyt
         list(reader.messages())
 
 
-def test_a_bag_is_not_unpacked_to_the_disk(tmp_path: Path):
+def test_a_large_bag_is_not_unpacked_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     packed_bag(tmp_path / "bag", 2**20, CompressionMode.FILE)
-    with pytest.raises(PerceptionError), bags.opened_bag(tmp_path / "bag"):
+    monkeypatch.setattr(bags, "MOST_UNPACKED", 2**19)
+    with pytest.raises(PerceptionError, match="unpacks to more than"), bags.opened_bag(tmp_path / "bag"):
         pass
+
+
+def test_a_large_message_of_a_bag_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    packed_bag(tmp_path / "bag", 2**21, CompressionMode.MESSAGE)
+    monkeypatch.setattr(bags, "MOST_CHUNK", 2**20)
+    with bags.opened_bag(tmp_path / "bag") as reader:
+        assert [len(data) for *_, data in reader.messages()] == [2**20 + 1]
 
 
 def test_an_alias_bomb_is_refused(tmp_path: Path):

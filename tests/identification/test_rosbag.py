@@ -1,5 +1,6 @@
 """Bags of an arm and a hand in both storages, and what makes one unusable."""
 
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded import ARM, ROBOTS, assert_same, short
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.importers import RecordedNames, read_rosbag
@@ -103,6 +104,27 @@ def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
         content.replace(listed, f"{listed}\n{listed.replace('bag0.mcap', name)}")
     )
     assert_same(read_rosbag(first, ARM), short(), NANOSECOND)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_a_bag_may_be_compressed(storage: StoragePlugin, mode: CompressionMode, tmp_path: Path):
+    sent = measured(short()) + commands(short(), TRAJECTORY)
+    path = save_bag(tmp_path / "bag", sent, storage, mode)
+    assert_same(read_rosbag(path, ARM), short(), NANOSECOND)
+
+
+def test_channels_of_an_mcap_file_that_are_not_ros_are_left_out(tmp_path: Path):
+    """A logger's channel with a schema of Protobuf, which is no text."""
+    text = TYPES["std_msgs/msg/String"]("x")
+    sent = [*measured(short()), *commands(short(), TRAJECTORY), ("/log", nanoseconds(0.1), text)]
+    (file,) = save_bag(tmp_path / "bag", sent).glob("*.mcap")
+    content = file.read_bytes().replace(b"/log\3\0\0\0cdr", b"/log\3\0\0\0pb3")
+    schema = re.compile(rb"(?<=std_msgs/msg/String\x07\0\0\0)ros2msg(.{4}).", re.DOTALL)
+    content = schema.sub(lambda found: b"protob2" + found[1] + b"\xff", content)
+    assert b"protob2" in content
+    file.write_bytes(content)
+    assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
 
 
 def test_one_of_several_command_topics_is_chosen_by_name(tmp_path: Path):

@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
 from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+    from rosbags.interfaces import Connection, MessageDefinition
     from rosbags.rosbag2 import Reader
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
@@ -22,6 +23,7 @@ BAG_SUFFIXES, METADATA = (".mcap", ".db3"), "metadata.yaml"
 
 MOST_CHUNK = 2**26  #: Largest unpacked chunk of an MCAP file [bytes]. Source: ours.
 MOST_AT_ONCE = 2**28  #: Largest sum of chunks whose times overlap: all are unpacked together. Source: ours.
+MOST_UNPACKED = 2**35  #: Largest file that is unpacked to a temporary folder [bytes]. Source: ours.
 
 
 def is_bag(path: Path) -> bool:
@@ -33,18 +35,24 @@ def is_bag(path: Path) -> bool:
 def opened_bag(
     path: Path, error: type[Pixel2CatchError] = PerceptionError, extra: str = "perception"
 ) -> "Iterator[Reader]":
-    """Open a bag: its folder, .mcap or .db3 file. Raises `error`, also where rosbags (`extra`) is missing."""
+    """Open a bag: its folder, .mcap or .db3 file. Channels that are not CDR (JSON, Protobuf) are left out.
+
+    Raises `error`, also where rosbags (`extra`) is missing.
+    """
     try:
-        from rosbags.rosbag2 import Reader, storage_mcap
+        from rosbags.rosbag2 import Reader, reader, storage_mcap
     except ModuleNotFoundError as missing:
         raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
     storage_mcap.DECOMPRESSORS.update(lz4=_unpacked_lz4, zstd=_unpacked_zstd)
+    storage_mcap.get_msgdef, storage_mcap.read_string = _definition, _text
+    reader.zstd = SimpleNamespace(open=storage_mcap.zstd.open, decompress=_unpacked_message)
     try:
         _require_files(path)
-        with Reader(path) as reader:
-            for storage in getattr(reader.storage, "storages", [reader.storage]):
+        with Reader(path) as bag:
+            for storage in getattr(bag.storage, "storages", [bag.storage]):
                 _require_chunks(getattr(storage, "chunks", ()))
-            yield reader
+            bag.connections[:] = [each for each in bag.connections if each.ext.serialization_format == "cdr"]
+            yield bag
     except Pixel2CatchError as known:
         raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
     except Exception as damage:
@@ -54,19 +62,33 @@ def opened_bag(
 
 
 def _require_files(path: Path) -> None:
-    """Refuse files whose opening may block, compressed bags, and complex descriptions."""
-    files = [path]
+    """Refuse files whose opening may block, that become too large unpacked, and complex descriptions."""
+    files, is_packed = [path], False
     if path.is_dir():
         content = parse_yaml(read_text(path / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
         for topic in content["topics_with_message_count"]:
             if isinstance(qos := topic["topic_metadata"].get("offered_qos_profiles"), str):
                 parse_yaml(qos)
-        if content.get("compression_mode", "").lower() not in ("", "none"):
-            raise InvalidValueError("it is compressed as a whole; unpack it with 'ros2 bag convert'")
+        is_packed = content.get("compression_mode", "").lower() == "file"
         files = [path / Path(name).name for name in content["relative_file_paths"]]
     for file in files:
         if file.exists() and not file.is_file():
             raise InvalidValueError(f"'{file}' is no file")
+        if is_packed:
+            _require_small(file)
+
+
+def _require_small(file: Path) -> None:
+    """Refuse a compressed file that needs too much space, before it is unpacked to a temporary folder."""
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    size = 0
+    with zstd.open(file) as content:
+        while part := content.read(2**24):
+            size += len(part)
+            if size > MOST_UNPACKED:
+                most = f"more than {MOST_UNPACKED:,} bytes"
+                raise InvalidValueError(f"'{file}' unpacks to {most}; split it with 'ros2 bag convert'")
 
 
 def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
@@ -90,6 +112,24 @@ def _unpacked_zstd(data: bytes, size: int) -> bytes:
     from rosbags.rosbag2.storage_mcap import zstd
 
     return zstd.ZstdDecompressor().decompress(data, min(size, MOST_CHUNK) + 1)
+
+
+def _unpacked_message(data: bytes) -> bytes:
+    return _unpacked_zstd(data, MOST_CHUNK)  # `decode` refuses a message of this length
+
+
+def _text(file: BinaryIO) -> str:
+    """Read a text of an MCAP file; a schema of Protobuf is none."""
+    from rosbags.rosbag2 import storage_mcap
+
+    return storage_mcap.read_bytes(file).decode(errors="replace")
+
+
+def _definition(schema: Any) -> "MessageDefinition":
+    """Return no definition: types are those of `messages.STORE`, and a schema may be of JSON or Protobuf."""
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+    return MessageDefinition(MessageDefinitionFormat.NONE, "")
 
 
 @dataclass(frozen=True, kw_only=True)
