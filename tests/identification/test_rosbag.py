@@ -106,6 +106,18 @@ def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
     assert_same(read_rosbag(first, ARM), short(), NANOSECOND)
 
 
+@pytest.mark.parametrize("stamp", [0, nanoseconds(0.0)])
+def test_optional_signals_may_be_nan_and_stamps_stand_still(stamp: int, tmp_path: Path):
+    """Without stamps that increase, the times of recording count: 3 ms later than those of the clock."""
+    sent = measured(short())
+    for *_, message in sent:
+        message.velocity = message.effort = np.full(7, np.nan)
+        message.header = header(stamp)
+    path = save_bag(tmp_path / "bag", sent + commands(short(), TRAJECTORY))
+    expected = replace(short(), t_meas=short().t_meas + 0.003)
+    assert_same(read_rosbag(path, ARM), expected, NANOSECOND)
+
+
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize("storage", list(StoragePlugin))
 def test_a_bag_may_be_compressed(storage: StoragePlugin, mode: CompressionMode, tmp_path: Path):

@@ -19,7 +19,7 @@ from pixel2catch.perception.sources import (
     video_images,
 )
 from pixel2catch.scene.constants import CONTROL_DT
-from ros_bags import EPOCH, joint_state, save_bag
+from ros_bags import joint_state, save_bag
 
 PICTURE = next(throw())
 
@@ -126,11 +126,15 @@ def test_raw_images_come_out_as_they_were(
             np.testing.assert_array_equal(frame.pixels, PICTURE)
 
 
-def test_the_time_of_reception_counts_where_a_stamp_is_missing(tmp_path: Path):
-    topic, received, message = raw(0, PICTURE)
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
-    (frame,) = read(save_bag(tmp_path / "bag", [(topic, received, message)]))
-    assert frame.stamp == pytest.approx(EPOCH + 0.02)
+@pytest.mark.parametrize("sec", [0, 7])
+def test_the_times_of_recording_count_where_stamps_are_missing_or_stand_still(sec: int, tmp_path: Path):
+    notes, sent = list[str](), [raw(step, PICTURE) for step in range(3)]
+    for *_, message in sent:
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, 0
+    frames = read(save_bag(tmp_path / "bag", sent), notes=notes)
+    times = [received / 1e9 for _, received, _ in sent]
+    assert [frame.stamp for frame in frames] == pytest.approx(times)
+    assert notes == ["the images have no stamps that increase: their times of recording are used."]
 
 
 def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Path):

@@ -91,8 +91,9 @@ def read_rosbag(
 ) -> Recording:
     """Read the motion of those of some joints that a rosbag2 (MCAP or SQLite, its folder or file) measured.
 
-    A topic's times are its header stamps, or the bag's receive times if a header has none, counted from the
-    earliest. Several topics of commands become one stream, with a row whenever one of them changes.
+    A topic's times are its header stamps, or the bag's receive times if a header has none or all have the
+    same, counted from the earliest. Several topics of commands become one stream, with a row whenever one of
+    them changes.
 
     Raises:
         RecordingError: It is not a bag, a topic or command is missing, or a message has impossible motion.
@@ -159,7 +160,6 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
         everything.append((message, replace(motion, joints=bag.names.renamed(motion.joints))))
     if not everything:
         raise RecordingError(f"{source}: empty, there is no message; record again.")
-    everything.sort(key=lambda pair: pair[0].received)  # files of a split recording overlap
     concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
     received, motions = zip(*(concerned or everything), strict=True)
     first = motions[0]
@@ -173,7 +173,8 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     order = [recorded.index(joint) for joint in joints]
     positions = np.stack([motion.positions for motion in motions])[:, order]
     stamps = [message.stamp for message in received]
-    times = np.array(stamps if all(stamps) else [message.received for message in received], dtype=np.int64)
+    is_stamped = all(stamps) and len({*stamps}) > 1
+    times = np.array(stamps if is_stamped else [message.received for message in received], dtype=np.int64)
     require_motion(source, joints, (times - times[0]) / 1e9, positions, bag.workcell)
     return _Stream(joints=joints, recorded=recorded, times=times, positions=positions)
 

@@ -4,6 +4,7 @@ import re
 import time
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -221,8 +222,8 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
 def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterator[Image]:
     """Yield the images of a bag: arguments as `images_of`.
 
-    The stamp is that of the header, or the time of recording without one. Damaged images are left out, with
-    a note.
+    The stamp is that of the header, or the time of recording if the first two headers have none or the same.
+    Damaged images are left out, with a note.
 
     Raises:
         PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
@@ -230,8 +231,13 @@ def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterat
     with opened_bag(path) as reader:
         images = connections_of(path, reader.connections, (IMAGE, COMPRESSED_IMAGE), topic)
         damaged: list[str] = []
-        for message in decoded(reader, images):
-            stamp = (message.stamp or message.received) / 1e9
+        stream = decoded(reader, images)
+        first = list(islice(stream, 2))
+        is_stamped = len({message.stamp for message in first} - {0}) == len(first)
+        if not is_stamped:
+            notes.append("the images have no stamps that increase: their times of recording are used.")
+        for message in chain(first, stream):
+            stamp = (message.stamp if is_stamped else message.received) / 1e9
             if (pixels := _pixels(message)) is None:
                 damaged.append(f"of {len(message.content.data)} bytes at {stamp:.3f} s")
             else:

@@ -1,9 +1,12 @@
 """Recordings of ROS 2 (rosbag2: MCAP or SQLite), read message by message. Needs rosbags."""
 
+import heapq
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate
+from operator import itemgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -144,14 +147,20 @@ class BagMessage:
 
 
 def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMessage]:
-    """Yield the messages of some connections, in the order of the bag.
+    """Yield the messages of some connections, by their times of recording; files of a bag may overlap.
 
     Raises:
         DeploymentError: A message is damaged.
     """
     from pixel2catch.ros2.messages import decode
 
-    for connection, received, data in reader.messages(connections):
+    streams = [reader.messages(connections)]
+    if storages := getattr(reader.storage, "storages", ()):
+        files = [copy(reader.storage) for _ in storages]
+        for file, storage in zip(files, storages, strict=True):
+            file.storages = [storage]
+        streams = [file.messages(connections) for file in files]
+    for connection, received, data in heapq.merge(*streams, key=itemgetter(1)):
         content = decode(data, connection.msgtype)
         sent = getattr(content, "header", None)
         yield BagMessage(
