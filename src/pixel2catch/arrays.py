@@ -1,8 +1,7 @@
 """Read arrays from npz archives and text tables; nothing larger than its limit is unpacked."""
 
-import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -82,28 +81,51 @@ def _array(data: bytes) -> np.ndarray:
     return array
 
 
-def read_table(
-    path: Path, columns: Sequence[str], text: str = "", names: Sequence[str] = ()
-) -> tuple[Float64[np.ndarray, "rows columns"], list[str]]:
-    """Return some columns of numbers of a table, and a column of text if it is named.
+def table_columns(path: Path, names: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Return the cells of a table by the names of its columns, in line 1 unless they are given.
 
-    Cells are between commas, or spaces where a line has no comma. Line 1 has the names unless they are given.
+    The separator is the first of semicolon, tab and comma that line 1 has, or else spaces.
 
     Raises:
-        RecordingError: The file cannot be read or is too long, or a line or a column is not as it must be.
+        RecordingError: The file cannot be read or is too long, or a line has too few or too many cells.
     """
     with reading("table", path, "Record again, or correct or cut the line.", RecordingError):
         lines = read_text(path, MOST_TABLE).strip().split("\n")
         if len(lines) > MOST_ROWS:
             raise RecordingError(f"it has more than {MOST_ROWS:,} lines")
-        rows = [re.split(r"\s*,\s*", line.strip()) if "," in line else line.split() for line in lines]
+        separator = next((each for each in ";\t," if each in lines[0]), None)
+        rows = [[cell.strip(' \r"') for cell in line.strip().split(separator)] for line in lines]
         names, first = (names, 1) if names else (rows.pop(0), 2)
         for number, row in enumerate(rows or [[]], first):
             if len(row) != len(names):
                 raise RecordingError(f"line {number}: {len(row)} columns instead of {len(names)}")
-        for name in (*columns, text or names[0]):
-            if name not in names:
-                raise RecordingError(f"no column {name}; it has {shown(list(names))}")
-        table = dict(zip(names, zip(*rows, strict=True), strict=True))
-        numbers = np.array([[float(cell) for cell in table[name]] for name in columns])
-    return numbers.T, list(table.get(text, ()))
+        return dict(zip(names, zip(*rows, strict=True), strict=True))
+
+
+def numbers_of(
+    path: Path, table: Mapping[str, Sequence[str]], columns: Sequence[str]
+) -> Float64[np.ndarray, "rows columns"]:
+    """Return some columns of numbers of a table, which may have decimal commas.
+
+    Raises:
+        RecordingError: There is no such column, or a cell is no number.
+    """
+    with reading("table", path, "Record again, or correct or cut the line.", RecordingError):
+        for name in columns:
+            if name not in table:
+                raise RecordingError(f"no column {name}; it has {shown(list(table))}")
+        return np.array([[float(cell.replace(",", ".")) for cell in table[name]] for name in columns]).T
+
+
+def read_table(
+    path: Path, columns: Sequence[str], text: str = "", names: Sequence[str] = ()
+) -> tuple[Float64[np.ndarray, "rows columns"], list[str]]:
+    """Return some columns of numbers of a table, and a column of text if it is named.
+
+    Raises:
+        RecordingError: As `table_columns` and `numbers_of`.
+    """
+    table = table_columns(path, names)
+    if text and text not in table:
+        raise RecordingError(f"cannot read the table '{path}': no column {text}; it has {shown([*table])}.")
+    return numbers_of(path, table, columns), list(table.get(text, ()))

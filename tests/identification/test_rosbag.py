@@ -13,7 +13,7 @@ from recorded import ARM, ROBOTS, assert_same, short
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.importers import RecordedNames, read_rosbag
+from pixel2catch.identification.importers import RecordedNames, read_rosbag, read_tables
 from pixel2catch.identification.recording import Recording
 from pixel2catch.ros2.messages import read_float_array
 from pixel2catch.ros2.profile import Profile
@@ -179,6 +179,39 @@ def test_error_names_topic_message_and_fix(messages: list[Message], message: str
     with pytest.raises(RecordingError, match=message) as caught:
         read_rosbag(path, ARM)
     assert str(path) in str(caught.value)
+
+
+def write_table(path: Path, names: list[str], rows: np.ndarray, separator: str, point: str) -> None:
+    lines = [separator.join(f"{number:.9f}".replace(".", point) for number in row) for row in rows]
+    path.write_text("\r\n".join((separator.join(names), *lines)), encoding="utf-8-sig")
+
+
+def tables(folder: Path, time: str = "t", separator: str = ",", point: str = ".") -> Path:
+    """The commands by numbers of joints, the measurements as RTDE names them, with a column more."""
+    folder.mkdir()
+    sent = np.column_stack((short().t_cmd, short().q_cmd))
+    write_table(folder / "commands.csv", [time, *(f"q_{i}" for i in range(6))], sent, separator, point)
+    names = ["timestamp", *(f"actual_q_{i}" for i in range(6)), "target_q_0"]
+    rows = np.column_stack((short().t_meas, short().q, short().q[:, 0] + 1.0))
+    write_table(folder / "rtde.csv", names, rows, separator, point)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("separator", "point"), [(",", "."), (";", ","), (";", "."), ("\t", ","), (" ", ","), (" ", ".")]
+)
+def test_tables_have_any_separator_and_decimal_commas(separator: str, point: str, tmp_path: Path):
+    got = read_tables(tables(tmp_path / "log", separator=separator, point=point), ALL)
+    assert_same(got, short(), NANOSECOND)
+
+
+def test_tables_that_do_not_fit_are_named(tmp_path: Path):
+    path = tables(tmp_path / "log", time="when")
+    with pytest.raises(RecordingError, match=r"commands\.csv': no column t; it has"):
+        read_tables(path, ARM)
+    (path / "rtde.csv").rename(path / "rtde.txt")
+    with pytest.raises(RecordingError, match=r"none beside commands\.csv; leave one \.csv"):
+        read_tables(path, ARM)
 
 
 def test_other_files_and_a_missing_library_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -27,12 +27,13 @@ class Identify:
     """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
 
     A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
-    commands, or an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas and q
-    (a row per measurement). Times are in s, positions in rad; commands and measurements may have different
-    clocks. The last of several recordings judges the fit.
+    commands, an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas and q (a
+    row per measurement), or a folder with commands.csv (columns t, q_0, ...) and another .csv file with the
+    measurements (columns timestamp, actual_q_0, ...). Times are in s, positions in rad; commands and
+    measurements may have different clocks. The last of several recordings judges the fit.
     """
 
-    #: Files or folders: rosbag2 (.mcap, .db3) or .npz.
+    #: Files or folders: rosbag2 (.mcap, .db3), .npz or tables (.csv).
     recordings: Positional[tuple[Path, ...]]
     #: Part whose joints are fitted: ur5e, allegro, ur5e_allegro; of another work cell, an arm or a hand by
     #: its name, or arm, hand, or the work cell's name. Optional with --check: all recorded joints are
@@ -106,9 +107,10 @@ class Identify:
             if path.suffix == ".npz":
                 whole = Recording.load(path, workcell, names.joints if names else {})
             else:
-                from pixel2catch.identification.importers import read_rosbag
+                from pixel2catch.identification.importers import COMMAND_TABLE, read_rosbag, read_tables
 
-                whole = read_rosbag(path, joints, names, workcell)
+                read = read_tables if (path / COMMAND_TABLE).is_file() else read_rosbag
+                whole = read(path, joints, names, workcell)
             found.append(whole if self.check and self.robot is None else whole.select(joints))
         return found
 

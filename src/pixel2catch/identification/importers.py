@@ -1,4 +1,4 @@
-"""Read a recording from a rosbag2, with a laboratory's names of topics and joints."""
+"""Read a recording from a rosbag2 or from tables, with a laboratory's names of topics and joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pixel2catch.arrays import numbers_of, table_columns
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, held, require_joints, require_motion
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -25,6 +26,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
+COMMAND_TABLE = "commands.csv"  # the sent commands; another .csv file of its folder has the measurements
 MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
 
 
@@ -101,8 +103,9 @@ def read_rosbag(
     names = names or RecordedNames()
     if not is_bag(path):
         raise RecordingError(
-            f"{path}: not a recording; give an .npz file (arrays joints, t_cmd, q_cmd, t_meas, q), or a "
-            f"rosbag2: its folder with {METADATA}, its .mcap or its .db3 file."
+            f"{path}: not a recording; give an .npz file (arrays joints, t_cmd, q_cmd, t_meas, q), a "
+            f"rosbag2: its folder with {METADATA}, its .mcap or its .db3 file, or a folder with "
+            f"{COMMAND_TABLE} and a .csv file of the measurements."
         )
     with opened_bag(path, RecordingError, "identification") as reader:
         bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)
@@ -116,6 +119,37 @@ def read_rosbag(
     t_cmd, t_meas = (command_ns - start) / 1e9, (measured.times - start) / 1e9
     robot = {"name": str(path), "workcell": workcell, "joints": bag.joints}
     return Recording(**robot, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
+
+
+def read_tables(
+    folder: Path,
+    joints: tuple[str, ...],
+    names: RecordedNames | None = None,
+    workcell: WorkcellSpec = UR5E_ALLEGRO,
+) -> Recording:
+    """Read the motion of those of some joints that two tables have: commands, and measurements as of RTDE.
+
+    The time [s] is in column t, time or timestamp; positions [rad] are in columns named as the joints, or
+    q_0, q_1, ... or actual_q_0, ... in their order.
+
+    Raises:
+        RecordingError: There is not one table of measurements, a column is missing, or motion is impossible.
+    """
+    others = sorted(path for path in folder.glob("*.csv") if path.name != COMMAND_TABLE)
+    if len(others) != 1:
+        found = ", ".join(path.name for path in others) or "none"
+        raise RecordingError(f"{folder}: {found} beside {COMMAND_TABLE}; leave one .csv of the measurements.")
+    ours = {"time": "t", "timestamp": "t", **(names.joints if names else {})}
+    ours |= {f"{kind}_{i}": joint for i, joint in enumerate(joints) for kind in ("q", "actual_q")}
+    paths = (folder / COMMAND_TABLE, others[0])
+    tables = [{ours.get(name, name): cells for name, cells in table_columns(path).items()} for path in paths]
+    joints = tuple(joint for joint in joints if all(joint in table for table in tables)) or joints
+    command, measured = (
+        numbers_of(path, table, ("t", *joints)) for path, table in zip(paths, tables, strict=True)
+    )
+    robot = {"name": str(folder), "workcell": workcell, "joints": joints}
+    arrays = {"t_cmd": command[:, 0], "q_cmd": command[:, 1:], "t_meas": measured[:, 0], "q": measured[:, 1:]}
+    return Recording(**robot, **arrays)
 
 
 def _only_command_topic(bag: _Bag) -> str:
