@@ -125,26 +125,17 @@ class JointLimits:
         each = partial(np.where, [group.role == "arm" for group in workcell.groups for _ in group.joints])
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
         full_speed = np.array([joint.velocity_limit for joint in workcell.joints])
-        budgets = {joint: part.limits for part in parts for joint in part.joints}
-        of_joints = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
-        most = {
-            kind.name: np.array([getattr(each, kind.name) for each in of_joints])
-            for kind in fields(MotionBudget)
-        }
+        most = _allowed(workcell, parts)
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed
-        own_acceleration = part * each(1000.0 if is_identified else 300.0, 2000.0)
-        acceleration = np.minimum(own_acceleration, most["acceleration"])
-        jerk = np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"])
-        accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
-        stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
-        fastest = np.minimum(np.minimum(most["command_speed"], accepted), stoppable)
+        arm_acceleration, arm_jerk = (1000.0, 200e3) if is_identified else (300.0, 60e3)
+        acceleration = np.minimum(part * each(arm_acceleration, 2000.0), most["acceleration"])
+        jerk = np.minimum(part * each(arm_jerk, 2e6), most["jerk"])
+        fastest = np.minimum(most["command_speed"], _stoppable_speed(acceleration, jerk))
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
-        half_turns = np.rint(ends / pi)
-        is_end_of_travel = (half_turns != 0.0) & (np.abs(ends - half_turns * pi) <= 1e-6)
-        margin = each(TRAVEL_MARGIN, 0.0) * is_end_of_travel
+        margin = each(TRAVEL_MARGIN, 0.0) * _are_ends_of_travel(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
@@ -175,6 +166,29 @@ class JointLimits:
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
+
+
+def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Joints]:
+    """Return a laboratory's limits of each joint, by kind; infinite where there are none.
+
+    The speed of commands is limited to what drivers accept, missed cycles included.
+    """
+    budgets = {joint: part.limits for part in parts for joint in part.joints}
+    own = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
+    most = {kind.name: np.array([getattr(each, kind.name) for each in own]) for kind in fields(MotionBudget)}
+    accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
+    return most | {"command_speed": np.minimum(most["command_speed"], accepted)}
+
+
+def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
+    """Return the speed from which braking ends within `STOP_TIME` [rad/s]."""
+    return acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
+
+
+def _are_ends_of_travel(ends: np.ndarray) -> np.ndarray:
+    """Return which limits [rad] are a whole number of half turns."""
+    half_turns = np.rint(ends / pi)
+    return (half_turns != 0.0) & (np.abs(ends - half_turns * pi) <= 1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
