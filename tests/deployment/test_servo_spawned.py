@@ -1,14 +1,16 @@
-"""A servo process over DDS, with a laboratory in this process."""
+"""A servo process over DDS, with a laboratory in this process; and faults of processes and of the network."""
 
 import multiprocessing
 import os
 import re
 import signal
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,67 +18,161 @@ from servo_rows import HOME, LIMITS
 from wire_lab import WireLab
 
 from domains import PATIENCE, own_domain
+from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
-from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import Fault, Mode, flag_names
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
+from pixel2catch.servo.link import Command, Fault, LoopEnd, Mode, flag_names
 from pixel2catch.servo.process import ServoSetup, start_servo
 
 RATE = 0.25
 """Rate of the clock: the servo runs slower than real time on a busy machine."""
 
 AGES = ("tick_age", "image_age", "target_age", "operator_age")
-LIMITS = replace(
-    LIMITS,
-    joints=replace(LIMITS.joints, position_age=np.full(LIMITS.num_joints, PATIENCE)),
-    **dict.fromkeys(AGES, PATIENCE),
-)
-"""Limits under which nothing is late; `test_servo_process` tests ages with a stepped clock."""
+PROFILE = Profile.load("ur5e_allegro_v4")
+
+
+def limits_of(age: float) -> ServoLimits:
+    """Return limits under which everything may be so old [s]."""
+    joints = replace(LIMITS.joints, position_age=np.full(LIMITS.num_joints, age))
+    return replace(LIMITS, joints=joints, **dict.fromkeys(AGES, age))
 
 
 def join(name: str, clock: RealClock) -> Transport:
     return make_transport(name, LOOPBACK, clock)
 
 
+@dataclass
+class Running:
+    """A laboratory with a servo process."""
+
+    lab: WireLab
+    loop: LoopEnd
+    clock: RealClock
+    process: Any
+    others: list[Any] = field(default_factory=list)  #: Programs to close.
+    asked: float = -1.0
+
+    @property
+    def last(self) -> Command:
+        return self.lab.ticks[-1]
+
+    def until(self, holds: Callable[[], bool], *, arms: bool = True) -> None:
+        """Step the laboratory in real time until a condition holds; arm a robot that is idle or stopped."""
+        begun, due = time.monotonic(), self.clock.now()
+        while not holds():
+            last = [(each.mode, *flag_names(Fault, each.found)) for each in self.lab.ticks[-5:]]
+            assert time.monotonic() - begun < PATIENCE, last
+            self.lab.step()
+            is_at_rest = bool(self.lab.ticks) and self.last.mode in (Mode.IDLE, Mode.STOPPED)
+            if arms and is_at_rest and self.clock.now() > self.asked + 2.0 * STOP_TIME:
+                self.lab.request_arm()  # again, if a status was not received in time
+                self.asked = self.clock.now()
+            due = max(due + LIMITS.dt, self.clock.now())
+            self.clock.sleep_until(due)
+
+    def wait(self, seconds: float) -> None:
+        end = self.clock.now() + seconds
+        self.until(lambda: self.clock.now() > end, arms=False)
+
+    def other(self) -> Transport:
+        """Return a node of another program on the same domain."""
+        self.others.append(join("other", self.clock))
+        return self.others[-1].__enter__()
+
+
+@contextmanager
+def running(limits: ServoLimits, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    clock, setup = RealClock(RATE), ServoSetup(profile=PROFILE, limits=limits)
+    with start_servo(setup, partial(join, "servo"), RATE) as loop, join("laboratory", clock) as transport:
+        (process,) = multiprocessing.active_children()
+        yield Running(WireLab(transport, loop, PROFILE, clock), loop, clock, process)
+
+
 def test_a_terminated_servo_stops_the_robot_first(monkeypatch: pytest.MonkeyPatch):
     """Ctrl-C and Ctrl-Z are ignored."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(RATE)
-    setup = ServoSetup(profile=profile, limits=LIMITS)
-    with start_servo(setup, partial(join, "servo"), RATE) as servo, join("laboratory", clock) as transport:
-        lab, asked = WireLab(transport, servo, profile, clock), [-1.0]
-        (process,) = multiprocessing.active_children()
+    with running(limits_of(PATIENCE), monkeypatch) as run:
+        lab, process = run.lab, run.process
         lab.target = HOME + 0.1
-
-        def until(holds: Callable[[], bool]) -> None:
-            """Step the laboratory in real time until a condition holds, and arm a robot that is idle."""
-            begun, due = time.monotonic(), clock.now()
-            while not holds():
-                last = [(each.mode, *flag_names(Fault, each.found)) for each in lab.ticks[-5:]]
-                assert time.monotonic() - begun < PATIENCE, last
-                lab.step()
-                is_idle = bool(lab.ticks) and lab.ticks[-1].mode == Mode.IDLE
-                if is_idle and clock.now() > asked[-1] + 2.0 * STOP_TIME:
-                    lab.request_arm()  # again, if a status was not received in time
-                    asked.append(clock.now())
-                due = max(due + LIMITS.dt, clock.now())
-                clock.sleep_until(due)
-
-        until(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
-        assert process.pid is not None
+        run.until(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
         os.kill(process.pid, signal.SIGINT)
         ignored = re.search(r"SigIgn:\s*(\w+)", Path(f"/proc/{process.pid}/status").read_text())
         assert ignored
         assert int(ignored[1], 16) >> (signal.SIGTSTP - 1) & 1
-        until(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
+        run.until(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
         num_sent = len(lab.commands["arm"])
         process.terminate()
-        until(lambda: not process.is_alive())
+        run.until(lambda: not process.is_alive())
         assert process.exitcode == 0
 
         def steps() -> np.ndarray:
             return np.abs(np.diff(lab.commands["arm"], axis=0)).max(axis=-1)
 
-        until(lambda: not steps()[-2:].any())  # what is still on its way is the stop
+        run.until(lambda: not steps()[-2:].any())  # what is still on its way is the stop
         assert steps()[:num_sent].max() > 1e-4
         assert len(lab.commands["arm"]) - num_sent < 2.0 * STOP_TIME / LIMITS.dt
+
+
+AGE = 2.0  #: Age at which something is too old here [s]: 8 s of real time.
+
+
+def suspend(run: Running) -> None:
+    """The servo process gets no processor time, such as with a debugger or in a suspended container."""
+    os.kill(run.process.pid, signal.SIGSTOP)
+    run.wait(1.5 * AGE)
+    os.kill(run.process.pid, signal.SIGCONT)
+
+
+def publish(topic: Topic | None, data: bytes) -> Callable[[Running], None]:
+    """Another program, such as a second twin or a robot on the same domain, sends a message."""
+    assert topic is not None
+    return lambda run: run.other().publisher(topic).publish(data)
+
+
+def lose_packets(run: Running) -> None:
+    """The network loses all joint states of the arm but one in 1.5 ages."""
+    run.lab.silent.add("arm")
+    run.wait(1.5 * AGE)
+
+
+ARM = PROFILE.robots[0]
+PROCESS_FAULTS: dict[str, tuple[Callable[[Running], object], str]] = {
+    "servo suspended": (suspend, "clock"),
+    "second program commands": (lambda run: run.other().publisher(ARM.command_topic), "other publisher"),
+    "second driver": (lambda run: run.other().subscription(ARM.command_topic), "other subscriber"),
+    "two twins": (publish(PROFILE.status.safety_mode, messages.safety_mode(1)), "status unknown"),
+    "clash of domains": (publish(PROFILE.status.speed_scaling, messages.number(100.0)), "status unknown"),
+    "second operator": (publish(PROFILE.operator.dead_man, messages.boolean(True)), "other operator"),
+    "packets lost": (lose_packets, "joints stale"),
+    "pedal removed": (lambda run: run.lab.silent.add(PROFILE.operator.dead_man.name), "dead man"),
+    "control loop suspended": (lambda run: run.lab.silent.add("control loop"), "image stale"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", PROCESS_FAULTS)
+def test_a_fault_of_processes_or_of_the_network_stops_the_robot(fault: str, monkeypatch):
+    """It stops with the fault's reason, and can be armed again when the fault has ended."""
+    happens, reason = PROCESS_FAULTS[fault]
+    with running(limits_of(AGE), monkeypatch) as run:
+        run.until(lambda: bool(run.lab.ticks) and run.last.mode == Mode.RUN)
+        happens(run)
+        run.until(lambda: run.last.mode in (Mode.STOPPED, Mode.IDLE), arms=False)
+        stopped = next(each for each in reversed(run.lab.ticks) if each.stopped_by)
+        assert reason in flag_names(Fault, stopped.stopped_by)
+        for other in run.others:
+            other.__exit__(None, None, None)
+        run.lab.silent, run.lab.target = set(), run.lab.joint_pos.copy()
+        run.lab.is_held = False
+        run.wait(1.5 * AGE)
+        run.lab.is_held = True
+        run.until(lambda: run.last.mode == Mode.RUN)
+
+
+@pytest.mark.slow
+def test_a_killed_servo_is_noticed_at_the_end_of_its_link(monkeypatch: pytest.MonkeyPatch):
+    with running(limits_of(AGE), monkeypatch) as run:
+        run.until(lambda: bool(run.lab.ticks) and run.last.mode == Mode.RUN)
+        run.process.kill()
+        run.until(lambda: run.loop.is_closed, arms=False)
