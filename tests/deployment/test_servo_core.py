@@ -361,6 +361,19 @@ def test_fingers_stopped_or_pushed_by_an_object_are_no_fault():
     assert lab.run(0.5)["mode"][0] == Mode.RUN
 
 
+@pytest.mark.parametrize("is_planned", [False, True])
+def test_only_a_hand_that_a_policy_moves_must_be_free(is_planned: bool):
+    """Fingers close on an object that they hold; a planned motion has boxes as new as its targets."""
+    lab = Lab().started()
+    lab.target[0, FINGERS] = HOME[FINGERS] + 0.2
+    lab.is_held_fast[FINGERS] = True
+
+    def planned(good: ServoInputs) -> ServoInputs:
+        return replace(noisy(good), box_stamp=good.target_stamp) if is_planned else noisy(good)
+
+    assert (lab.run(0.5, planned)["mode"][0] == Mode.RUN) == is_planned
+
+
 def test_a_finger_that_moves_without_a_command_stops_the_robot():
     """By 0.6 rad in 2 s, inside its travel."""
     lab = Lab().started()

@@ -143,7 +143,7 @@ def read_inputs(robot: Record, joints: Records, inputs: Record, own_inputs: Reco
     is_finite, is_far, is_commanded = True, False, is_active(robot) and robot.ticks > 0
     found = joint_faults(joints, own_inputs, now, is_commanded, limits.joints)
     if is_commanded:
-        found |= hand_faults(robot, joints, limits.joints)
+        found |= hand_faults(robot, joints, inputs, limits.joints)
     for number in range(len(joints)):
         joint, measured, target = joints[number], own_inputs[number], own_inputs[number].joint_pos_target
         joint.joint_pos = measured.joint_pos if np.isfinite(measured.joint_pos) else joint.command
