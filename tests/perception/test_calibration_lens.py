@@ -2,6 +2,7 @@
 
 from math import nan
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from pixel2catch.perception.calibration.lens import (
     read_lens,
     undistorted,
 )
+from pixel2catch.ros2.messages import CAMERA_INFO, STORE, read_camera_info
 from pixel2catch.scene.constants import RGB_CAMERA
 from ros_bags import TYPES, header, save_bag
 
@@ -42,14 +44,43 @@ def board_pose(rng: np.random.Generator) -> np.ndarray:
     return pose
 
 
-def write_bag(path: Path, *topics: str) -> Path:
-    """The same lens as a CameraInfo on several topics."""
-    region = TYPES["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+def camera_info(distortion: tuple[float, ...], binning: int, region: tuple[int, ...]) -> Any:
     k = np.array((618.1, 0, 327.9, 0, 618.4, 246.0, 0, 0, 1))
     p = np.array((610.0, 0, 320, 0, 0, 611, 240, 0, 0, 0, 1, 0))
-    numbers = (np.array((0.1, -0.2, 0.001, 0.002, 0.0)), k, np.eye(3).ravel(), p)
-    info = TYPES["sensor_msgs/msg/CameraInfo"](header(1), 480, 640, "plumb_bob", *numbers, 0, 0, region)
+    numbers = (np.array(distortion), k, np.eye(3).ravel(), p)
+    roi, model = TYPES["sensor_msgs/msg/RegionOfInterest"](*region, False), "plumb_bob" if distortion else ""
+    return TYPES["sensor_msgs/msg/CameraInfo"](header(1), 480, 640, model, *numbers, binning, binning, roi)
+
+
+def write_bag(path: Path, *topics: str) -> Path:
+    """The same lens as a CameraInfo on several topics."""
+    info = camera_info((0.1, -0.2, 0.001, 0.002, 0.0), 0, (0, 0, 0, 0))
     return save_bag(path, [(topic, 1, info) for topic in topics])
+
+
+@pytest.mark.parametrize(
+    ("binning", "region", "size", "center"),
+    [
+        (0, (0, 0, 0, 0), (640, 480), (328.4, 246.5)),
+        (1, (100, 40, 400, 500), (500, 400), (228.4, 206.5)),
+        (2, (100, 40, 400, 500), (250, 200), (114.2, 103.25)),
+    ],
+)
+def test_a_lens_is_cut_and_binned_as_its_images(
+    binning: int, region: tuple[int, ...], size: tuple[int, int], center: tuple[float, float], tmp_path: Path
+):
+    """Offsets x and y, height and width; no distortion; from the network and `ros2 topic echo`."""
+    info, path = camera_info((), binning, region), tmp_path / "info.yaml"
+    sizes, places = ("width", "height"), ("x_offset", "y_offset")
+    shown = {name: getattr(info, name) for name in (*sizes, "distortion_model", "binning_x", "binning_y")}
+    shown |= {name: getattr(info, name).tolist() for name in "dkp"}
+    shown["roi"] = {name: getattr(info.roi, name) for name in (*places, *sizes)}
+    path.write_text(f"{shown}\n---\n{shown}")
+    data = bytes(STORE.serialize_cdr(info, CAMERA_INFO))
+    for camera in (read_lens(path, BOARD).camera, read_camera_info(data)):
+        assert (camera.width, camera.height) == size
+        assert (camera.cx, camera.cy) == pytest.approx(center)
+        assert camera.fx == pytest.approx(618.1 / max(binning, 1))
 
 
 def check_lens(found: CameraFile) -> None:

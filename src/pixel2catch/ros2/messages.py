@@ -91,21 +91,13 @@ def seconds(header: Any) -> float:
 
 ENCODINGS = {
     "rgb8": (3, ""),
-    "bgr8": (3, "BGR2RGB"),
-    "8UC3": (3, "BGR2RGB"),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, "BGR2RGB")),
     "rgba8": (4, "RGBA2RGB"),
-    "bgra8": (4, "BGRA2RGB"),
-    "8UC4": (4, "BGRA2RGB"),
-    "mono8": (1, "GRAY2RGB"),
-    "8UC1": (1, "GRAY2RGB"),
-    "yuv422": (2, "YUV2RGB_UYVY"),
-    "uyvy": (2, "YUV2RGB_UYVY"),
-    "yuv422_yuy2": (2, "YUV2RGB_YUY2"),
-    "yuyv": (2, "YUV2RGB_YUY2"),
-    "bayer_rggb8": (1, "BayerRGGB2RGB"),
-    "bayer_bggr8": (1, "BayerBGGR2RGB"),
-    "bayer_gbrg8": (1, "BayerGBRG2RGB"),
-    "bayer_grbg8": (1, "BayerGRBG2RGB"),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, "BGRA2RGB")),
+    **dict.fromkeys(("mono8", "8UC1"), (1, "GRAY2RGB")),
+    **dict.fromkeys(("yuv422", "uyvy"), (2, "YUV2RGB_UYVY")),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "YUV2RGB_YUY2")),
+    **{f"bayer_{order.lower()}8": (1, f"Bayer{order}2RGB") for order in ("RGGB", "BGGR", "GBRG", "GRBG")},
 }
 """Encodings that are read: bytes of a pixel, and OpenCV's conversion. Source: REP 118, cv_bridge."""
 
@@ -204,6 +196,19 @@ def camera_info(camera: CameraSpec, stamp: float) -> bytes:
     return encode(CAMERA_INFO, header(stamp, OPTICAL_FRAME), camera.height, camera.width, *lens, 0, 0, whole)
 
 
+def delivered(info: Any, matrix: np.ndarray) -> tuple[int, int, Float[np.ndarray, "3 3"]]:
+    """Return width and height of the images of a CameraInfo, and a lens matrix of the whole sensor in theirs.
+
+    Images are cut to the region of interest, then binned. Source: `sensor_msgs/msg/CameraInfo`.
+    """
+    region, binning = info.roi, np.maximum((info.binning_x, info.binning_y), 1)
+    size = np.array((region.width or info.width, region.height or info.height)) // binning
+    matrix = matrix.reshape(3, -1)[:, :3].astype(np.float64)
+    matrix[:2, 2] += PIXEL_CENTER - np.array((region.x_offset, region.y_offset))
+    matrix[:2] /= binning[:, None]
+    return int(size[0]), int(size[1]), matrix
+
+
 def read_camera_info(data: bytes) -> CameraSpec:
     """Decode size and lens of a camera in its own frame, without distortion.
 
@@ -211,12 +216,11 @@ def read_camera_info(data: bytes) -> CameraSpec:
         DeploymentError: It is damaged, or the camera is not calibrated.
     """
     message = decode(data, CAMERA_INFO)
-    fx, _, cx, _, fy, cy, *_ = map(float, message.k)
+    width, height, ((fx, _, cx), (_, fy, cy), _) = delivered(message, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
-    lens: dict[str, Any] = {"width": message.width, "height": message.height, "fx": fx, "fy": fy}
-    lens |= {"cx": cx + PIXEL_CENTER, "cy": cy + PIXEL_CENTER}
-    return CameraSpec(**lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
+    lens = {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
+    return CameraSpec(width=width, height=height, **lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
 
 
 Value = TypeVar("Value", bool, int, float, str)

@@ -21,7 +21,7 @@ from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading
 from pixel2catch.perception.sources import connections_of, image_files, read_image
 from pixel2catch.ros2.bags import decoded as bag_messages
 from pixel2catch.ros2.bags import is_bag, opened_bag
-from pixel2catch.ros2.messages import CAMERA_INFO
+from pixel2catch.ros2.messages import CAMERA_INFO, delivered
 from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
 
 MIN_CORNERS = 5  #: Fewest for the board's pose: of five, four have no three in a line.
@@ -107,8 +107,8 @@ def read_lens(
     """Read or compute a lens: a camera whose pose is not that of the laboratory.
 
     Args:
-        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
-            folder with images of the board.
+        path: A file of `camera_calibration` or `ros2 topic echo` (.yaml), a camera file (.json), a rosbag2
+            with a CameraInfo, or a folder with images of the board.
         board: The board in these images.
         topic: Of the CameraInfo; None for the only one.
         is_rectified: Whether images are rectified; then the projection matrix is the lens.
@@ -176,25 +176,30 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
             f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "
             "record rectified images and give --rectified, or calibrate with plumb_bob."
         )
-    flat, columns = (info.p, 4) if is_rectified else (info.k, 3)
-    matrix = np.array(flat, dtype=np.float64)
-    matrix = matrix.reshape(3, columns)[:, :3] if len(matrix) == 3 * columns else np.zeros((3, 3))
-    size = (int(info.width), int(info.height))
-    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(size) <= 0:
+    flat, count = (info.p, 12) if is_rectified else (info.k, 9)
+    flat = np.array(flat if len(flat) == count else np.zeros(count), dtype=np.float64)
+    width, height, matrix = delivered(info, flat)
+    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(width, height) <= 0:
         raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
-    matrix[:2, 2] += PIXEL_CENTER
-    return _lens(size, matrix, () if is_rectified else info.d)
+    return _lens((width, height), matrix, () if is_rectified else info.d)
 
 
 def _of_yaml(path: Path) -> SimpleNamespace:
-    """The content of a file of `camera_calibration`, by the names of a CameraInfo."""
+    """The content of a file of `camera_calibration` or `ros2 topic echo`, by the names of a CameraInfo."""
     names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
     fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}."
     with reading("file of camera_calibration", path, fix, PerceptionError):
-        content = parse_yaml(read_text(path, MOST_YAML))
-        lists = {
-            short: decoded(tuple[float, ...], content[name]["data"], name) for short, name in names.items()
+        content = parse_yaml(read_text(path, MOST_YAML).strip().removeprefix("---").partition("\n---")[0])
+        found = {"roi": {}, "binning_x": 0, "binning_y": 0, **content}
+        found |= {name: content.get(f"image_{name}", content.get(name)) for name in ("width", "height")}
+        numbers = {
+            name: decoded(int, found[name], name) for name in ("width", "height", "binning_x", "binning_y")
         }
-        width, height = (decoded(int, content[name], name) for name in ("image_width", "image_height"))
+        region = dict.fromkeys(("x_offset", "y_offset", "width", "height"), 0)
+        region |= decoded(dict[str, int | bool], found["roi"], "roi")
+        lists = {
+            short: decoded(tuple[float, ...], content[short] if short in content else content[name]["data"])
+            for short, name in names.items()
+        }
         model = decoded(str, content["distortion_model"], "distortion_model")
-    return SimpleNamespace(width=width, height=height, distortion_model=model, **lists)
+    return SimpleNamespace(distortion_model=model, roi=SimpleNamespace(**region), **numbers, **lists)
