@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from typing import Literal
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pixel2catch as p2c
+from pixel2catch.files import read_bytes
 from pixel2catch.robots.poses import (
     Pose,
     combined,
@@ -33,7 +35,7 @@ from pixel2catch.robots.poses import (
     vertices_of,
 )
 from pixel2catch.robots.spec import Placed, RobotSpec
-from pixel2catch.robots.workcell import COLLISION_GROUP, read_mjcf, require_simple, robot_mjcf
+from pixel2catch.robots.workcell import COLLISION_GROUP, MOST_MJCF, read_mjcf, require_simple, robot_mjcf
 
 Surface = Literal["collision", "visual"]
 Line = tuple[Float[ndarray, "3"], Float[ndarray, "3"]]
@@ -47,8 +49,9 @@ ARM_LENGTH = 0.1  #: Weight of an angular error of an axis against its distance 
 HULL_POINTS = 250  #: Points of a mesh's convex hull. Source: ours; PhysX accepts at most 255.
 NUM_POSES = 200  #: Compared joint positions, drawn within the limits.
 MESH_ENDINGS = (".stl", ".obj", ".msh")  #: Mesh formats that MuJoCo reads.
+MESH_SIZES = (1e-3, 2.0)  #: Smallest and largest radius of the mesh of a link [m]. Source: ours.
 
-URDF_COMPILER = '<mujoco><compiler strippath="false" fusestatic="false" discardvisual="false"/></mujoco>'
+URDF_COMPILER = {"strippath": "false", "fusestatic": "false", "discardvisual": "false"}
 """Compiler settings for a URDF: keep all links, mesh paths and visual shapes."""
 
 CELL = '''"""The work cell {name} with makers' bodies."""
@@ -135,13 +138,7 @@ def _require_used(models: Mapping[Path, mujoco.MjModel], used: Set[Path], name: 
 def read_model(path: Path, surface: Surface) -> mujoco.MjModel:
     """Return the compiled model of a URDF or MJCF file; meshes are searched in all folders above it."""
     try:
-        if path.suffix == ".urdf":
-            text = path.read_text()
-            require_simple(text.encode())
-            spec = mujoco.MjSpec.from_string(text.replace("</robot>", f"{URDF_COMPILER}</robot>"))
-            _find_meshes(spec, path.parent.resolve())
-        else:
-            spec = read_mjcf(path)
+        spec = _read_urdf(path, surface) if path.suffix.lower() == ".urdf" else read_mjcf(path)
         spec.compiler.balanceinertia = True  # the hand's maker publishes inertias that no body can have
         spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-12
         model = spec.compile()
@@ -151,26 +148,50 @@ def read_model(path: Path, surface: Surface) -> mujoco.MjModel:
         raise p2c.Pixel2CatchError(f"the robot model {path} has no hinges or other joints; use hinges only.")
     if not any(_is_of(model, geom, surface) for geom in range(model.ngeom)):
         raise p2c.Pixel2CatchError(f"the robot model {path} has no {surface} shapes; use its other shapes.")
+    for geom in range(model.ngeom):
+        size, is_mesh = model.geom_rbound[geom], model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_MESH)
+        if is_mesh and _is_of(model, geom, surface) and not MESH_SIZES[0] <= size <= MESH_SIZES[1]:
+            mesh = (
+                f"the mesh of link '{model.body(model.geom_bodyid[geom]).name}' has a radius of {size:.3g} m"
+            )
+            fix = 'give its scale in metres, for millimetres: scale="0.001 0.001 0.001"'
+            raise p2c.Pixel2CatchError(f"{path}: {mesh}; {fix}.")
     return model
 
 
-def _find_meshes(spec: mujoco.MjSpec, folder: Path) -> None:
-    """Find the files of meshes of a URDF, and delete shapes that MuJoCo cannot read."""
-    for geom in tuple(spec.geoms):
+def _read_urdf(path: Path, surface: Surface) -> mujoco.MjSpec:
+    """Read a URDF with the paths of its meshes, without shapes of the other surface."""
+    content = read_bytes(path, MOST_MJCF)
+    require_simple(content)
+    root, compiler = ElementTree.fromstring(content), ElementTree.Element("compiler")
+    for own in root.findall("mujoco"):  # MuJoCo reads one block
+        compiler.attrib |= dict(pair for each in own.iter("compiler") for pair in each.items())
+        root.remove(own)
+    compiler.attrib |= URDF_COMPILER
+    ElementTree.SubElement(root, "mujoco").append(compiler)
+    other = "visual" if surface == "collision" else "collision"
+    for link in root.iter("link"):
+        for shape in link.findall(other):
+            link.remove(shape)
+        for mesh in link.iterfind(f"{surface}/geometry/mesh"):
+            if not (file := mesh.get("filename", "")).lower().endswith(MESH_ENDINGS):
+                place = f"the {surface} shape of link '{link.get('name')}' is '{file}'"
+                raise ValueError(f"{place}; convert it to {' or '.join(MESH_ENDINGS)}")
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    folder = path.parent.resolve()
+    _find_meshes(spec, (folder / compiler.get("meshdir", ""), folder, *folder.parents))
+    return spec
+
+
+def _find_meshes(spec: mujoco.MjSpec, folders: Sequence[Path]) -> None:
+    for geom in spec.geoms:
         geom.mass = 0.0  # MuJoCo would derive masses from shapes, at the density of water
-        if geom.meshname and not spec.mesh(geom.meshname).file.lower().endswith(MESH_ENDINGS):
-            spec.delete(geom)
-    for mesh in tuple(spec.meshes):
-        if not mesh.file.lower().endswith(MESH_ENDINGS):
-            spec.delete(mesh)
-            continue
-        path = Path(mesh.file.partition("://")[2] or mesh.file)
-        tried = [
-            above / each for above in (folder, *folder.parents) for each in (path, Path(*path.parts[1:]))
-        ]
+    for mesh in spec.meshes:
+        file = Path(mesh.file.partition("://")[2] or mesh.file)
+        tried = [above / each for above in folders for each in (file, Path(*file.parts[1:]))]
         found = next((each for each in tried if each.is_file()), None)
         if found is None:
-            raise ValueError(f"there is no mesh '{mesh.file}' in {folder} or above; copy it there")
+            raise ValueError(f"there is no mesh '{mesh.file}' in {folders[1]} or above; copy it there")
         mesh.file = str(found)
 
 

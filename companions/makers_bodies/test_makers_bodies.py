@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pixel2catch as p2c
-from makers_bodies import Surface, main, write_workcell
+from makers_bodies import Surface, main, read_model, write_workcell
 from pixel2catch.robots.allegro import allegro
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.scene.scene import SceneCfg, build_model
@@ -96,27 +96,58 @@ def test_another_length_moves_the_tool(arm: Path, tmp_path: Path):
     assert 0.5 < float(tool.split()[-2]) < 5.0  # the largest of 200 poses
 
 
-def test_a_urdf_with_meshes_and_without_masses(tmp_path: Path):
-    """A pendulum for an arm is refused by what is wrong; its mesh is found in its package."""
-    (tmp_path / "some_description" / "meshes").mkdir(parents=True)
+def pendulum(folder: Path) -> str:
+    """Write the mesh of a pendulum, 0.1 m large, and return its URDF, whose drawn mesh is unsupported."""
     corners = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    (tmp_path / "some_description" / "meshes" / "link.obj").write_text(corners)
-    (tmp_path / "some_description" / "urdf").mkdir()
-    path = tmp_path / "some_description" / "urdf" / "pendulum.urdf"
-    shape = '<geometry><mesh filename="package://some_description/meshes/link.{}"/></geometry>'
-    path.write_text(
-        '<robot name="pendulum"><link name="base"/><link name="rod">'
-        f"<visual>{shape.format('dae')}</visual><collision>{shape.format('obj')}</collision></link>"
+    (folder / "description" / "meshes").mkdir(parents=True)
+    (folder / "description" / "meshes" / "link.OBJ").write_text(corners)
+    shape = '<geometry><mesh filename="package://some_description/meshes/{}"/></geometry>'
+    return (
+        f'<robot name="Gelenk für Würfe"><link name="base"/><link name="rod">'
+        f"<visual>{shape.format('link.dae')}</visual><collision>{shape.format('link.OBJ')}</collision></link>"
         '<joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/>'
-        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+        f'<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>{OWN}{OWN}</robot>'
     )
-    with pytest.raises(
-        p2c.Pixel2CatchError, match=r"pendulum\.urdf is no model of a part of 'ur5e_allegro': .*fewer"
-    ):
-        write_workcell([path], tmp_path / "makers")
-    path.write_text(path.read_text().replace("link.obj", "lost.obj"))
-    with pytest.raises(p2c.Pixel2CatchError, match=r"there is no mesh '.*lost\.obj' in .*urdf or above"):
-        write_workcell([path], tmp_path / "makers")
+
+
+OWN = '<mujoco><compiler meshdir="description" strippath="true" discardvisual="true"/></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("name", "declared", "encoding"),
+    [
+        ("arm.urdf", "UTF-8", "utf-8-sig"),
+        ("arm.URDF", "ISO-8859-1", "latin-1"),
+        ("a.urdf", "UTF-16", "utf-16"),
+    ],
+)
+def test_a_urdf_is_read_in_its_encoding_with_blocks_of_mujoco(
+    name: str, declared: str, encoding: str, tmp_path: Path
+):
+    text = f'<?xml version="1.0" encoding="{declared}"?>\n{pendulum(tmp_path)}'
+    (tmp_path / name).write_text(text, encoding=encoding)
+    model = read_model(tmp_path / name, "collision")
+    assert (model.njnt, model.ngeom) == (1, 1)
+    with pytest.raises(p2c.Pixel2CatchError, match=r"no model of a part of 'ur5e_allegro': .*fewer"):
+        write_workcell([tmp_path / name], tmp_path / "makers")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "surface", "words"),
+    [
+        ("link.OBJ", "lost.obj", "collision", r"there is no mesh '.*lost\.obj' in .* or above"),
+        ("link.OBJ", "link.DAE", "collision", r"collision shape of link 'rod' .*DAE'; convert it to"),
+        ("", "", "visual", r"visual shape of link 'rod' is .*link\.dae'; convert"),
+        ('OBJ"', 'OBJ" scale="1000 1000 1000"', "collision", r"link 'rod' has a radius of \d+ m; give its"),
+        ("<robot", '<?xml version="1.0" encoding="none"?><robot', "collision", "not XML .unknown encoding"),
+    ],
+)
+def test_a_urdf_that_cannot_be_read_is_refused_by_its_part(
+    old: str, new: str, surface: Surface, words: str, tmp_path: Path
+):
+    (tmp_path / "arm.urdf").write_text(pendulum(tmp_path).replace(old, new, 1))
+    with pytest.raises(p2c.Pixel2CatchError, match=words):
+        read_model(tmp_path / "arm.urdf", surface)
 
 
 @pytest.mark.parametrize(

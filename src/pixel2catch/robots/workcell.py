@@ -217,5 +217,5 @@ def require_simple(content: bytes) -> None:
                 raise InvalidValueError(
                     f"it has the element '{element.tag}'; write out the elements that it creates"
                 )
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError) as error:
         raise InvalidValueError(f"it is not XML ({error})") from error
