@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.signal import correlate, correlation_lags, savgol_filter
+from scipy.signal import correlate, correlation_lags, lfilter, savgol_filter
 
-from pixel2catch.identification.recording import Recording, specs_of
+from pixel2catch.identification.recording import Recording, held, specs_of
 from pixel2catch.robots.spec import JointSpec
 
 MIN_SAMPLES = 50  # least number of measurements (ours, half a second at 100 Hz)
@@ -29,6 +29,9 @@ as much. A log of the controller's own target can appear late by half its step."
 
 MOVED_ANGLE = 0.01  # least span of the positions of a joint that moved [rad] (ours)
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
+LEAST_MARGIN = 0.2  # by which another joint's command must fit better to be the joint's own (ours)
+SCALES = (0.7, 1.25)  # of slow motion to its commands (ours; a simulated UR5e has 0.89 to 0.96)
+SLOW = 0.3  # window of a mean that leaves slow motion [s] (ours; servos do not follow fast motion)
 LARGEST_OFFSET = 0.2  # of positions from commands, in the median [rad] (ours; gravity bends servos by 0.06)
 MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ours)
 MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
@@ -156,24 +159,48 @@ def _joint_checks(recording: Recording, lag: float) -> Iterator[DataCheck]:
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
         spec = specs_of(recording.workcell)[joint]
-        yield _following(joint, command[:, column], recording.q[:, column])
+        yield _following(recording, command, lag, column)
         yield _excitation(spec, speed[:, column], acceleration[:, column])
 
 
-def _following(joint: str, command: np.ndarray, position: np.ndarray) -> DataCheck:
-    name = "follows its command"
-    has_moved = bool(np.ptp(position) >= MOVED_ANGLE)
-    if np.ptp(command) < MOVED_ANGLE:
-        remedy = "it moves without a command: are joints swapped?"
-        detail = remedy if has_moved else "it is not commanded to move"
-        return DataCheck(name=name, joint=joint, is_good=False if has_moved else None, detail=detail)
-    correlation = float(np.corrcoef(command, position)[0, 1]) if has_moved else 0.0
-    offset = float(np.median(position - command))
-    if correlation >= MIN_CORRELATION and abs(offset) > LARGEST_OFFSET:
-        detail = f"it is {offset:+.2f} rad from its command throughout: does its driver have another zero?"
-        return DataCheck(name=name, joint=joint, is_good=False, detail=detail)
-    remedy = ": are joints swapped, of another sign, or stopped?"
-    return _judged(name, correlation >= MIN_CORRELATION, f"correlation {correlation:.3f}", remedy, joint)
+def _following(recording: Recording, command: np.ndarray, lag: float, column: int) -> DataCheck:
+    """Compare a joint's positions with the commands of all joints at the measurements, without the lag."""
+    name, joint, position = "follows its command", recording.joints[column], recording.q[:, column]
+    is_sent, has_moved = np.ptp(command, axis=0) >= MOVED_ANGLE, bool(np.ptp(position) >= MOVED_ANGLE)
+    if not is_sent[column] and not has_moved:
+        return DataCheck(name=name, joint=joint, is_good=None, detail="it is not commanded to move")
+    usable = is_sent & has_moved
+    matches = [np.corrcoef(each, position)[0, 1] if usable[i] else 0.0 for i, each in enumerate(command.T)]
+    best, correlation = int(np.argmax(matches)), float(matches[column])
+    offset = float(np.median(position - command[:, column]))
+    share = 1.0 / (1.0 + max(lag, 0.0) / time_step(recording.t_meas))
+    slowed = lfilter([share], [1.0, share - 1.0], command[:, column] - command[0, column])
+    least, most = np.std(position) / np.maximum((np.std(command[:, column]), np.std(slowed)), ROUNDING)
+    is_other = matches[best] >= max(MIN_CORRELATION, correlation + LEAST_MARGIN)
+    faults = {
+        f"it follows the command of {recording.joints[best]}: are these joints exchanged?": is_other,
+        "it moves without a command: record its commands, too": not is_sent[column],
+        "its commands equal its measurements: record what was sent": _is_copied(recording, column),
+        "it moves against its command: change its sign": correlation <= -MIN_CORRELATION,
+        f"correlation {correlation:.3f}: is it stopped?": correlation < MIN_CORRELATION,
+        f"it moves {least:.2f} to {most:.2f} times as far as its command: are both in rad, of the joint?": (
+            least > SCALES[1] or most < SCALES[0]
+        ),
+        f"it is {offset:+.2f} rad from its command throughout: does its driver have another zero?": (
+            abs(offset) > LARGEST_OFFSET
+        ),
+    }
+    fault = next((text for text, is_there in faults.items() if is_there), "")
+    return _judged(name, not fault, fault or f"correlation {correlation:.3f}", "", joint)
+
+
+def _is_copied(recording: Recording, column: int) -> bool:
+    """Return whether a moving joint is at its command in most samples: no servo is without lag."""
+    streams = ((recording.t_cmd, recording.q_cmd), (recording.t_meas, recording.q))
+    (time, rows), dense = sorted(streams, key=lambda stream: len(stream[0]))
+    is_moving = np.abs(np.diff(rows[:, column])) > MOVING_SPEED * np.diff(time)
+    is_same = rows[1:, column] == held(*dense, time[1:])[:, column]
+    return bool(is_moving.any() and is_same[is_moving].mean() > 0.5)
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:

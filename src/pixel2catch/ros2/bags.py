@@ -5,11 +5,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from operator import itemgetter
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
 from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection, MessageDefinition
+    from rosbags.interfaces import Connection
     from rosbags.rosbag2 import Reader
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
@@ -47,8 +48,12 @@ def opened_bag(
     except ModuleNotFoundError as missing:
         raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
     storage_mcap.DECOMPRESSORS.update(lz4=_unpacked_lz4, zstd=_unpacked_zstd)
-    storage_mcap.get_msgdef, storage_mcap.read_string = _definition, _text
-    reader.zstd = SimpleNamespace(open=storage_mcap.zstd.open, decompress=_unpacked_message)
+    no_definition = storage_mcap.get_msgdef(None)  # types are those of `messages.STORE`
+    storage_mcap.get_msgdef = lambda schema: no_definition
+    read_bytes = storage_mcap.read_bytes  # a schema of Protobuf is no text
+    storage_mcap.read_string = lambda file: read_bytes(file).decode(errors="replace")
+    unpack = partial(_unpacked_zstd, size=MOST_CHUNK)  # `decode` refuses a message that is longer
+    reader.zstd = SimpleNamespace(open=storage_mcap.zstd.open, decompress=unpack)
     try:
         _require_files(path)
         with Reader(path) as bag:
@@ -77,21 +82,17 @@ def _require_files(path: Path) -> None:
     for file in files:
         if file.exists() and not file.is_file():
             raise InvalidValueError(f"'{file}' is no file")
-        if is_packed:
-            _require_small(file)
+        if is_packed and _unpacked_size(file) > MOST_UNPACKED:
+            raise InvalidValueError(f"'{file}' unpacks to more than {MOST_UNPACKED:,} bytes; split it")
 
 
-def _require_small(file: Path) -> None:
-    """Refuse a compressed file that needs too much space, before it is unpacked to a temporary folder."""
+def _unpacked_size(file: Path) -> int:
     from rosbags.rosbag2.storage_mcap import zstd
 
-    size = 0
     with zstd.open(file) as content:
-        while part := content.read(2**24):
-            size += len(part)
-            if size > MOST_UNPACKED:
-                most = f"more than {MOST_UNPACKED:,} bytes"
-                raise InvalidValueError(f"'{file}' unpacks to {most}; split it with 'ros2 bag convert'")
+        while content.tell() <= MOST_UNPACKED and content.read(2**24):
+            pass
+        return content.tell()
 
 
 def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
@@ -115,24 +116,6 @@ def _unpacked_zstd(data: bytes, size: int) -> bytes:
     from rosbags.rosbag2.storage_mcap import zstd
 
     return zstd.ZstdDecompressor().decompress(data, min(size, MOST_CHUNK) + 1)
-
-
-def _unpacked_message(data: bytes) -> bytes:
-    return _unpacked_zstd(data, MOST_CHUNK)  # `decode` refuses a message of this length
-
-
-def _text(file: BinaryIO) -> str:
-    """Read a text of an MCAP file; a schema of Protobuf is none."""
-    from rosbags.rosbag2 import storage_mcap
-
-    return storage_mcap.read_bytes(file).decode(errors="replace")
-
-
-def _definition(schema: Any) -> "MessageDefinition":
-    """Return no definition: types are those of `messages.STORE`, and a schema may be of JSON or Protobuf."""
-    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
-
-    return MessageDefinition(MessageDefinitionFormat.NONE, "")
 
 
 @dataclass(frozen=True, kw_only=True)
