@@ -148,8 +148,8 @@ def read_tables(
         numbers_of(path, table, ("t", *joints)) for path, table in zip(paths, tables, strict=True)
     )
     robot = {"name": str(folder), "workcell": workcell, "joints": joints}
-    arrays = {"t_cmd": command[:, 0], "q_cmd": command[:, 1:], "t_meas": measured[:, 0], "q": measured[:, 1:]}
-    return Recording(**robot, **arrays)
+    t_cmd, t_meas = command[:, 0], measured[:, 0]
+    return Recording(**robot, t_cmd=t_cmd, q_cmd=command[:, 1:], t_meas=t_meas, q=measured[:, 1:])
 
 
 def _only_command_topic(bag: _Bag) -> str:

@@ -53,13 +53,13 @@ def opened_bag(
     read_bytes = storage_mcap.read_bytes  # a schema of Protobuf is no text
     storage_mcap.read_string = lambda file: read_bytes(file).decode(errors="replace")
     unpack = partial(_unpacked_zstd, size=MOST_CHUNK)  # `decode` refuses a message that is longer
-    reader.zstd = SimpleNamespace(open=storage_mcap.zstd.open, decompress=unpack)
+    reader.__dict__["zstd"] = SimpleNamespace(open=reader.__dict__["zstd"].open, decompress=unpack)
     try:
         _require_files(path)
         with Reader(path) as bag:
             for storage in getattr(bag.storage, "storages", [bag.storage]):
                 _require_chunks(getattr(storage, "chunks", ()))
-            bag.connections[:] = [each for each in bag.connections if each.ext.serialization_format == "cdr"]
+            bag.connections[:] = [each for each in bag.connections if "cdr" in each.ext]
             yield bag
     except Pixel2CatchError as known:
         raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
@@ -141,7 +141,7 @@ def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMe
     if storages := getattr(reader.storage, "storages", ()):
         files = [copy(reader.storage) for _ in storages]
         for file, storage in zip(files, storages, strict=True):
-            file.storages = [storage]
+            vars(file)["storages"] = [storage]
         streams = [file.messages(connections) for file in files]
     for connection, received, data in heapq.merge(*streams, key=itemgetter(1)):
         content = decode(data, connection.msgtype)
