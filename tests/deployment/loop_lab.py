@@ -1,6 +1,6 @@
 """A control loop's surroundings in memory: network, camera, and the servo's end of the link."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
@@ -15,14 +15,7 @@ from pixel2catch.deployment.control_loop import Connection
 from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
-from pixel2catch.perception.segmenter import (
-    BoxPrompt,
-    ColorRange,
-    ColorThreshold,
-    ImageMotion,
-    Segmentation,
-    Segmenter,
-)
+from pixel2catch.perception.segmenter import ColorRange, ColorThreshold, Segmentation, Segmenter
 from pixel2catch.perception.tracker import Prompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
@@ -34,7 +27,7 @@ from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
-
+WORKCELL = find_workcell(PROFILE.workcell)
 BOX: Edges = (300.0, 200.0, 330.0, 230.0)
 ASKING = 1e-4
 """Time that passes with every call of `now` [s]."""
@@ -56,24 +49,19 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
 class EverythingRed(ColorThreshold):
     """Finds everything that is red."""
 
-    def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
-    ) -> Segmentation:
+    def find(self, image: Pixels, motion: Any = None, prompt: Any = None) -> Segmentation:
         return Segmentation(mask=RED.mask(image), score=1.0)
 
 
 def remembering(method: str = "shared_reward+boxes") -> PolicyController:
     """Return a policy that gets the ages of its boxes, with random networks."""
     torch.manual_seed(0)
-    return PolicyController(
-        Policy(contract_of(find_method(method), find_workcell(PROFILE.workcell))).eval(),
-        find_workcell(PROFILE.workcell),
-    )
+    return PolicyController(Policy(contract_of(find_method(method), WORKCELL)).eval(), WORKCELL)
 
 
 def forgetting() -> PolicyController:
     """Return the paper's policy, which gets no ages."""
-    return PolicyController(load_policy(Path("proposed"))[0], find_workcell(PROFILE.workcell))
+    return PolicyController(load_policy(Path("proposed"))[0], WORKCELL)
 
 
 def new_pipeline(
@@ -81,22 +69,6 @@ def new_pipeline(
 ) -> PolicyPipeline:
     """Return a pipeline: by default the paper's policy, and a segmenter for red."""
     return PolicyPipeline(controller or forgetting(), segmenter or ColorThreshold(RED), Prompter())
-
-
-IDLE = Command(
-    time=0.0,
-    mode=int(Mode.IDLE),
-    stopped_by=0,
-    found=0,
-    refused=0,
-    clamped=0,
-    joint_pos_command=HOME,
-    joint_pos=HOME,
-    duration=4e-4,
-    target_stamp=-np.inf,
-    image_stamp=-np.inf,
-)
-"""The command of a tick at the start pose."""
 
 
 class PassingClock(Clock):
@@ -127,8 +99,12 @@ class Surroundings:
     broker: Broker
 
     def tick(self, mode: Mode, **others: Any) -> None:
-        """The servo sends the command of a tick."""
-        self.servo.send(replace(IDLE, **{"time": self.clock.now(), "mode": mode, **others}))
+        """The servo sends the command of a tick at the start pose, without any target or fault."""
+        command: dict[str, Any] = dict.fromkeys(("stopped_by", "found", "refused", "clamped"), 0)
+        command |= dict.fromkeys(("joint_pos_command", "joint_pos"), HOME)
+        command |= dict.fromkeys(("target_stamp", "image_stamp"), -np.inf)
+        command |= {"time": self.clock.now(), "mode": int(mode), "duration": 4e-4}
+        self.servo.send(Command(**command | others))
 
     def show(self, image: np.ndarray, age: float = 0.0) -> float:
         """Send an image of this age; return its exposure time, `Clock.now` [s]."""

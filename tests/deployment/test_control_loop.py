@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from loop_lab import (
-    BOX,
-    HOME,
-    PROFILE,
-    Surroundings,
-    forgetting,
-    new_pipeline,
-    picture,
-    remembering,
-)
+from loop_lab import BOX, HOME, PROFILE, Surroundings, forgetting, new_pipeline, picture, remembering
 from servo_rows import LIMITS
 
 from domains import PATIENCE

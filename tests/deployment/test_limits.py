@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from math import pi
-from typing import Any
 
 import numpy as np
 import pytest
 
 from paper_robot import JOINTS
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.ros2.profile import DriverJoint, MotionBudget, Profile, RobotPart
+from pixel2catch.ros2.profile import MotionBudget, Profile
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -29,10 +28,12 @@ def test_numbers_by_hand():
 
 
 def test_half_of_the_speed():
-    """Lead and accelerations are halved with the speed."""
+    """Lead and accelerations are halved; without identified dynamics commands are as fast as joints."""
     full, half = JointLimits.of(UR5E_ALLEGRO), JointLimits.of(UR5E_ALLEGRO, 0.5)
     for name in ("speed", "acceleration", "jerk", "lead", "tracking_error"):
         np.testing.assert_allclose(getattr(half, name), 0.5 * getattr(full, name))
+    joints = JointLimits.of(UR5E_ALLEGRO, 0.5, is_identified=False)
+    np.testing.assert_allclose(joints.speed, [0.5 * 0.9 * joint.velocity_limit for joint in JOINTS])
 
 
 def test_no_step_is_larger_than_ur_accepts():
@@ -65,23 +66,10 @@ def test_invalid_limits_are_refused():
             ServoLimits.of(UR5E_ALLEGRO, joints)
 
 
-def test_without_identified_dynamics_commands_have_the_speed_limit_of_joints():
-    joints = JointLimits.of(UR5E_ALLEGRO, 0.5, is_identified=False)
-    np.testing.assert_allclose(joints.speed, [0.5 * 0.9 * joint.velocity_limit for joint in JOINTS])
-
-
-def part(name: str, joints: list[str], **limits: Any) -> RobotPart:
-    return replace(
-        next(part for part in Profile.load("ur5e_allegro_v4").robots if part.name == name),
-        joints={joint: DriverJoint(name_in_state=joint, index_in_command=0) for joint in joints},
-        limits=MotionBudget(**limits),
-    )
-
-
 def test_a_budget_lowers_only_the_limits_of_its_part():
     """2 of 2.79253 rad/s: commands and lead in that proportion, and a share of the speed on top of it."""
-    own, joints = JointLimits.of(UR5E_ALLEGRO), [joint.name for joint in JOINTS[:6]]
-    budget = part("arm", joints, speed=2.0, acceleration=150.0, jerk=2e4)
+    own, arm = JointLimits.of(UR5E_ALLEGRO), Profile.load("ur5e_allegro_v4").robots[0]
+    budget = replace(arm, limits=MotionBudget(speed=2.0, acceleration=150.0, jerk=2e4))
     lower = JointLimits.of(UR5E_ALLEGRO, 0.5, parts=(budget,))
     np.testing.assert_allclose(lower.lead[:6], own.lead[:6] * 0.5 * 2.0 / 2.79253)
     np.testing.assert_allclose(lower.speed[:6], 0.5 * 2.0 / 2.79253 * 10.0)

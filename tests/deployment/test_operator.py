@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Iterator
+from functools import partialmethod
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -173,24 +174,20 @@ class Desk:
         os.mkfifo(path)
         self.device = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # a reader as well, so that it opens at once
         self.switches = Switches(path)
-        self._clock, broker = StepClock(self._wait), Broker()
+        self._clock, broker = StepClock(lambda moment: setattr(self._clock, "time", moment)), Broker()
         self._console = OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
         node, names = broker.node(self._clock), ("dead_man", "arm", "stop")
         self._queues = {name: node.subscription(getattr(PROFILE.operator, name), depth=100) for name in names}
-
-    def _wait(self, moment: float) -> None:
-        self._clock.time = moment
 
     def send(self, kind: int, code: int, value: int) -> None:
         """What the keys of the device do."""
         os.write(self.device, EVENT.pack(1, 2, kind, code, value))
 
-    def press(self, *codes: int, is_down: bool = True) -> None:
+    def press(self, *codes: int, value: int = 1) -> None:
         for code in codes:
-            self.send(KEY, code, int(is_down))
+            self.send(KEY, code, value)
 
-    def release(self, *codes: int) -> None:
-        self.press(*codes, is_down=False)
+    release = partialmethod(press, value=0)
 
     def run(self, seconds: float, held_up: float = 0.0) -> None:
         """Operate for a while, in a process that is suspended for some time before its first poll [s]."""
@@ -205,10 +202,8 @@ class Desk:
 
     def received(self) -> dict[str, list[bool]]:
         """What was sent since the last call, by topic."""
-        taken = {name: queue.take() for name, queue in self._queues.items()}
-        return {
-            name: [messages.read_boolean(each.data) for each in sent] for name, sent in taken.items() if sent
-        }
+        taken = ((name, queue.take()) for name, queue in self._queues.items())
+        return {name: [messages.read_boolean(each.data) for each in sent] for name, sent in taken if sent}
 
 
 @pytest.fixture
@@ -221,7 +216,7 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
 def test_a_key_is_pressed_until_its_release_or_the_loss_of_events(desk: Desk):
     assert desk.switches.poll() == []
     desk.press(HOLD)
-    desk.send(KEY, HOLD, 2)  # repeated by the system
+    desk.press(HOLD, value=2)  # repeated by the system
     desk.press(OTHER)
     desk.send(4, 4, HOLD)  # a scan code
     desk.send(3, HOLD, 1)  # a stick

@@ -5,6 +5,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from queue import SimpleQueue
 from threading import Event, current_thread
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +23,7 @@ from pixel2catch.deployment.perception import (
 )
 from pixel2catch.errors import PerceptionError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.perception.segmenter import (
-    BoxPrompt,
-    ColorThreshold,
-    ImageMotion,
-    Segmentation,
-)
+from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold, Segmentation
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -65,20 +61,14 @@ class Camera(ImageSubscriber):
         return (self.clock.now() - image.stamp) / CONTROL_DT
 
 
-@pytest.fixture(params=[False, True], ids=["camera", "assuming"])
-def either(around: Surroundings, request: pytest.FixtureRequest) -> Camera:
-    """Images of a policy that does not get the ages of boxes, or does."""
-    return Camera(around, assumes_age=request.param)
-
-
 @pytest.fixture
-def camera(around: Surroundings) -> Camera:
-    return Camera(around)
+def camera(around: Surroundings, request: pytest.FixtureRequest) -> Camera:
+    """Images of a policy that does not get the ages of boxes; of one that does, with `ASSUMING`."""
+    return Camera(around, assumes_age=getattr(request, "param", False))
 
 
-@pytest.fixture
-def assuming(around: Surroundings) -> Camera:
-    return Camera(around, assumes_age=True)
+EITHER = pytest.mark.parametrize("camera", [False, True], indirect=True)
+ASSUMING = pytest.mark.parametrize("camera", [True], indirect=True)
 
 
 def test_the_newest_image_counts_with_its_exposure_time_and_the_joints_at_that_time(camera: Camera):
@@ -114,42 +104,42 @@ def test_a_box_has_the_time_of_its_row_by_the_stated_times_of_the_camera(around:
     assert box.stamp == pytest.approx(image.stamp + 0.016 * (115 / 480 - 0.5), abs=2e-4)
 
 
-def test_images_from_the_future_are_refused(either: Camera):
+@EITHER
+def test_images_from_the_future_are_refused(camera: Camera):
     """Up to 50 ms ahead is the error of a clock; more, after usable stamps, is a clock that was set."""
-    assert [either.accepts(age=age) for age in (0.02, -0.03, -1.0)] == [True, True, False]
-    assert "synchronise the clocks" in either.problem
-    assert either.stamp < either.clock.now() + 0.03
+    assert [camera.accepts(age=age) for age in (0.02, -0.03, -1.0)] == [True, True, False]
+    assert "synchronise the clocks" in camera.problem
+    assert camera.stamp < camera.clock.now() + 0.03
 
 
+@ASSUMING
 @pytest.mark.parametrize(
     ("age", "words"),
-    [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")],
+    [
+        *((age, "") for age in (-0.04, 0.0, 0.3)),
+        *((None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")),
+    ],
 )
 def test_images_without_a_usable_stamp_are_as_old_as_training_assumes(
-    age: float | None, words: str, assuming: Camera
+    age: float | None, words: str, camera: Camera
 ):
     """This is reported once."""
+    expected = age / CONTROL_DT if age is not None and not words else ASSUMED_AGE
     for notice in (words, ""):
-        stamp = 0.0 if age is None else assuming.clock.stamp() - age
-        assert assuming.age_of(stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
-        found = assuming.take_notice()
+        stamp = 0.0 if age is None else camera.clock.stamp() - age
+        assert camera.age_of(stamp) == pytest.approx(expected, abs=0.3)
+        found = camera.take_notice()
         assert notice in found
         assert bool(found) == bool(notice)
 
 
-@pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
-def test_usable_stamps_are_used(age: float, assuming: Camera):
-    found = assuming.age_of(assuming.clock.stamp() - age)
-    assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
-    assert assuming.take_notice() == ""
-
-
-def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp(either: Camera):
+@EITHER
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp(camera: Camera):
     """Not after usable stamps: it is as old as its stamp."""
-    either.age_of(either.clock.stamp() - 0.02)
-    either.wait(3.0)
-    assert either.age_of(either.clock.stamp() - 2.0) > 59.0
-    assert either.take_notice() == ""
+    camera.age_of(camera.clock.stamp() - 0.02)
+    camera.wait(3.0)
+    assert camera.age_of(camera.clock.stamp() - 2.0) > 59.0
+    assert camera.take_notice() == ""
 
 
 def test_an_image_that_cannot_be_read_or_has_another_size_is_skipped_and_reported(camera: Camera):
@@ -175,17 +165,13 @@ def test_another_lens_than_the_calibrated_one_is_refused(camera: Camera):
 
 
 def test_a_frozen_image_is_found_though_its_stamps_are_fresh(camera: Camera):
-    frozen = picture()
-    assert camera.accepts(frozen)
-    assert all(camera.skips(frozen) for _ in range(NUM_EQUAL - 2))
+    """Images that repeat once, or with their stamp, are no fault."""
+    for frozen in (picture(), picture()):
+        assert camera.accepts(frozen)
+        assert camera.skips(frozen)
+    assert all(camera.skips(frozen) for _ in range(NUM_EQUAL - 3))
     assert not any(camera.accepts(frozen) for _ in range(3))
     assert camera.accepts()
-
-
-def test_images_that_repeat_once_or_with_their_stamp_are_no_fault(camera: Camera):
-    for twice in (picture(), picture()):
-        assert camera.accepts(twice)
-        assert camera.skips(twice)
     same = messages.image(picture(), camera.clock.stamp())
     for _ in range(2 * NUM_EQUAL):
         camera.around.camera.publish(same)
@@ -226,8 +212,7 @@ def processed(took: float, seconds: float) -> list[tuple[float, float]]:
     clock = StepClock(lambda _: pytest.fail("nobody waits"))
     runner = PerceptionRunner(new_pipeline(controller=remembering()), clock, duration=lambda: took)
     runner.begin_throw(PROMPT)
-    found: list[tuple[float, float]] = []
-    num_images = 0
+    found, num_images = list[tuple[float, float]](), 0
     while clock.time < seconds:
         if clock.time >= num_images * CONTROL_DT + LATENCY:
             runner.offer(Image(pixels=picture(), stamp=num_images * CONTROL_DT))
@@ -261,9 +246,7 @@ class SuspendedSegmenter(ColorThreshold):
         super().__init__(RED)
         self.has_begun, self.may_go_on, self.settled_by = Event(), Event(), SimpleQueue[str]()
 
-    def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
-    ) -> Segmentation:
+    def find(self, image: Pixels, motion: Any = None, prompt: Any = None) -> Segmentation:
         self.has_begun.set()
         assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()
@@ -313,14 +296,11 @@ def test_decisions_go_on_during_perception_which_learns_in_its_thread(bench: Thr
     assert bench.end()
     assert bench.segmenter.settled_by.get(timeout=PATIENCE) == "perception_0"
     bench.show(1.1)
-    for now in (1.11, 1.11 + CONTROL_DT):
+    for now, stamp in ((1.11, 1.0), (1.11 + CONTROL_DT, 1.0), (1.2, 1.1)):
+        assert stamp == 1.0 or bench.end()
         targets = bench.pipeline.decide(HOME, now)
         assert targets is not None
-        assert (targets.target_stamp, targets.image_stamp) == (now, 1.0)
-    assert bench.end()
-    targets = bench.pipeline.decide(HOME, 1.2)
-    assert targets is not None
-    assert targets.image_stamp == 1.1
+        assert (targets.target_stamp, targets.image_stamp) == (now, stamp)
 
 
 def test_a_box_of_the_throw_before_is_dropped(bench: ThreadBench):

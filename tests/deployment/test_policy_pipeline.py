@@ -6,35 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from loop_lab import (
-    BOX,
-    HOME,
-    RED,
-    EverythingRed,
-    forgetting,
-    moved,
-    new_pipeline,
-    picture,
-    remembering,
-)
+from loop_lab import BOX, HOME, RED, EverythingRed, forgetting, moved, new_pipeline, picture, remembering
 
 from pixel2catch.camera.image import Box, Edges, Image, Verdict
-from pixel2catch.deployment.policy_pipeline import (
-    BOX_AGE,
-    FADE_STEPS,
-    LONGEST_GAP,
-    LONGEST_PERCEPTION,
-    MOTION,
-    NUM_JUMPS,
-    STILL_TIME,
-    PolicyController,
-    PolicyPipeline,
-)
+from pixel2catch.deployment import policy_pipeline as limits
+from pixel2catch.deployment.policy_pipeline import FADE_STEPS, LONGEST_GAP, PolicyController, PolicyPipeline
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.control_step import BoxHistory
-from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
-from pixel2catch.perception.tracker import Prompter
+from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import JointTargets
@@ -83,17 +63,16 @@ def test_there_are_no_targets_before_the_prompt_and_without_all_joints():
 )
 def test_an_object_of_the_training_is_never_too_large(name: str, expected: Verdict):
     """A box of 28 cm where it is caught, which no object of the paper has."""
-    policy, _ = load_policy(Path(name))
+    policy, large = load_policy(Path(name))[0], (300.0, 200.0, 460.0, 360.0)
     controller = PolicyController(policy, find_workcell(policy.contract.workcell))
-    pipeline = PolicyPipeline(controller, ColorThreshold(RED), Prompter())
-    large = (300.0, 200.0, 460.0, 360.0)
+    pipeline = new_pipeline(controller=controller)
     pipeline.point(BoxPrompt(box=large))
     assert see(pipeline, Image(pixels=picture(large), stamp=1.0), 1.01).verdict is expected
 
 
 @pytest.mark.parametrize(
     ("age", "num_late"),
-    [(BOX_AGE, 0.0), (BOX_AGE - 0.25 * CONTROL_DT, 0.25), (BOX_AGE + 0.01, 0.0)],
+    [(limits.BOX_AGE, 0.0), (limits.BOX_AGE - 0.25 * CONTROL_DT, 0.25), (limits.BOX_AGE + 0.01, 0.0)],
 )
 def test_a_policy_without_ages_gets_boxes_as_old_as_in_training(age: float, num_late: float):
     """Between two younger images; of the newest image if it is older."""
@@ -152,7 +131,7 @@ def test_a_perception_that_hangs_is_an_error():
         see(pipeline, Image(pixels=picture(None), stamp=stamp), stamp)
         assert pipeline.decide(HOME, stamp)
     with pytest.raises(DeploymentError, match=r"0\.4 s old"):
-        pipeline.decide(HOME, 1.0 + 14 * CONTROL_DT + LONGEST_PERCEPTION + 0.01)
+        pipeline.decide(HOME, 1.0 + 14 * CONTROL_DT + limits.LONGEST_PERCEPTION + 0.01)
 
 
 def run(pipeline: PolicyPipeline, steps: range, box: Edges | None) -> np.ndarray:
@@ -199,8 +178,12 @@ def test_an_object_that_is_seen_again_starts_the_policy_from_the_held_pose():
 def test_while_the_object_is_still_for_long_the_targets_stay():
     """However the joints move, and a little trembling; the first image of the flight ends that."""
     pipeline = pointed(new_pipeline())
-    num_moving, targets = round(STILL_TIME / CONTROL_DT), []
-    places = [*((-1) ** step * 0.4 * MOTION for step in range(num_moving + 10)), 2.0 * MOTION, 3.0 * MOTION]
+    num_moving, targets = round(limits.STILL_TIME / CONTROL_DT), []
+    places = [
+        *((-1) ** step * 0.4 * limits.MOTION for step in range(num_moving + 10)),
+        2.0 * limits.MOTION,
+        3.0 * limits.MOTION,
+    ]
     for step, place in enumerate(places):
         now = step * CONTROL_DT
         decided = decide(pipeline, image(now, place), HOME + 0.001 * step, now)
@@ -240,7 +223,7 @@ def test_a_box_that_jumps_never_reaches_the_policy_as_motion(has_ages: bool):
 
 def test_a_box_that_jumps_again_and_again_is_a_problem():
     pipeline = pointed(new_pipeline(EverythingRed(RED)))
-    for step in range(2 * NUM_JUMPS):
+    for step in range(2 * limits.NUM_JUMPS):
         see(pipeline, image(step * CONTROL_DT, 150.0 * (step % 2)), step * CONTROL_DT)
     assert "jumps" in pipeline.sight.problem
     pipeline.begin_throw()

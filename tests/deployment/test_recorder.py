@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import StepClock
@@ -31,7 +30,7 @@ EPOCH = 1_790_000_000.0
 
 
 def read(folder: Path) -> list[tuple[str, int, bytes]]:
-    with AnyReader([folder]) as bag:
+    with opened_bag(folder) as bag:
         return [(connection.topic, time, bytes(data)) for connection, time, data in bag.messages()]
 
 
@@ -62,26 +61,24 @@ def test_an_existing_recording_is_not_overwritten(tmp_path: Path):
         BagRecorder(tmp_path / "throw" / "metadata.yaml" / "below")
 
 
-def test_messages_beyond_the_memory_limit_are_dropped_and_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("is_full", "words"), [(True, "lacks 1 messages"), (False, "lacks 1 messages .*no image")]
+)
+def test_a_message_beyond_the_memory_or_in_error_is_counted_and_no_other_is_lost(
+    is_full: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
+    def convert(data: bytes) -> bytes:
+        if not is_full:
+            raise ValueError("no image")
+        return data
+
     monkeypatch.setattr(recorder, "MOST_WAITING", 100)
     with BagRecorder(tmp_path / "throw") as bag:
-        bag.record(IMAGE, messages.image(np.zeros((48, 64, 3), np.uint8), EPOCH), EPOCH)
+        bag.record(IMAGE, bytes(200 * is_full), EPOCH, convert)
         bag.record(NUMBER, messages.number(1.0), EPOCH)
     assert bag.num_dropped == {"/image": 1}
     assert [topic for topic, *_ in read(tmp_path / "throw")] == ["/number"]
-
-
-def test_a_message_that_cannot_be_converted_is_reported_and_no_other_is_lost(tmp_path: Path):
-    def refuse(_: bytes) -> bytes:
-        raise ValueError("no image")
-
-    with BagRecorder(tmp_path / "throw") as bag:
-        bag.record(IMAGE, b"", EPOCH, refuse)
-        bag.record(NUMBER, messages.number(1.0), EPOCH)
-    assert [topic for topic, *_ in read(tmp_path / "throw")] == ["/number"]
-    with pytest.raises(DeploymentError, match=r"lacks 1 messages .*no image"):
+    with pytest.raises(DeploymentError, match=words):
         recording_with(bag).require_whole()
 
 
@@ -153,6 +150,8 @@ def test_a_signal_while_a_recording_is_completed_leaves_it_readable(tmp_path: Pa
     """What still waits is dropped and reported; the file has its metadata."""
 
     def interrupt(data: bytes) -> bytes:
+        while signal.getsignal(number) != bag._hurry:  # the recording is not being completed yet
+            time.sleep(0.001)
         os.kill(os.getpid(), number)
         while not bag._is_hurried:
             time.sleep(0.001)

@@ -7,7 +7,7 @@ from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.deployment.statistics import BIN, LONGEST, PERCENTAGES, Histogram, RunStatistics
 
 
-def test_percentiles_are_as_fine_as_the_bins():
+def test_percentiles_are_as_fine_as_the_bins_and_a_long_duration_is_counted():
     histogram, durations = Histogram(), np.random.default_rng(0).gamma(4.0, 6e-3, 3000)
     assert histogram.milliseconds(50) is None
     for duration in durations.tolist():
@@ -18,12 +18,8 @@ def test_percentiles_are_as_fine_as_the_bins():
         exact = 1e3 * np.percentile(durations, percentage, method="inverted_cdf")
         assert values[f"p{percentage}"] == pytest.approx(exact, abs=1e3 * BIN)
     assert (values["max"], values["count"]) == (1e3 * durations.max(), 3000)
-
-
-def test_a_long_duration_is_counted():
-    histogram = Histogram()
-    histogram.count(3.0 * LONGEST)
-    assert histogram.milliseconds(50) == {"p50": 3e3 * LONGEST, "max": 3e3 * LONGEST, "count": 1}
+    (long := Histogram()).count(3.0 * LONGEST)
+    assert long.milliseconds(50) == {"p50": 3e3 * LONGEST, "max": 3e3 * LONGEST, "count": 1}
 
 
 def test_the_ages_of_an_image_at_each_stage_are_in_the_summary():

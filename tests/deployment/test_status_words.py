@@ -6,14 +6,7 @@ import pytest
 
 from pixel2catch.camera.image import Verdict
 from pixel2catch.servo.link import Fault, Mode, flag_names
-from pixel2catch.servo.status_words import (
-    FAULT_WORDS,
-    VERDICTS,
-    latencies,
-    refusal_words,
-    sentence,
-    status_words,
-)
+from pixel2catch.servo.status_words import FAULT_WORDS, VERDICTS, latencies, sentence, status_words
 
 CAMERA = "Check the camera, its cable and its clock."
 
@@ -59,13 +52,9 @@ def test_a_status_as_one_line(given: dict[str, Any], expected: str):
     assert sentence(given) == expected
 
 
-def test_an_unknown_fault_keeps_its_name():
-    assert status_words(status("stopped", stopped_by=["arm frozen"])).headline == "stopped: arm frozen"
-    assert refusal_words(status("armed")) == ""
-
-
-def test_a_stop_adds_the_latencies():
+def test_an_unknown_fault_keeps_its_name_and_a_stop_adds_the_latencies():
     times = {"p50": 21.04, "p99": 40, "count": 9}
     assert latencies({"latency_ms": times}) == {"p50": 21.0, "p99": 40.0}
-    stopped = status("stopped", stopped_by=["stop request"], latency_ms=times)
-    assert sentence(stopped).endswith("From image to command: p50 21, p99 40 ms.")
+    line = sentence(status("stopped", stopped_by=["arm frozen"], latency_ms=times))
+    assert line.startswith("stopped: arm frozen")
+    assert line.endswith("From image to command: p50 21, p99 40 ms.")

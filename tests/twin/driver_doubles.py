@@ -130,12 +130,8 @@ class AllegroV4(Double):
 class AllegroV5(Double):
     """333 Hz, index finger first; base node and derived node both subscribe; limp until the first command."""
 
-    rate, state, order_of_state, kind = (
-        1e3 / 3.0,
-        "/allegroHand_0/joint_states",
-        slice(None),
-        messages.JOINT_STATE,
-    )
+    rate, state, order_of_state = 1e3 / 3.0, "/allegroHand_0/joint_states", slice(None)
+    kind = messages.JOINT_STATE
     command, separator = "/allegroHand/joint_cmd", "_"
 
     def __init__(self, broker: Broker, clock: Clock, distribution: str, sides: Sides = ("",)) -> None:

@@ -63,10 +63,8 @@ class Cell:
         self.home = np.array([joint.home for joint in workcell.joints])
         sides = ("left_", "right_") if name == "two" else ("",)
         self.arm_driver, self.hand = (kind(self.broker, self.clock, name, sides) for kind in kinds)
-        self.camera, names = (
-            RealSense(self.broker, self.clock),
-            [driver_name(j, name) for j in workcell.joint_names],
-        )
+        self.camera = RealSense(self.broker, self.clock)
+        names = [driver_name(joint, name) for joint in workcell.joint_names]
         home = dict(zip(names, self.home, strict=True))
         for double in (self.arm_driver, self.hand):
             double.pos[:] = [home.get(each, 0.0) for each in double.names]
@@ -104,9 +102,6 @@ class Cell:
                 self.last += self.servo.connection.servo.receive()
         return self.last[-1]
 
-    def close(self) -> None:
-        self.servo.close()
-
     def arm(self) -> None:
         assert self.run(0.5).mode == Mode.IDLE
         self._arm.publish(messages.boolean(True))
@@ -116,7 +111,8 @@ class Cell:
 
 @pytest.fixture
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
-    with closing(Cell(request.param)) as cell:
+    cell = Cell(request.param)
+    with closing(cell.servo):
         yield cell
 
 
@@ -149,9 +145,8 @@ def test_the_survey_finds_the_drivers_as_the_profile_says(cell: Cell):
         cell.run(0.025)
         survey.listen()
     commanded = {part.command_topic.name for part in cell.profile.robots}
-    survey.endpoints = [
-        each for each in survey.endpoints if not (each.is_publisher and each.topic in commanded)
-    ]
+    found = survey.endpoints
+    survey.endpoints = [each for each in found if not (each.is_publisher and each.topic in commanded)]
     for part in cell.profile.robots:
         age = float(cell.limits.joints.position_age[part.ids].min())
         assert "Hz" in joint_states(survey, part, age)

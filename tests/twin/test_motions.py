@@ -1,35 +1,96 @@
 """Slow motions in the stepped twin: home, release, joint check, and throws without touching the robot."""
 
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from motion_lab import HOME, LIMITS, PROFILE, SLOW, WORKCELL, motion_lab
+import torch
 
-from pixel2catch.cli.home import EVEN
+from pixel2catch.camera.pinhole import project
+from pixel2catch.cli.home import EVEN, QUARTER
 from pixel2catch.cli.link import Link
 from pixel2catch.cli.main import main
+from pixel2catch.deployment.follower import follow
 from pixel2catch.deployment.joint_check import JointCheck, record_of_today
+from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.paths import PEAK, Motion, PathFinder
 from pixel2catch.deployment.throw_cycle import HELD_TIME, MISSED_TIME, ThrowCycle
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.ros2.profile import Profile
+from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.ros2.profile import Place, Profile
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.distances import Distances
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.laws import USER_CACHE
-from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import JointTargets
+from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.servo.link import Command, JointTargets
 from pixel2catch.twin import RehearsalCfg, stepped
+from pixel2catch.twin.drivers import CYCLE
+from pixel2catch.twin.lab_node import twin_profile
 from pixel2catch.twin.rehearsal import run_throws
 from pixel2catch.twin.simulated_lab import SimulatedLab
-from pixel2catch.twin.stepped import in_step
+from pixel2catch.twin.stepped import SteppedTwin, in_step, plain_image
 from pixel2catch.workcells import find_workcell
 
+WORKCELL = find_workcell("ur5e_allegro")
+HOME = np.array([joint.home for joint in WORKCELL.joints])
+TWIN = twin_profile(WORKCELL)
+PROFILE = replace(TWIN, places={"near": Place(joints={"shoulder_pan_joint": 2.8}), **TWIN.places})
+LIMITS = ServoLimits.of(WORKCELL)
+SLOW = ServoLimits.of(WORKCELL, JointLimits.of(WORKCELL, QUARTER))
 FINDER = PathFinder(PROFILE, SLOW, EVEN)
-JOINTS = WORKCELL.joint_names
+ARMED = 0.3  #: Time at which the operator arms [s].
+
+
+class MotionLab:
+    """A stepped twin whose robot starts in any pose, with an operator who holds the switch and arms."""
+
+    def __init__(self, twin: SteppedTwin) -> None:
+        self.twin, self.connection = twin, twin.servo.connection
+        self.poses, self.fastest = list[np.ndarray](), np.zeros(len(HOME))  #: Of all cycles [rad], [rad/s].
+        self._operator = OperatorConsole(twin.broker.node(twin.clock), twin.profile.operator, twin.clock)
+        twin.followers = (twin.servo.tick, self._operate)
+
+    def follow(
+        self, plan: Callable[[np.ndarray], Motion], on_command: Callable[[Command], None] = lambda _: None
+    ) -> bool:
+        """Let the robot follow a motion; return whether it did to the end."""
+        topic, clock = self.twin.profile.operator.status, self.twin.clock
+        return follow(
+            plan, "motion", self.connection, topic, lambda: clock.time > 60.0, lambda _: None, on_command
+        )
+
+    def place(self, joint_pos: np.ndarray) -> None:
+        """Put the simulated robot into a pose [rad]."""
+        lab = self.twin.lab
+        lab._qpos[: len(joint_pos)], lab._qvel[:] = joint_pos - lab._encoder_offset, 0.0
+        start = torch.from_numpy(lab._qpos[None, : len(joint_pos)].copy())
+        lab._world._actuators.reset(torch.ones(1, dtype=torch.bool), start, lab.episode.parameters)
+        self.twin._node._hold_still()
+
+    def _operate(self) -> None:
+        now, joints = self.twin.clock.time, self.twin.lab.joints
+        self._operator.holds = now > ARMED / 2
+        self._operator.watch()
+        if ARMED <= now < ARMED + CYCLE:
+            self._operator.arm()
+        self.poses.append(joints.position.copy())
+        self.fastest = np.maximum(self.fastest, np.abs(joints.velocity))
+
+
+@contextmanager
+def motion_lab(start: np.ndarray, limits: ServoLimits = SLOW) -> Iterator[MotionLab]:
+    task = CatchEnvCfg(scene=SceneCfg(physics_hz=120.0))
+    with SteppedTwin(RehearsalCfg(), task, plain_image, limits) as twin:
+        lab = MotionLab(twin)
+        lab.place(start)
+        yield lab
 
 
 def allowed_poses(number: int, finder: PathFinder, limits: ServoLimits) -> list[np.ndarray]:
@@ -90,13 +151,14 @@ def test_the_simulated_robot_moves_home_slowly_and_without_contact():
     start = HOME.copy()
     start[[0, 3]] += (0.3, 0.6)
     start[6:] += 0.2
-    with motion_lab(measures=True) as lab:
-        lab.place(start)
+    with motion_lab(start) as lab:
         assert lab.follow(lambda pose: FINDER.motion(pose, HOME))
-        assert lab.joint_pos == pytest.approx(HOME, abs=0.15)
-        limit = np.array([joint.velocity_limit for joint in WORKCELL.joints])
-        assert (lab.fastest[:6] <= 0.25 * limit[:6]).all()
-        assert (lab.nearest > (0.05, 0.02)).all()
+    assert lab.poses[-1] == pytest.approx(HOME, abs=0.15)
+    limit = np.array([joint.velocity_limit for joint in WORKCELL.joints])
+    assert (lab.fastest[:6] <= 0.25 * limit[:6]).all()
+    distances = Distances(WORKCELL)
+    nearest = np.array([[each.distance for each in distances.at(pose)[:2]] for pose in lab.poses[::8]])
+    assert (nearest.min(axis=0) > (0.05, 0.02)).all()
 
 
 @pytest.mark.parametrize(("command", "arm"), [("home", HOME[0]), ("release", 3.3), ("release near", 2.8)])
@@ -107,13 +169,12 @@ def test_the_commands_move_the_robot_to_the_end(
     start = HOME.copy()
     start[0] = 3.3
     start[6:] += 0.3
-    with motion_lab() as lab:
-        lab.place(start)
+    with motion_lab(start) as lab:
         monkeypatch.setattr(Link, "connect", lambda *_, **__: lab.connection)
         assert main(command.split()) == 0
-        assert lab.joint_pos[0] == pytest.approx(arm, abs=0.02)
-        assert lab.joint_pos[6:] == pytest.approx(HOME[6:], abs=0.15)
-        assert lab.fastest[6:].max() < 2.0
+    assert lab.poses[-1][0] == pytest.approx(arm, abs=0.02)
+    assert lab.poses[-1][6:] == pytest.approx(HOME[6:], abs=0.15)
+    assert lab.fastest[6:].max() < 2.0
     assert "done" in capsys.readouterr().out
 
 
@@ -151,13 +212,14 @@ def test_the_joint_check_names_the_wrong_joint(fault: str, number: int, monkeypa
         begin, duration = moves[0], moves[-1] - moves[0]
         return Motion(at=lambda time: whole.at(begin + np.clip(time, 0.0, duration)), duration=duration)
 
-    with motion_lab(LIMITS) as lab, ExitStack() as stack:
-        lab.place(HOME)
+    with motion_lab(HOME, LIMITS) as lab, ExitStack() as stack:
         monkeypatch.setattr(SimulatedLab, "encoders", wrong)
         stack.callback(monkeypatch.undo)
         with suppress(DeploymentError):
             lab.follow(plan, check.note)
-    found = [text for text in check.findings() if text.startswith(f"{JOINTS[number]} {finding}")]
+    found = [
+        text for text in check.findings() if text.startswith(f"{WORKCELL.joint_names[number]} {finding}")
+    ]
     assert bool(found) == bool(finding)
 
 
@@ -199,22 +261,26 @@ class Session:
             self.joint_pos = targets.joint_pos_target
             self.says += [self.cycle.message.split(":")[0]] if self.cycle.message else []
 
-    def throw(self, center: tuple[float, float]) -> None:
+    def throw(self, center: Sequence[float]) -> None:
         self.pipeline.is_seen = True
         self.run(0.1)
         assert self.cycle.phase == "throw"
         self.pipeline.sight.center, self.pipeline.sight.box_stamp = np.array(center), self.now
 
+    def require_return(self) -> None:
+        assert (self.cycle.phase, self.waits) == ("wait", 1)
+        assert self.joint_pos == pytest.approx(HOME)
 
-def test_the_robot_carries_what_it_caught_and_returns(monkeypatch: pytest.MonkeyPatch):
+
+def test_the_robot_carries_what_it_caught_and_returns():
+    palms, _ = WorkcellGeometry(WORKCELL).palm_poses(torch.tensor(HOME[None], dtype=torch.float32))
     session = Session()
-    session.throw(PALM)
+    session.throw(project(RGB_CAMERA, palms)[0][0, 0].tolist())
     session.run(HELD_TIME + 0.1)
     assert session.cycle.phase == "move"
     session.run(30.0)
     assert [*dict.fromkeys(session.says)][:2] == ["to near", "to the start pose"]
-    assert (session.cycle.phase, session.waits) == ("wait", 1)
-    assert session.joint_pos == pytest.approx(HOME)
+    session.require_return()
 
 
 def test_the_robot_returns_from_a_miss_at_once():
@@ -223,8 +289,7 @@ def test_the_robot_returns_from_a_miss_at_once():
     session.throw((10.0, 470.0))
     session.run(MISSED_TIME + 20.0)
     assert "to near" not in session.says
-    assert (session.cycle.phase, session.waits) == ("wait", 1)
-    assert session.joint_pos == pytest.approx(HOME)
+    session.require_return()
 
 
 def test_a_stop_in_a_throw_or_a_motion_goes_on_when_the_robot_is_armed_again():
@@ -238,22 +303,7 @@ def test_a_stop_in_a_throw_or_a_motion_goes_on_when_the_robot_is_armed_again():
     session.run(0.9)  # while the servo's ramp lasts
     assert session.joint_pos[:6] == pytest.approx(before[:6])
     session.run(30.0)
-    assert (session.cycle.phase, session.waits) == ("wait", 1)
-
-
-def _palm_pixel() -> tuple[float, float]:
-    """Return where the palm is in the image at the start pose [px]."""
-    import torch
-
-    from pixel2catch.camera.pinhole import project
-    from pixel2catch.robots.geometry import WorkcellGeometry
-
-    palms, _ = WorkcellGeometry(WORKCELL).palm_poses(torch.tensor(HOME[None], dtype=torch.float32))
-    pixel = project(RGB_CAMERA, palms)[0][0, 0]
-    return float(pixel[0]), float(pixel[1])
-
-
-PALM = _palm_pixel()
+    session.require_return()
 
 
 def throws_in_a_row(number: int, place: str) -> dict[str, Any]:
