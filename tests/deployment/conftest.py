@@ -2,16 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from loop_lab import PROFILE, PassingClock, Surroundings
 from wire_lab import Stage
 
-from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import Connection
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
 
@@ -34,14 +30,3 @@ def around(ends: tuple[LoopEnd, ServoEnd]) -> Surroundings:
     node, lab = broker.node(clock), broker.node(clock)
     connection = Connection(transport=node, servo=ends[0], clock=clock, recording=None)
     return Surroundings(connection=connection, servo=ends[1], lab=lab, clock=clock, broker=broker)
-
-
-@pytest.fixture
-def badly_recorded(
-    around: Surroundings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Surroundings]:
-    """Surroundings with a recording that cannot be written."""
-    monkeypatch.setattr(recorder, "MOST_WAITING", 0)
-    with BagRecorder(tmp_path / "tape") as bag:
-        recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
-        yield replace(around, connection=replace(around.connection, recording=recording))

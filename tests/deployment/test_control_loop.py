@@ -2,7 +2,9 @@
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import chain, repeat
+from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -13,9 +15,11 @@ from loop_lab import BOX, HOME, PROFILE, Surroundings, forgetting, new_pipeline,
 from servo_rows import LIMITS
 
 from domains import PATIENCE
+from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import GRACE, SHIFT, SILENCE, ControlLoop, DecisionTimer
 from pixel2catch.deployment.paths import Motion, PathFinder
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, PolicyController
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.throw_cycle import ThrowCycle
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.control_step import BoxHistory
@@ -159,12 +163,12 @@ def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings):
 
 def test_images_are_processed_while_a_path_is_searched(around: Surroundings, monkeypatch: pytest.MonkeyPatch):
     """Meanwhile the robot rests. Then it moves."""
-    bench, begun, may_end, search = LoopBench(around, place="side"), Event(), Event(), PathFinder.motion
+    bench, begun, may_end = LoopBench(around, place="side"), Event(), Event()
 
-    def slow_search(*args: Any) -> Motion:
+    def slow_search(_: PathFinder, *ends: np.ndarray) -> Motion:
         begun.set()
         assert may_end.wait(PATIENCE)
-        return search(*args)
+        return Motion.along(np.array(ends), np.ones(len(HOME)))
 
     def steps(number: int) -> list[dict[str, Any]]:
         around.servo.receive()
@@ -200,16 +204,21 @@ def test_stops_and_refusals_are_reported_once_and_counted(bench: LoopBench, arou
     assert "requested by" not in bench.step()["message"]
 
 
-def test_an_incomplete_recording_and_a_servo_that_has_ended_are_reported(badly_recorded: Surroundings):
-    bench = LoopBench(badly_recorded)
-    badly_recorded.tick(Mode.RUN)
-    bench.point("{}")
-    message = bench.step()["message"]
-    assert "a prompt is not" in message
-    assert "the recording lacks" in message
-    badly_recorded.servo.close()
-    with pytest.raises(DeploymentError, match="press its stop"):
-        bench.step()
+def test_an_incomplete_recording_and_a_servo_that_has_ended_are_reported(
+    around: Surroundings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(recorder, "MOST_WAITING", 0)
+    with BagRecorder(tmp_path / "tape") as bag:
+        recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
+        bench = LoopBench(replace(around, connection=replace(around.connection, recording=recording)))
+        around.tick(Mode.RUN)
+        bench.point("{}")
+        message = bench.step()["message"]
+        assert "a prompt is not" in message
+        assert "the recording lacks" in message
+        around.servo.close()
+        with pytest.raises(DeploymentError, match="press its stop"):
+            bench.step()
 
 
 def test_the_latency_is_from_the_image_to_the_first_command_with_it(bench: LoopBench, around: Surroundings):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,21 +45,21 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
     assert arm.merge(reading(gripper=1.0), joint_pos).tolist() == []
 
 
-def changed(tmp_path: Path, change) -> Path:
-    """A shipped profile with a change in its content, as a file."""
-    content = yaml.safe_load((PROFILES / "ur5e_allegro_v4.yaml").read_text(encoding="utf-8"))
-    change(content)
-    path = tmp_path / "lab.yaml"
+def shipped() -> Any:
+    """The content of a shipped profile."""
+    return yaml.safe_load((PROFILES / "ur5e_allegro_v4.yaml").read_text(encoding="utf-8"))
+
+
+def load(content: Any, folder: Path) -> Profile:
+    path = folder / "lab.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
+    return Profile.load(path)
 
 
 def test_optional_topics_may_be_left_out(tmp_path: Path):
-    def change(content):
-        del content["status"], content["camera"]["info"]
-        content["operator"] = {"arm": "/lab/arm"}
-
-    profile = Profile.load(changed(tmp_path, change))
+    content = shipped()
+    del content["status"], content["camera"]["info"]
+    profile = load(content | {"operator": {"arm": "/lab/arm"}}, tmp_path)
     assert (profile.status.safety_mode, profile.camera.info) == (None, None)
     assert (profile.operator.arm.name, profile.operator.stop.name) == ("/lab/arm", "/pixel2catch/stop")
 
@@ -89,16 +90,15 @@ MISTAKES = [
 
 @pytest.mark.parametrize(("keys", "value", "message"), MISTAKES)
 def test_a_mistake_is_refused_with_file_and_key(tmp_path: Path, keys: str, value, message: str):
-    def change(content):
-        *path, last = (int(key) if key.isdecimal() else key for key in keys.split("."))
-        for key in path:
-            content = content[key]
-        content[last] = value
-        if value is GONE:
-            del content[last]
-
+    place = content = shipped()
+    *path, last = (int(key) if key.isdecimal() else key for key in keys.split("."))
+    for key in path:
+        place = place[key]
+    place[last] = value
+    if value is GONE:
+        del place[last]
     with pytest.raises(DeploymentError) as raised:
-        Profile.load(changed(tmp_path, change))
+        load(content, tmp_path)
     assert str(tmp_path / "lab.yaml") in str(raised.value)
     assert message in str(raised.value)
 

@@ -34,24 +34,13 @@ def put(model: mujoco.MjModel, data: mujoco.MjData, joint_pos: np.ndarray) -> No
     mujoco.mj_collision(model, data)
 
 
-def half_extents(model: mujoco.MjModel, data: mujoco.MjData, geom: int, axes: np.ndarray) -> np.ndarray:
-    """Half-extents of a capsule or a box along the columns of `axes` [m]."""
-    rotation, size = axes.T @ data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return np.abs(rotation[:, 2]) * size[1] + size[0]
-    return np.abs(rotation) @ size
-
-
-def frames_of(arm_pos: np.ndarray) -> np.ndarray:
-    space = Workspace(workcell=UR5E_ALLEGRO).space
-    return np.array([link_frames(space, row) for row in arm_pos])
-
-
 def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
     palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
-    np.testing.assert_allclose(frames_of(arm_pos)[:, -1, :, 3], palm_pos.numpy(), atol=1e-12)
+    space = Workspace(workcell=UR5E_ALLEGRO).space
+    frames = np.array([link_frames(space, row) for row in arm_pos])
+    np.testing.assert_allclose(frames[:, -1, :, 3], palm_pos.numpy(), atol=1e-12)
 
 
 HANDS = ("ur5e_allegro_right", "ur5e_leap")
@@ -80,12 +69,13 @@ def test_the_boxes_contain_the_hand(name: str):
         put(model, data, np.where(random.random(len(pose)) < 0.5, lower, upper) if number % 2 else pose)
         axes, origin = data.body(palm.body).xmat.reshape(3, 3), data.body(palm.body).xpos
         for geom in geoms_of(model, "wrist_3_link"):
-            own = data.geom_xmat[geom].reshape(3, 3)
-            middle, half = data.geom_xpos[geom], half_extents(model, data, geom, own)
-            shape = grid * half
+            shape = grid * model.geom_size[geom]
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+                radius, half, _ = model.geom_size[geom]
+                shape = grid * (radius, radius, half + radius)
                 shape /= np.maximum(np.linalg.norm(grid, axis=1, keepdims=True), 1.0)
-            points = (shape @ own.T + middle - origin) @ axes
+            own = data.geom_xmat[geom].reshape(3, 3)
+            points = (shape @ own.T + data.geom_xpos[geom] - origin) @ axes
             out = np.maximum(boxes[:, :1] - points, points - boxes[:, 1:]).clip(0.0)
             distance_from_box = np.linalg.norm(out, axis=-1)
             assert not distance_from_box[0].any()

@@ -97,21 +97,15 @@ def test_who_ended_a_recording_too_early_is_said_and_it_fails(
 @pytest.mark.slow
 def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
-
-    def said(words: str) -> None:
-        run(*shlex.split(words))
-
-    said(
-        "excite --robot ur5e --seconds 25 --speed 1 --recordings 2 --out excitation.npz --rehearse rehearsal"
-    )
+    truth, motion = "rehearsal/truth.json", "--seconds 25 --speed 1 --recordings 2 --out excitation.npz"
+    run(*f"excite --robot ur5e {motion} --rehearse rehearsal".split())
     for n in (1, 2):
-        said(f"record excitation-{n}.npz --out recording-{n} --lockstep rehearsal/truth.json")
+        run(*f"record excitation-{n}.npz --out recording-{n} --lockstep {truth}".split())
     of_robot = "recording-1 recording-2 --robot ur5e --profile ur5e_allegro_v4"
-    said(f"identify --check {of_robot}")
-    said(f"identify {of_robot} --out identified")
+    run(*f"identify --check {of_robot}".split())
+    run(*f"identify {of_robot} --out identified".split())
     found, true = (
-        DynamicsFile.load(Path(name)).dynamics.select(ARM)
-        for name in ("identified/dynamics.json", "rehearsal/truth.json")
+        DynamicsFile.load(Path(name)).dynamics.select(ARM) for name in ("identified/dynamics.json", truth)
     )
     intervals = json.loads(Path("identified/result.json").read_text())["parameters"]
     for name in ("stiffness", "damping", "frictionloss", "armature"):
@@ -126,7 +120,7 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
     assert WIRE[0] < (found.latency - true.latency).min()
     assert (found.latency - true.latency).max() < WIRE[1]
     tiny = "--device cpu --num-envs 8 --rollout-steps 8 --transitions 256 --mini-batches 2 --hidden 32"
-    said(f"train {tiny} --dynamics identified/dynamics.json --out runs/lab")
-    said("evaluate runs/lab --dynamics rehearsal/truth.json --num-envs 2 --trials 1 --device cpu")
+    run(*f"train {tiny} --dynamics identified/dynamics.json --out runs/lab".split())
+    run(*f"evaluate runs/lab --dynamics {truth} --num-envs 2 --trials 1 --device cpu".split())
     rehearsal = "--lockstep --plain --throws 1 --out rehearsed"
-    said(f"rehearse runs/lab --dynamics identified/dynamics.json {rehearsal}")
+    run(*f"rehearse runs/lab --dynamics identified/dynamics.json {rehearsal}".split())

@@ -35,9 +35,9 @@ def control_step(lab: SimulatedLab, start: np.ndarray, end: np.ndarray) -> None:
         lab.step(start + i / DECIMATION * (end - start))
 
 
-def wait_until_held(lab: SimulatedLab) -> np.ndarray:
+def hold_until(lab: SimulatedLab, phase: Phase) -> np.ndarray:
     target = lab.joints.position
-    while lab.phase is not Phase.HELD:
+    while lab.phase is not phase:
         control_step(lab, target, target)
     return target
 
@@ -55,7 +55,7 @@ def test_a_throw_goes_and_is_judged_as_in_the_environment(seed: int, is_caught: 
         observation, expected = step.observation, step.record
         targets.append(step.joint_pos_target[0].double().numpy().copy())
     lab.prepare(seed)
-    before = wait_until_held(lab)
+    before = hold_until(lab, Phase.HELD)
     for number, target in enumerate(targets, start=1):
         if number == int(lab.episode.throw.hover_steps):
             lab.throw()
@@ -72,12 +72,11 @@ def test_a_throw_goes_and_is_judged_as_in_the_environment(seed: int, is_caught: 
 
 def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: SimulatedLab):
     lab.prepare(3)
-    target = wait_until_held(lab)
+    hold_until(lab, Phase.HELD)
     lab.throw()
-    control_step(lab, target, target)
+    hold_until(lab, Phase.FLYING)
     start = lab.time
-    while lab.phase is Phase.FLYING:
-        control_step(lab, target, target)
+    hold_until(lab, Phase.OVER)
     assert lab.outcome == "missed"
     assert 0.8 < lab.time - start < 1.6
 

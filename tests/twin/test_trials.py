@@ -54,14 +54,9 @@ def test_rates_and_pairs_by_hand():
     shares = {(row["rate"], row["object"]): row["share"] for row in rate_rows(throws)}
     assert shares["T.R. a", "cube"] == shares["T.R. a", "all"] == 1.0
     assert (shares["T.R. b", "all"], shares["S.R. a", "all"], shares["S.R. b", "all"]) == (0.5, 0.5, 0.0)
+    expected = {"policy": "b", "pairs": 2, "lost": 1, "won": 0, "difference": -0.5}
     for row in paired_rows(throws, "a"):
-        assert [row[name] for name in ("policy", "pairs", "lost", "won", "difference")] == [
-            "b",
-            2,
-            1,
-            0,
-            -0.5,
-        ]
+        assert row.items() >= expected.items()
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +72,7 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_series_runs_against_the_twin(series: Path):
     report = json.loads((series / "table.json").read_text())
-    assert [each["outcome"] for each in report["throws"]] == ["caught", "caught"]
-    assert [each["proposed"] for each in report["throws"]] == ["caught", "caught"]
+    assert {each[name] for each in report["throws"] for name in ("outcome", "proposed")} == {"caught"}
     assert {each["policy"] for each in report["throws"]} == {"proposed", "catch_alone+fit"}
     page = (series / "table.md").read_text()
     for number in ("0001", "0002"):
