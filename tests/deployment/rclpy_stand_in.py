@@ -148,22 +148,14 @@ class SingleThreadedExecutor:
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
     assert args == [], "else rclpy reads the command line"
     assert signal_handler_options is SignalHandlerOptions["NO"], "commands have their own handlers"
-    context.network.enclave = _enclave()
-
-
-def _enclave() -> Path | None:
-    """The folder of keys that security takes from the environment; None without security.
-
-    Source: ros2/rcl at 4396ba31, rcl/src/rcl/security.c, rcl_get_security_options_from_environment.
-    """
+    # The folder of keys that security takes from the environment. Source: ros2/rcl at 4396ba31,
+    # rcl/src/rcl/security.c, rcl_get_security_options_from_environment.
     said = {name: os.environ.get(f"ROS_SECURITY_{name}") or "" for name in ("ENABLE", "STRATEGY", "KEYSTORE")}
-    if said["ENABLE"] != "true":
-        return None
     name = os.environ.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or "/"
     folder = Path(said["KEYSTORE"] or "/none", "enclaves", name[1:])
-    if not folder.is_dir() and said["STRATEGY"] == "Enforce":
+    if said["ENABLE"] == "true" and said["STRATEGY"] == "Enforce" and not folder.is_dir():
         raise RuntimeError(f"SECURITY ERROR: directory '{folder}' does not exist.")
-    return folder if folder.is_dir() else None
+    context.network.enclave = folder if said["ENABLE"] == "true" and folder.is_dir() else None
 
 
 def try_shutdown(*, context: Context) -> None:
@@ -178,10 +170,9 @@ def create_node(
 
 
 def get_message(identifier: str) -> type:
-    try:
-        return STORE.types[identifier]
-    except KeyError:
-        raise ModuleNotFoundError(f"No module named '{identifier.partition('/')[0]}'") from None
+    if identifier not in STORE.types:
+        raise ModuleNotFoundError(f"No module named '{identifier.partition('/')[0]}'")
+    return STORE.types[identifier]
 
 
 MODULES = ("rclpy", *(f"rclpy.{name}" for name in ("context", "executors", "qos", "signals", "subscription")))

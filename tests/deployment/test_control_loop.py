@@ -54,7 +54,7 @@ class LoopBench:
 
     def step(self) -> dict[str, Any]:
         """Run until the next status."""
-        statuses: list[dict[str, Any]] = []
+        statuses = list[dict[str, Any]]()
         self.loop.run(lambda: bool(statuses), statuses.append)
         return statuses[0]
 
