@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partialmethod
 from itertools import chain, repeat
 from pathlib import Path
@@ -123,31 +123,28 @@ def test_a_prompt_without_a_box_is_refused(text: str):
 STATUS = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
 
 
-@pytest.fixture
-def watch() -> Callable[..., dict[str, Any]]:
-    """Return what gives a status after a message of one of two programs; None: the second leaves."""
-    clock, broker = StepClock(lambda _: None), Broker()
-    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
-    nodes = [broker.node(clock) for _ in range(2)]
-    publishers = [node.publisher(PROFILE.operator.status) for node in nodes]
+class Statuses(OperatorConsole):
+    """A console, and two programs that publish a status."""
 
-    def watch(text: str | None, sender: int = 0) -> dict[str, Any]:
-        if text is None:
-            nodes[1].close()
-        else:
-            publishers[sender].publish(messages.text(text))
-        console.watch()
-        return console.status
+    def __init__(self) -> None:
+        clock, broker = StepClock(lambda _: None), Broker()
+        super().__init__(broker.node(clock), PROFILE.operator, clock)
+        self.others = [broker.node(clock) for _ in range(2)]
+        self.publishers = [node.publisher(PROFILE.operator.status) for node in self.others]
 
-    return watch
+    def after(self, text: str, sender: int = 0) -> dict[str, Any]:
+        self.publishers[sender].publish(messages.text(text))
+        self.watch()
+        return self.status
 
 
-def test_while_several_programs_publish_a_status_none_is_used(watch: Callable[..., dict[str, Any]]):
+def test_while_several_programs_publish_a_status_none_is_used():
     """Such as a second deployment, which is idle, while the robot runs."""
+    statuses = Statuses()
     for sender, mode in enumerate(("run", "idle")):
-        assert watch(json.dumps(STATUS | {"mode": mode}), sender)["mode"] == "several"
-    watch(None)
-    assert watch(json.dumps(STATUS)) == STATUS
+        assert statuses.after(json.dumps(STATUS | {"mode": mode}), sender)["mode"] == "several"
+    statuses.others[1].close()
+    assert statuses.after(json.dumps(STATUS)) == STATUS
 
 
 @pytest.mark.parametrize(
@@ -158,10 +155,11 @@ def test_while_several_programs_publish_a_status_none_is_used(watch: Callable[..
         json.dumps(STATUS | {"latency_ms": {"p50": "x"}}),
     ],
 )
-def test_an_invalid_status_changes_nothing(text: str, watch: Callable[..., dict[str, Any]]):
-    for sent in (None, json.dumps(STATUS), text):
-        status = watch(sent)
-    assert status == STATUS
+def test_an_invalid_status_changes_nothing(text: str):
+    statuses = Statuses()
+    statuses.others[1].close()
+    statuses.after(json.dumps(STATUS))
+    assert statuses.after(text) == STATUS
 
 
 HOLD, ARM, STOP, OTHER = 35, 30, 57, 31  # H, A, space, S
