@@ -322,10 +322,8 @@ def test_two_throws_are_caught_without_touching_the_robot(monkeypatch: pytest.Mo
 
 @pytest.mark.slow
 def test_thirty_throws_in_a_row_need_no_hand():
-    """A catch may be stopped once; the robot then goes on by itself, armed again."""
     report = throws_in_a_row(30, "side")
-    assert sum(report["stops_of_deployment"].values()) <= 1
-    assert report["problems"] <= 1
+    assert (report["problems"], report["stops_of_deployment"]) == (0, {})
     assert report["success_rate"] >= 25 / 30
 
 
