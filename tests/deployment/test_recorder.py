@@ -152,8 +152,8 @@ def test_a_signal_while_a_recording_is_completed_leaves_it_readable(tmp_path: Pa
     def interrupt(data: bytes) -> bytes:
         while signal.getsignal(number) != bag._hurry:  # the recording is not being completed yet
             time.sleep(0.001)
-        os.kill(os.getpid(), number)
-        while not bag._is_hurried:
+        while not bag._is_hurried:  # a signal just before the main thread waits does not end its wait
+            os.kill(os.getpid(), number)
             time.sleep(0.001)
         return data
 
