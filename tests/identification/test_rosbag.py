@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded import ARM, ROBOTS, assert_same, short
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, reader, storage_mcap
 
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.importers import RecordedNames, read_rosbag, read_tables
@@ -79,6 +79,13 @@ def commands(recording: Recording, kind: str) -> list[Message]:
     }
     late = 0 if kind == ARRAY else 5_000_000
     return stream("/command", recording.t_cmd, recording.q_cmd, makers[kind], late)
+
+
+def test_a_bag_that_is_read_leaves_rosbags_as_it_was(tmp_path: Path):
+    path = save_bag(tmp_path / "bag", measured(short()) + commands(short(), TRAJECTORY))
+    before = [dict(vars(module)) for module in (reader, storage_mcap)]
+    read_rosbag(path, ARM)
+    assert [dict(vars(module)) for module in (reader, storage_mcap)] == before
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

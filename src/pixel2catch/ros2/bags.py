@@ -9,7 +9,7 @@ from functools import partial
 from itertools import accumulate
 from operator import itemgetter
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,16 +47,18 @@ def opened_bag(
         from rosbags.rosbag2 import Reader, reader, storage_mcap
     except ModuleNotFoundError as missing:
         raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
-    storage_mcap.DECOMPRESSORS.update(lz4=_unpacked_lz4, zstd=_unpacked_zstd)
     no_definition = storage_mcap.get_msgdef(None)  # types are those of `messages.STORE`
-    storage_mcap.get_msgdef = lambda schema: no_definition
     read_bytes = storage_mcap.read_bytes  # a schema of Protobuf is no text
-    storage_mcap.read_string = lambda file: read_bytes(file).decode(errors="replace")
     unpack = partial(_unpacked_zstd, size=MOST_CHUNK)  # `decode` refuses a message that is longer
-    reader.__dict__["zstd"] = SimpleNamespace(open=reader.__dict__["zstd"].open, decompress=unpack)
+    in_mcap = {
+        "DECOMPRESSORS": {**storage_mcap.DECOMPRESSORS, "lz4": _unpacked_lz4, "zstd": _unpacked_zstd},
+        "get_msgdef": lambda schema: no_definition,
+        "read_string": lambda file: read_bytes(file).decode(errors="replace"),
+    }
+    in_reader = {"zstd": SimpleNamespace(open=vars(reader)["zstd"].open, decompress=unpack)}
     try:
         _require_files(path)
-        with Reader(path) as bag:
+        with _replaced(storage_mcap, in_mcap), _replaced(reader, in_reader), Reader(path) as bag:
             for storage in getattr(bag.storage, "storages", [bag.storage]):
                 _require_chunks(getattr(storage, "chunks", ()))
             bag.connections[:] = [each for each in bag.connections if "cdr" in each.ext]
@@ -67,6 +69,17 @@ def opened_bag(
         reason = str(damage)[:LONGEST_REASON]
         fix = "try 'mcap recover' for a file that was cut off, 'ros2 bag reindex' for a folder"
         raise error(f"{path}: not a readable rosbag2 ({reason}); {fix}.") from damage
+
+
+@contextmanager
+def _replaced(module: ModuleType, values: dict[str, Any]) -> Iterator[None]:
+    """Give names of a module other values, while a bag is open; rosbags has no other way to limit sizes."""
+    before = {name: vars(module)[name] for name in values}
+    vars(module).update(values)
+    try:
+        yield
+    finally:
+        vars(module).update(before)
 
 
 def _require_files(path: Path) -> None:
