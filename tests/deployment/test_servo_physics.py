@@ -75,7 +75,7 @@ def check_swings(lab: PhysicalLab, share: float) -> None:
         stop = np.diff(lab.speeds[first:], axis=0) * PHYSICS_HZ
         assert np.abs(stop).max() < 2.0 * lab.limits.joints.deceleration[0]
     else:
-        stops = Fault.TRACKING_ERROR | Fault.JOINTS_IMPLAUSIBLE
+        stops = Fault.TRACKING_ERROR | Fault.JOINTS_IMPLAUSIBLE | Fault.HAND_ASTRAY
         assert any(output["stopped_by"] & stops for output in lab.outputs)
 
 
