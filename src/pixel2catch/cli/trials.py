@@ -15,8 +15,8 @@ from pixel2catch.shipped import PolicyPath
 class Trials:
     """Lead through a randomised, blinded series of throws, record each, and write the table of real throws.
 
-    `deploy --after-catch` takes each throw; nobody is told by which policy. What the robot measured proposes
-    an outcome: caught; reached, if the hand touched the object; or dropped. Enter confirms it; a key, or a
+    Each throw is one run of `deploy --after-catch`; no output names its policy. From what the robot measured,
+    an outcome is proposed: caught; reached, if the hand touched the object; or dropped. Enter confirms it; a key, or a
     button of `operate --web`, corrects it. The same command continues an interrupted series.
     """
 
