@@ -16,8 +16,8 @@ class Trials:
     """Lead through a randomised, blinded series of throws, record each, and write the table of real throws.
 
     Each throw is one run of `deploy --after-catch`; no output names its policy. From what the robot measured,
-    an outcome is proposed: caught; reached, if the hand touched the object; or dropped. Enter confirms it; a key, or a
-    button of `operate --web`, corrects it. The same command continues an interrupted series.
+    an outcome is proposed: caught; reached, if the hand touched the object; or dropped. Enter confirms it; a
+    key, or a button of `operate --web`, corrects it. The same command continues an interrupted series.
     """
 
     #: Policies; the others are compared with the first.
