@@ -4,7 +4,7 @@ python benchmarks/watchers_on_recordings.py FOLDER_OR_CSV...
 
 A recording is a folder with log_q_target.csv and log_q_actual.csv (time, then the joints), a table with the
 columns q_0 to q_5 and tq_0 to tq_5 (measured, target; 125 Hz), or one with time, q_des and q_act of a joint
-that moves alone. Its targets are the commands. The watchers are told the lag that joints have in the first
+that moves alone. Its targets are the commands. The watchers know the lag of the joints in the first
 recording, or only the nominal one.
 
 Source of recordings: repositories kkufieta/ur5_modeling_force_estimate, MingyuTang0728/Universal-Robots-Notts

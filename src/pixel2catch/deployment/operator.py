@@ -187,7 +187,7 @@ class Switches(AbstractContextManager["Switches"]):
         self.pressed: set[int] = set()  #: Codes of the keys that are pressed.
 
     def poll(self) -> list[Press]:
-        """Return what was pressed and released since then; raise DeploymentError if it was unplugged."""
+        """Return the presses and releases since the last call; raise DeploymentError without the device."""
         presses: list[Press] = []
         for kind, code, value in self._events():
             if (kind, code) == (SYNC, DROPPED):

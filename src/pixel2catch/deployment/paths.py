@@ -49,7 +49,7 @@ class Motion:
 
 
 def blind_targets(joint_pos: Joints, now: float) -> JointTargets:
-    """Return the targets of a motion [rad] at a time [s], which depend on no image."""
+    """Return targets [rad] that depend on no image; by equal stamps [s] the servo knows a planned motion."""
     return JointTargets(joint_pos_target=joint_pos, target_stamp=now, image_stamp=now, box_stamp=now)
 
 

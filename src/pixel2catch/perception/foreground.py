@@ -45,7 +45,7 @@ noise, and not saturated with a sixth more light."""
 LEAST_GAIN = 0.004  #: Smaller changes of the light are not compensated: one level in 255.
 
 FLICKER, FLICKER_IMAGES = 0.01, 10
-"""Median relative change of the light from image to image that is flicker, of so many images. Source: ours:
+"""Relative change of the light between images that is flicker, as the median of 10 images. Source: ours:
 an automatic exposure changes few images, or each by less."""
 
 SMOOTHED = np.ones((3, 3), dtype=np.uint8)  #: Pixels that are averaged for each smoothed one.
