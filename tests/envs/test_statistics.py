@@ -99,6 +99,8 @@ def test_statistics_of_several_processes():
     [
         (0, 1, 0, "never_reached"),
         (0, 0, 0, "never_reached"),
+        (0, 1, 3, "bounced_off"),  # by a corner of a large object
+        (0, 1, 9, "dropped"),
         (1, 1, 3, "bounced_off"),
         (1, 1, 4, "dropped"),
         (1, 0, 2, "not_held"),

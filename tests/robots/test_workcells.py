@@ -69,6 +69,19 @@ def test_the_start_pose(workcell: WorkcellSpec):
         assert tips[0] > x
 
 
+def test_nothing_flies_through_the_wrist(workcell: WorkcellSpec):
+    """Rays across the line from an arm's last joint to its flange hit the robot, from 12 % of the way on."""
+    model, data = at_home(workcell)
+    for palm, placed in zip(workcell.palms, workcell.robots, strict=True):
+        start = data.joint(workcell.joints[palm.stop - 1].name).xanchor
+        line = data.site(placed.prefix + placed.robot.mount).xpos - start
+        across = np.linalg.svd(line[None])[2][1:]
+        for share, side in itertools.product(np.linspace(0.12, 0.99, 30), (*across, *-across)):
+            origin, hit = start + share * line + 0.2 * side, np.zeros(1, dtype=np.int32)
+            distance = mujoco.mj_ray(model, data, origin, -side, np.eye(6, dtype=np.uint8)[3], 1, -1, hit)
+            assert 0.0 <= distance < 0.2, share
+
+
 def test_a_palm_can_be_under_every_throw_and_look_up(workcell: WorkcellSpec):
     """At the corners of where throws come down, by inverse kinematics; as it looks up at the start."""
     model, data = at_home(workcell)

@@ -120,15 +120,15 @@ class EpisodeRecord:
 
 
 FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
-"""Failures: no palm reached the object; contact of at most three control steps; longer contact, then a fall;
-time-out with the object still up."""
+"""Failures: no palm near and no contact with a hand; contact of at most three control steps; longer contact,
+then a fall; time-out with the object still up."""
 
 
 def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
     """Return the index into `FAILURES` of each episode; meaningless for a success."""
     lost = torch.where(record.contact_steps <= 3, 1, 2)
     reached = torch.where(record.is_dropped, lost, 3)
-    return torch.where(record.is_tracked, reached, 0)
+    return torch.where(record.is_tracked | (record.contact_steps > 0), reached, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
