@@ -288,7 +288,7 @@ def main() -> None:
         actors.append(lambda _: policy)
     for actor in actors:
         env = cfg.make_env(method)
-        found = metrics(Trials.concatenate([run_round(env, actor(env))]))
+        found = metrics(Trials.concatenate([run_round(env, actor(env))]), env.workcell)
         for name, rates in ({"all": found} | found["objects"]).items():
             columns = ("trials", "tracking_rate", "success_rate", "verified_hold_rate", "hold_palms")
             print(f"{name:8}", *(f"{column} {rates[column] or 0:.3g}" for column in columns))

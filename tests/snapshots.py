@@ -55,6 +55,7 @@ def privileged(**values: Tensor) -> Privileged:
         "is_self_contact": torch.zeros(num_envs, dtype=torch.bool),
         "is_robot_contact": torch.zeros(num_envs, dtype=torch.bool),
         "joint_vel": torch.zeros(num_envs, NUM_JOINTS),
+        "torque_share": torch.zeros(num_envs, NUM_JOINTS),
     }
     if "palm_pos" in values and values["palm_pos"].ndim == 2:
         values["palm_pos"] = values["palm_pos"][:, None]  # of the only palm

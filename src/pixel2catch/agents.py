@@ -59,12 +59,18 @@ RESTING_REWARDS = {
         *ARM_REWARD,
         RewardTerm(function=rewards.unrest, weight=-0.01),
         RewardTerm(function=rewards.table_intrusion, weight=-5.0),
+        RewardTerm(function=rewards.limit_torque, weight=0.0),
     ),
-    "hand": (*HAND_REWARD, RewardTerm(function=rewards.self_contact, weight=-0.02)),
+    "hand": (
+        *HAND_REWARD,
+        RewardTerm(function=rewards.self_contact, weight=-0.02),
+        RewardTerm(function=rewards.holding_torque, weight=0.0),
+    ),
 }
 """Rewards by role with costs of moving a held object, aiming into the table, and self-contact.
 
-Source: ours; with larger weights policies do not grasp (experiments/LOG.md).
+Source: ours; with larger weights policies do not grasp (experiments/LOG.md). Terms of weight 0 are for
+trainings with `--rewards`.
 """
 
 

@@ -134,11 +134,11 @@ def log_of(touching: bool, penetration: float = 0.0, itself: bool = False) -> St
     touched = torch.zeros(1, 5, dtype=torch.bool)
     touched[0, 2] = touching
     depth, none = torch.tensor([penetration]), torch.zeros(1)
-    return StepExtremes(touched, yes(0), yes(itself), yes(0), depth, none, none)
+    return StepExtremes(touched, yes(0), yes(itself), yes(0), depth, none, none, 1e4 * depth)
 
 
 def test_a_record_of_three_steps_by_hand():
-    """Far and untouched; touched 4 cm over the palm, 1 mm deep; touched lower, 3 mm deep."""
+    """Far and untouched; touched 4 cm over the palm, 1 mm deep; lower, 3 mm deep; 10 N a millimetre."""
     episode = EpisodeRecord.start(torch.tensor([1]))
     for height, held, number, touching, depth in (
         (1.5, 0, 1, False, 0.005),
@@ -153,6 +153,7 @@ def test_a_record_of_three_steps_by_hand():
     assert (episode.steps.item(), episode.held_steps.item(), episode.contact_steps.item()) == (3, 2, 2)
     assert episode.penetration_sum.item() == pytest.approx(0.004)
     assert episode.max_penetration.item() == pytest.approx(0.005)
+    assert episode.max_object_force.item() == pytest.approx(30.0)  # 50 N without a touch of the hand
     flags = (episode.is_tracked, episode.is_hand_contact, episode.is_palm_contact, episode.is_success)
     assert [flag.item() for flag in flags] == [True, True, False, False]
     assert episode.is_self_contact.item()

@@ -12,6 +12,7 @@ from pixel2catch.evaluation.metrics import metrics, paired_difference, wilson_in
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
 def flags(*values: int) -> torch.Tensor:
@@ -33,9 +34,18 @@ def five_trials() -> Trials:
         penetration_sum=torch.tensor([0.04, 0.03, 0.0, 0.01, 0.02]),
         max_penetration=torch.tensor([0.002, 0.004, 0.0, 0.006, 0.001]),
         is_self_contact=flags(0, 0, 1, 0, 1),
+        max_object_force=torch.tensor([20.0, 50.0, 0.0, 30.0, 40.0]),
         hold_speed=torch.tensor([0.1, 0.4, 0.0, 0.0, 0.9]),
     )
-    return Trials(record=record, is_verified=flags(1, 0, 0, 0, 0))
+    squares = torch.zeros(5, 13)
+    squares[:2, 0] = torch.tensor([30.0, 1.25])  # 30 steps at the limit, 5 at a half of it
+    return Trials(
+        record=record,
+        is_verified=flags(1, 0, 0, 0, 0),
+        hold_steps=torch.tensor([45, 5, 0, 0, 0]),
+        torque_squares=squares,
+        limit_steps=torch.tensor([3, 0, 12, 0, 0]),
+    )
 
 
 def test_wilson_interval_by_hand():
@@ -70,7 +80,7 @@ def test_a_paired_difference_by_hand():
 
 
 def test_metrics_by_hand():
-    result = metrics(five_trials())
+    result = metrics(five_trials(), UR5E_ALLEGRO)
     assert result["trials"] == 5
     assert result["tracking_rate"] == 4 / 5
     assert result["success_rate"] == 2 / 5
@@ -87,12 +97,20 @@ def test_metrics_by_hand():
     assert {name: rates["trials"] for name, rates in objects.items()} == {"cone_s": 3, "cone_l": 2}
     assert (objects["cone_l"]["success_rate"], objects["cone_s"]["tracking_rate"]) == (1 / 2, 1.0)
     assert result["hold_speed"] == pytest.approx(0.25)  # of the two successes
+    assert (result["median_object_force"], result["max_object_force"]) == (30.0, 50.0)  # 20, 30, 40, 50 N
+    assert result["arm_limit_time"] == pytest.approx(15 / 30 / 5)
+    assert result["hold_torque"]["index_joint_1"] == pytest.approx((31.25 / 50) ** 0.5)
 
 
 def test_metrics_without_contact_are_valid_json():
     record = EpisodeRecord.start(torch.tensor([0]))
-    result = metrics(Trials(record=record, is_verified=flags(0)))
-    assert result["hold_speed"] is None
+    none = torch.tensor([0])
+    squares = torch.zeros(1, 13)
+    trials = Trials(
+        record=record, is_verified=flags(0), hold_steps=none, torque_squares=squares, limit_steps=none
+    )
+    result = metrics(trials, UR5E_ALLEGRO)
+    assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
@@ -100,7 +118,7 @@ def test_divergence_is_an_error():
     trials = five_trials()
     broken = replace(trials.record, max_joint_speed=torch.tensor([0.0, 1.0, float("nan"), 0.0, 0.0]))
     with pytest.raises(NonFiniteError, match="max_joint_speed"):
-        metrics(replace(trials, record=broken))
+        metrics(replace(trials, record=broken), UR5E_ALLEGRO)
 
 
 def shown(*tables: object) -> str:
@@ -113,7 +131,7 @@ def shown(*tables: object) -> str:
 
 def test_tables_show_rates_beside_the_papers_objects_and_failures():
     """Objects that the paper did not throw have no row of it."""
-    result = metrics(five_trials())
+    result = metrics(five_trials(), UR5E_ALLEGRO)
     results = {"seen": result | {"objects_thrown": SEEN}, "unseen": result | {"objects_thrown": UNSEEN}}
     text = shown(*result_tables(results, "proposed"))
     for number in ("40.0 [12\N{EN DASH}77]", "89.97 ± 0.21", "84.13 ± 0.50", "89.28 ± 0.79", "84.83 ± 1.17"):
@@ -121,5 +139,5 @@ def test_tables_show_rates_beside_the_papers_objects_and_failures():
     rates, objects, quality = result_tables({"cube": result | {"objects_thrown": ["cube_s"]}}, "proposed")
     assert "±" not in shown(rates).split("seeds")[-1]
     assert "cone_l" in shown(objects)
-    for value in ("never reached", "6.0 mm", "0.250 rad/s"):
+    for value in ("never reached", "6.0 mm", "0.250 rad/s", "79.1 % (index_joint_1)", "0.10 s", "50.0 N"):
         assert value in shown(quality)

@@ -60,6 +60,8 @@ def test_a_closed_hand_holds_what_fell_into_it():
     assert trials.record.is_success.all()
     assert trials.is_verified.float().mean() >= 0.75
     assert trials.record.steps[trials.is_verified].max() < ROUND_STEPS
+    assert (trials.hold_steps[trials.is_verified] == TEST_STEPS).all()
+    assert trials.record.max_object_force.min() > 0.03 * 9.81  # more than its weight
 
 
 def test_an_object_that_hovers_at_the_palm_is_no_verified_hold():

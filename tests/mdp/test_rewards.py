@@ -126,6 +126,15 @@ def test_unrest_by_hand():
     assert rewards.unrest(step, HAND_PART).tolist() == [0.0, 0.0, 9.0, 9.0]
 
 
+def test_torques_near_their_limits_by_hand():
+    """Fingers at 100, 70 and 50 % of their limits: 0.4 + 0.1 above 60 %, in a hold; the arm: 0.05 above 90 %."""
+    share = torch.zeros(2, NUM_JOINTS)
+    share[:, :2], share[:, 6:9] = torch.tensor([0.95, 0.8]), torch.tensor([1.0, 0.7, 0.5])
+    step = transition(now=privileged(torque_share=share), held_steps=(0, 1))
+    assert rewards.holding_torque(step, HAND_PART).tolist() == pytest.approx([0.0, 0.5])
+    assert rewards.limit_torque(step, ARM_PART).tolist() == pytest.approx([0.05, 0.05])
+
+
 def test_table_intrusion_by_hand():
     """The upper arm is 0.425 m long, its shoulder 0.9835 m high, its capsule 55 mm thick, the table 0.81 m.
 

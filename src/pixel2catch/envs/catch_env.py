@@ -59,6 +59,8 @@ class Step:
     log: StepExtremes  #: Contacts in this step, and the largest overlaps, speeds and torques.
     measurement: Measurement  #: Measurement that `observation` was computed from.
     joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Commanded joint targets [rad].
+    #: Torques of the joints at its end as shares of their limits, without signs.
+    torque_share: Float[Tensor, "num_envs num_joints"]
 
 
 LastAction = tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]
@@ -230,6 +232,7 @@ class CatchEnv:
             log=log,
             measurement=self._sensors.history.now,
             joint_pos_target=target,
+            torque_share=transition.now.torque_share,
         )
 
     def _first_sensor_state(self) -> SensorState:

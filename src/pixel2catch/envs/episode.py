@@ -33,6 +33,8 @@ class StepExtremes(NamedTuple):
     penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
     joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
     torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
+    #: Largest net force of all contacts on the object [N], in MuJoCo; 0 in other engines.
+    object_force: Float[Tensor, " num_envs"]
 
     def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
         """Return the log, cleared in the masked environments."""
@@ -67,6 +69,8 @@ class EpisodeRecord:
     #: Largest speed of an arm joint, over all physics steps [rad/s].
     max_joint_speed: Float[Tensor, " num_envs"]
     max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
+    #: Largest net contact force on the object in control steps in which the hand touched it [N].
+    max_object_force: Float[Tensor, " num_envs"]
     #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
     hold_speed: Float[Tensor, " num_envs"]
     hold_palms: Float[Tensor, " num_envs"]  #: Mean number of palms in reach then; likewise.
@@ -106,6 +110,9 @@ class EpisodeRecord:
             max_penetration=torch.maximum(self.max_penetration, log.penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
+            max_object_force=torch.maximum(
+                self.max_object_force, torch.where(touched, log.object_force, 0.0)
+            ),
             hold_speed=self._at_rest(self.hold_speed, speed, transition),
             hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
         )

@@ -15,7 +15,7 @@ SHARES = ("is_tracked", "is_hand_contact", "is_dropped", *(f"is_{name}" for name
 SUMS = ("steps", "contact_steps", "penetration_sum")
 SUCCESS_SUMS = ("hold_speed", "hold_palms")  #: Sums over successes.
 
-MAXIMA = ("max_penetration", "max_joint_speed", "max_torque_share")
+MAXIMA = ("max_penetration", "max_joint_speed", "max_torque_share", "max_object_force")
 
 
 class EpisodeStatistics:

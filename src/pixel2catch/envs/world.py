@@ -41,8 +41,8 @@ MASS_POWER = {
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.
 
 FIELDS = (
-    *("qpos", "qvel", "qacc_warmstart", "xfrc_applied", "qfrc_applied", "actuator_force"),
-    *("sensordata", "site_xpos", "site_xmat", "geom_xpos"),
+    *("qpos", "qvel", "qacc_warmstart", "xfrc_applied", "qfrc_applied", "qfrc_constraint"),
+    *("actuator_force", "sensordata", "site_xpos", "site_xmat", "geom_xpos"),
 )
 """Live tensors of the simulation that are bound once."""
 
@@ -235,6 +235,7 @@ class CatchWorld:
             is_self_contact=log.is_self_contact,
             is_robot_contact=log.is_robot_contact,
             joint_vel=_snapshot(fields.qvel[:, : self._num_joints]),
+            torque_share=self._torque_share(),
         )
 
     def surface_points(
@@ -285,8 +286,12 @@ class CatchWorld:
             is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
             penetration=-torch.clamp(distance[:, anything], max=0.0).float(),
             joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
-            torque_share=(fields.actuator_force.abs() / self._actuators.effort_limit).amax(dim=-1).float(),
+            torque_share=self._torque_share().amax(dim=-1),
+            object_force=torch.linalg.vector_norm(fields.qfrc_constraint[:, self._linear], dim=-1).float(),
         )
+
+    def _torque_share(self) -> Float[Tensor, "num_envs num_joints"]:
+        return (self._fields.actuator_force.abs() / self._actuators.effort_limit).float()
 
 
 def _snapshot(live: Tensor) -> Tensor:

@@ -15,7 +15,10 @@ from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.methods import Method
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.workcells import find_workcell
 
 Metrics = dict[str, Any]
 Z_95 = NormalDist().inv_cdf(0.975)
@@ -83,15 +86,17 @@ def assess(
         "device": cfg.device,
         "engine": cfg.task.scene.engine,
         "physics_hz": cfg.task.scene.physics_hz,
-        **metrics(trials),
+        **metrics(trials, find_workcell(cfg.task.scene.workcell)),
         "seconds": time.perf_counter() - started,
     }
 
 
-def metrics(trials: Trials) -> Metrics:
+def metrics(trials: Trials, workcell: WorkcellSpec) -> Metrics:
     """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
-    The speed of the holds is None without a success.
+    Speed and torques of the holds are None without a success: of each finger joint the root mean square
+    over all of them, as a share of its limit. The median force on the object is that of trials in which the
+    hand touched it, None in engines that report no forces.
 
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.
@@ -103,6 +108,9 @@ def metrics(trials: Trials) -> Metrics:
     for name, value in maxima.items():
         if not isfinite(value):
             raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
+    forces, held = record.max_object_force[record.is_hand_contact], int(trials.hold_steps.sum())
+    shares = (trials.torque_squares.double().sum(dim=0) / max(held, 1)).sqrt().tolist()
+    fingers = [joint.name for group in workcell.groups if group.role == "hand" for joint in group.joints]
     return {
         **_rates(trials, everything),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
@@ -111,6 +119,9 @@ def metrics(trials: Trials) -> Metrics:
         "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
         **maxima,
+        "median_object_force": float(forces.median()) if forces.any() else None,
+        "arm_limit_time": CONTROL_DT * int(trials.limit_steps.sum()) / num_trials,
+        "hold_torque": dict(zip(fingers, shares, strict=True)) if held else None,
         "hold_speed": _mean(record.hold_speed[caught], caught),
         "objects": {names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }

@@ -27,6 +27,7 @@ from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 from pixel2catch.shipped import shipped_policies
 from pixel2catch.sim.factory import INELASTIC
+from pixel2catch.workcells import find_workcell
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
 EVENTS = {"tracking_rate": "is_tracked", "success_rate": "is_success", "verified_hold_rate": "is_verified"}
@@ -143,9 +144,10 @@ def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file
     if device.startswith("cuda"):
         torch.cuda.set_device(device)  # where PyTorch and Warp capture their graphs
     trials = throw_rounds(*load_policy(folder, device), replace(cfg, device=device), is_alone=is_alone)
+    workcell = find_workcell(cfg.task.scene.workcell)
     happened = vars(trials.record) | vars(trials)
     throws = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
-    content = origin | {"metrics": metrics(trials) | {"throws": throws}}  # texts of 0 and 1
+    content = origin | {"metrics": metrics(trials, workcell) | {"throws": throws}}  # texts of 0 and 1
     write_files(file.parent, {file.name: json_text(content)})
 
 

@@ -10,7 +10,7 @@ Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic pol
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import pi
 from typing import Protocol, runtime_checkable
 
@@ -37,6 +37,8 @@ SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
 ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
+
+LIMIT_SHARE = 0.99  #: Share of its limit from which a torque counts as at it. Source: ours.
 
 LEAST_PARTS = 2  #: Parts of the hand (palm, fingers) that must touch a held object. Source: ours.
 SHAKE_FREQUENCY = 3.0  #: Frequency of the shake [Hz]: one and a half periods. Source: ours.
@@ -97,10 +99,14 @@ class Actor(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """The records of trials, tests of the hold included, and whether each hold is verified."""
+    """What happened in trials, tests of the hold included; torques are those at the ends of control steps."""
 
-    record: EpisodeRecord
-    is_verified: Bool[Tensor, " num_trials"]
+    record: EpisodeRecord  #: Events of each trial.
+    is_verified: Bool[Tensor, " num_trials"]  #: Whether the hold passed both tests.
+    hold_steps: Int[Tensor, " num_trials"]  #: Control steps of these tests with the object in reach.
+    #: Squares of the finger joints' shares of their torque limits, summed over `hold_steps`.
+    torque_squares: Float[Tensor, "num_trials num_fingers"]
+    limit_steps: Int[Tensor, " num_trials"]  #: Control steps with an arm joint at its torque limit.
 
     @classmethod
     def concatenate(cls, several: "list[Trials]") -> "Trials":
@@ -109,16 +115,14 @@ class Trials:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoundState:
+class RoundState(Trials):
     """The state of each trial of a round."""
 
-    record: EpisodeRecord  #: Events of the trial.
     is_running: Bool[Tensor, " num_envs"]  #: Whether the trial is undecided.
     is_testing: Bool[Tensor, " num_envs"]  #: Whether the hold is being tested.
     test_steps: Int[Tensor, " num_envs"]  #: Control steps of the test so far.
     #: Whether enough parts touched the object at every step of the hold test so far.
     is_firm: Bool[Tensor, " num_envs"]
-    is_verified: Bool[Tensor, " num_envs"]  #: Whether the hold passed both tests.
     action: Float[Tensor, "num_envs num_joints"]  #: Last actions in joint order.
 
     def chosen(
@@ -134,7 +138,9 @@ class RoundState:
             )
         return select(self.is_testing, torch.cat(parts, dim=-1), action)
 
-    def advanced(self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int) -> "RoundState":
+    def advanced(
+        self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int, workcell: WorkcellSpec
+    ) -> "RoundState":
         """Return the state after a control step with these actions; numbers count from 1 in the round."""
         is_counted = self.is_running if number <= TRIAL_STEPS else self.is_testing
         record = select(is_counted, step.record, self.record)
@@ -144,6 +150,9 @@ class RoundState:
         is_firm = self.is_firm & (is_firm | is_exempt)
         is_tested = self.is_testing & (test_steps == TEST_STEPS)
         is_running = is_counted & ~step.terminated & ~is_tested
+        is_held = self.is_testing & (step.record.held_steps > 0)
+        arms, hands = (take(step.torque_share, workcell.of_role(role)) for role in ("arm", "hand"))
+        is_limited = is_counted & (arms >= LIMIT_SHARE).any(dim=-1)
         return RoundState(
             record=record,
             is_running=is_running,
@@ -151,6 +160,9 @@ class RoundState:
             test_steps=test_steps,
             is_firm=is_firm,
             is_verified=self.is_verified | (is_tested & is_firm & (step.record.held_steps > 0)),
+            hold_steps=self.hold_steps + is_held.long(),
+            torque_squares=self.torque_squares + is_held[:, None] * hands.square(),
+            limit_steps=self.limit_steps + is_limited.long(),
             action=action,
         )
 
@@ -251,7 +263,7 @@ def run_round(
     for step, state in round_steps(env, actor):
         watch(step, state)
     env.check()
-    return Trials(record=state.record, is_verified=state.is_verified)
+    return Trials(**{field.name: getattr(state, field.name) for field in fields(Trials)})
 
 
 def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
@@ -265,7 +277,7 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
         action = state.chosen(whole, env.workcell)
         step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
         actor.reset(step.terminated)
-        state = state.advanced(step, action, number)
+        state = state.advanced(step, action, number, env.workcell)
         observation = step.observation
         yield step, state
         if number >= TRIAL_STEPS and not state.is_testing.any():
@@ -285,12 +297,16 @@ def shake_action(
 
 def _round_start(env: CatchEnv) -> RoundState:
     yes = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
+    none, action = yes.long() * 0, env.world.joint_pos * 0.0
     return RoundState(
-        record=EpisodeRecord.start(torch.zeros_like(yes, dtype=torch.long)),
+        record=EpisodeRecord.start(none),
         is_running=yes,
         is_testing=~yes,
-        test_steps=yes.long() * 0,
+        test_steps=none,
         is_firm=yes,
         is_verified=~yes,
-        action=env.world.joint_pos * 0.0,
+        hold_steps=none,
+        torque_squares=take(action, env.workcell.of_role("hand")),
+        limit_steps=none,
+        action=action,
     )

@@ -124,6 +124,16 @@ def _quality(result: Metrics) -> dict[str, str]:
         "largest penetration": scaled("max_penetration", 1000, "mm"),
         "largest arm joint speed": scaled("max_joint_speed", 1, "rad/s"),
         "largest torque, share of limit": scaled("max_torque_share", 100, "%"),
+        "arm joint at its torque limit, a throw": scaled("arm_limit_time", 1, "s", 2),
+        "finger torque in the hold, share of limit": _largest(result.get("hold_torque")),
+        "largest force on the object in a throw, median": scaled("median_object_force", 1, "N"),
+        "largest force on the object": scaled("max_object_force", 1, "N"),
         "mean arm joint speed in the hold": scaled("hold_speed", 1, "rad/s", 3),
         "mean number of palms in reach in the hold": scaled("hold_palms", 1, "", 2),
     }
+
+
+def _largest(torques: Mapping[str, float] | None) -> str:
+    """Return the largest of several joints' torques, with the name of the joint."""
+    share, name = max(((share, name) for name, share in (torques or {}).items()), default=(0.0, ""))
+    return f"{100 * share:.1f} % ({name})" if name else "-"

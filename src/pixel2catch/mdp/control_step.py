@@ -120,6 +120,8 @@ class Privileged:
     is_self_contact: Bool[Tensor, " num_envs"]
     is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another one since the step before.
     joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
+    #: Torques of the joints' servos as shares of their limits, without signs.
+    torque_share: Float[Tensor, "num_envs num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,10 @@ from pixel2catch.mdp.terminations import (
     palm_share,
 )
 
+FINGER_SHARE = 0.6
+"""Share of its limit above which a finger's torque costs in a hold. Source: ours, for small motors."""
+ARM_SHARE = 0.9  #: Share of its limit above which the torque of an arm joint costs. Source: ours.
+
 SETTLE_STEPS = 6
 """Control steps in which robot and held object may come to rest. Source: ours; release: 5."""
 
@@ -137,6 +141,26 @@ def unrest(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]
 def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Return one while the robot touches itself. Source: ours, against wear of the finger tips."""
     return transition.now.is_self_contact.float()
+
+
+def holding_torque(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
+    """Return the sum over the joints of torque above `FINGER_SHARE` of its limit, as shares of it.
+
+    It counts while the object is in reach. Source: ours.
+    """
+    return torch.where(transition.held_steps > 0, _torque_above(FINGER_SHARE, transition, part), 0.0)
+
+
+def limit_torque(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
+    """Return the sum over the joints of torque above `ARM_SHARE` of its limit, as shares of it.
+
+    Source: ours: an arm at its torque limit no longer follows its commands.
+    """
+    return _torque_above(ARM_SHARE, transition, part)
+
+
+def _torque_above(share: float, transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
+    return (transition.now.torque_share[:, part.joints] - share).clamp(min=0.0).sum(dim=-1)
 
 
 def _is_nearest_or_needed(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
