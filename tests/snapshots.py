@@ -31,6 +31,7 @@ def measurement(num_envs: int = 1, start: float = 0.0, num_boxes: int = 1) -> Me
     """A measurement in which every number is another one; `start` marks the control step."""
     return Measurement(
         boxes=boxes(num_envs, num_boxes, start + 1000.0),
+        camera_pos=numbers(num_envs, 3, start + 900.0),
         object_pos=numbers(num_envs, 3, start**2 + 1100.0),
         initial_object_pos=numbers(num_envs, 3, start + 1200.0),
         joint_pos=numbers(num_envs, NUM_JOINTS, start + 2000.0),

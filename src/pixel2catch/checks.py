@@ -68,8 +68,10 @@ UNIT_LENGTH = Meets(lambda numbers: abs(math.hypot(*numbers) - 1.0) <= 1e-3, "it
 class InputFile(Requirement):
     """A file that is there."""
 
+    names: tuple[str, ...] = ()  #: Names that stand for a file where there is none of this name.
+
     def require(self, name: str, value: Path) -> None:  # noqa: D102
-        if not value.is_file():
+        if not value.is_file() and (value.exists() or str(value) not in self.names):
             found = "a folder; name a file in it" if value.is_dir() else "a pipe or a device; name a file"
             raise InvalidValueError(
                 f"{name} is '{value}', {found if value.exists() else 'which is not there'}."
@@ -131,7 +133,9 @@ Device = Annotated[str, DEVICE]  #: Where something is computed.
 NewFolder = Annotated[Path, OutputFolder(is_empty=True)]  #: A folder for results, which is made or empty.
 ResultsFolder = Annotated[Path, OutputFolder()]  #: A folder for results, in which there may be some.
 FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]  #: A film to write, or its stills.
-DynamicsPath = CameraPath = Annotated[Path, InputFile()]  #: Files that `identify` and `calibrate` write.
+CAMERA_NAMES = ("release", "people")  #: Cameras that a name stands for: `scene.constants.CAMERAS`.
+DynamicsPath = Annotated[Path, InputFile()]  #: File that `identify` writes.
+CameraPath = Annotated[Path, InputFile(CAMERA_NAMES)]  #: File that `calibrate` writes, or such a name.
 
 
 def require_valid(values: Any, path: str = "") -> None:

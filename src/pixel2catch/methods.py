@@ -38,6 +38,11 @@ class Method:
             raise UnknownNameError("pixel feature", feature, PIXEL_FEATURES)
 
     @property
+    def is_levelled(self) -> bool:
+        """Return whether its agents observe boxes of the level camera, whatever camera took the images."""
+        return any(observations.camera_position in agent.memory for agent in self.agents)
+
+    @property
     def knows_age(self) -> bool:
         """Return whether its agents observe the age of boxes."""
         return any(agent.memory for agent in self.agents)
@@ -87,8 +92,13 @@ MEMORIES: dict[str, Memory] = {
     "age": Memory(num_boxes=1, terms=(observations.box_age,)),
     "boxes": Memory(num_boxes=8, terms=(observations.box_track,)),
     "fit": Memory(num_boxes=observations.NUM_BOXES, terms=(observations.box_fit,)),
+    "anycamera": Memory(
+        num_boxes=observations.NUM_BOXES,
+        terms=(observations.box_fit, observations.camera_position, observations.palm_sight),
+    ),
 }
-"""Memories by name. Source: ours, for latencies that differ, and for more of a flight than two frames."""
+"""Memories by name. Source: ours, for latencies that differ, for more of a flight than two frames, and for
+any calibrated camera: all boxes are then those of a level camera, see `camera.level`."""
 
 
 def remembering(method: Method, memory: str) -> Method:

@@ -26,7 +26,7 @@ STEADY_ACTIONS = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 
 HEIGHT = len(JOINTS) + 2
 WITHOUT_AGES = ("proposed", "only_wh", "single_agent", "journal")
-WITH_AGES = ("shared_reward+boxes", "shared_reward+fit")
+WITH_AGES = ("shared_reward+boxes", "shared_reward+fit", "catch_alone+anycamera")
 LATE_AND_MISSING = SensingCfg(
     latency_steps=(0.6, 4.3),
     latency_grid=0.0,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from paper_robot import JOINTS
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.level import level_boxes
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -62,7 +63,7 @@ def test_boxes_are_those_of_the_calibrated_camera():
     env = make(sensing=replace(PROMPT, camera=ELSEWHERE), throws=AT_ONCE)
     camera = nominal_projection(ELSEWHERE.camera, torch.zeros(1))
     for step in rollout(env, 12):
-        box, is_seen = detect(*env.world.surface_points(ELSEWHERE.camera), PROMPT.least_visible, camera)
+        box, is_seen = detect(*env.world.surface_points(camera.center), PROMPT.least_visible, camera)
         assert is_seen.all()
         torch.testing.assert_close(step.measurement.box, box)
         truth = env.world.privileged(step.log).object_pos
@@ -253,3 +254,38 @@ def test_perception_that_looks_at_one_image_in_several():
     assert sum(age == 1.0 for age in ages[1:]) == 20
     assert max(ages) == 2.0
     assert all(after in (1.0, before + 1.0) for before, after in itertools.pairwise(ages))
+
+
+def test_a_policy_for_any_camera_gets_boxes_of_the_level_camera_at_its_place():
+    """Whatever the camera: mapped boxes, its place, and positions that its tracker projects back."""
+    method, cfg = find_method("catch_alone+anycamera"), replace(PROMPT, any_camera=True)
+    env = CatchEnv(CatchEnvCfg(sensing=cfg, throws=AT_ONCE), method, num_envs=8, seed=3)
+    for step in rollout(env, 8):
+        errors = env.episode.camera_errors
+        assert errors is not None
+        box, is_seen = detect(*env.world.surface_points(errors.camera.center), 0.05, errors.camera)
+        assert is_seen.any()
+        found = step.measurement
+        torch.testing.assert_close(found.box[is_seen], level_boxes(box, errors.assumed)[is_seen])
+        assert torch.equal(found.camera_pos, errors.assumed.center)
+        truth = env.world.privileged(step.log).object_pos
+        torch.testing.assert_close(found.object_pos[is_seen], truth[is_seen], atol=1e-4, rtol=0)
+
+
+def test_a_side_force_by_hand():
+    """At 5 m/s a force of 0.02 /m sideways adds 0.5 m/s² in its direction."""
+    env = make(1, objects=("cube_s",), scene=SceneCfg(physics_hz=600.0))
+    velocity = env.world.simulation.bind("qvel")[:, len(JOINTS) : len(JOINTS) + 3]
+    velocity.copy_(torch.tensor([[3.0, 0.0, 4.0]]))
+    env.world.run(env.world.joint_pos, torch.zeros(1), torch.tensor([[0.0, 0.02, 0.0]]), num_steps=1)
+    torch.testing.assert_close(velocity.float(), torch.tensor([[3.0, 0.5 / 600.0, 4.0]]), atol=1e-6, rtol=0)
+
+
+def test_side_forces_are_level_and_across_the_throw():
+    env = make(64, randomization=RandomizationCfg(side_force=(0.005, 0.01)))
+    force, along = env.episode.side_force, env.episode.throw.lin_vel
+    assert force is not None
+    torch.testing.assert_close((force * along).sum(dim=-1), torch.zeros(64), atol=1e-6, rtol=0)
+    assert not force[:, 2].any()
+    assert ((force.norm(dim=-1) >= 0.005) & (force.norm(dim=-1) <= 0.01)).all()
+    assert 0.2 < (force[:, 1] > 0.0).float().mean() < 0.8

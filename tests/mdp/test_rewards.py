@@ -127,7 +127,7 @@ def test_unrest_by_hand():
 
 
 def test_torques_near_their_limits_by_hand():
-    """Fingers at 100, 70 and 50 % of their limits: 0.4 + 0.1 above 60 %, in a hold; the arm: 0.05 above 90 %."""
+    """Fingers at 100, 70 and 50 %: 0.4 + 0.1 above 60 %, in a hold; the arm at 95 %: 0.05 above 90 %."""
     share = torch.zeros(2, NUM_JOINTS)
     share[:, :2], share[:, 6:9] = torch.tensor([0.95, 0.8]), torch.tensor([1.0, 0.7, 0.5])
     step = transition(now=privileged(torque_share=share), held_steps=(0, 1))

@@ -182,7 +182,7 @@ def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
     forward = torch.tensor([0.8746197, 0.0, -0.4848096])
     object_pos = (torch.tensor(RGB_CAMERA.pos) + 2.5 * forward)[None]
     nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal, RGB_CAMERA, object_pos, torch.tensor([[5.0, 0.0]]))
+    found = tracked_position(nominal, nominal, object_pos, torch.tensor([[5.0, 0.0]]))
     expected = torch.tensor([[0.0, -5.0 * 2.5 / RGB_CAMERA.fx, 0.0]])
     torch.testing.assert_close(found - object_pos, expected, atol=1e-5, rtol=0)
 
@@ -191,6 +191,6 @@ def test_a_misplaced_camera_misplaces_the_tracked_position_as_much():
     """The tracker reports where the object would be if the camera were where it is assumed."""
     object_pos = torch.tensor([[2.0, 0.1, 1.2]])
     offset = torch.tensor([[0.01, -0.02, 0.005]])
-    camera = nominal_projection(RGB_CAMERA, object_pos).moved(offset)
-    found = tracked_position(camera, RGB_CAMERA, object_pos, torch.zeros(1, 2))
+    nominal = nominal_projection(RGB_CAMERA, object_pos)
+    found = tracked_position(nominal.moved(offset), nominal, object_pos, torch.zeros(1, 2))
     torch.testing.assert_close(found, object_pos - offset, atol=2e-6, rtol=0)

@@ -108,6 +108,18 @@ def fly(pos: torch.Tensor, vel: torch.Tensor, drag: float, duration: torch.Tenso
     return pos
 
 
+def test_a_least_elevation_raises_the_peak():
+    """Throws begin at the elevation or above it, and still fall through their aim."""
+    cfg = dataclasses.replace(ThrowCfg(), peak_z=(1.0, 1.2), clearance=0.05, least_elevation=0.6)
+    thrown, flat = throws(cfg), throws(dataclasses.replace(cfg, least_elevation=0.0))
+    angle, lower = (
+        torch.atan2(each.lin_vel[:, 2], each.lin_vel[:, :2].norm(dim=-1)) for each in (thrown, flat)
+    )
+    torch.testing.assert_close(angle, lower.clamp(min=0.6), atol=1e-5, rtol=0)
+    end = thrown.pos + thrown.lin_vel * thrown.flight_time()[:, None]
+    torch.testing.assert_close(end[:, :2], thrown.aim[:, :2], atol=1e-5, rtol=0)
+
+
 @pytest.mark.parametrize("drag", [0.0, 0.03, 0.1])
 def test_a_compensated_throw_arrives(drag: float):
     """0.1 /m is a cube of 6 cm that weighs 15 g; without compensation it falls short by 20 to 35 cm."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.camera.pinhole import back_project
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.perception import regions
 from pixel2catch.perception.regions import MARGIN, RobotMask
 from pixel2catch.robots.ur5e import ARM
@@ -38,7 +38,7 @@ def poses() -> np.ndarray:
 def rays() -> np.ndarray:
     """From the camera to points 1 m away behind the pixels' middles [m]."""
     pixels = torch.from_numpy(np.stack((COLUMNS + 0.5, ROWS + 0.5), axis=-1).reshape(-1, 2))
-    points = back_project(RGB_CAMERA, pixels, torch.ones(len(pixels), dtype=torch.float64))
+    points = nominal_projection(RGB_CAMERA, pixels).points(pixels, torch.ones_like(pixels[:, 0]))
     return points.numpy() - np.array(RGB_CAMERA.pos)
 
 

@@ -16,7 +16,7 @@ from pixel2catch.checks import Share, Within, require_valid
 from pixel2catch.devices import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
-from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.scene.constants import CAMERAS, CameraSpec
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
@@ -71,11 +71,13 @@ class CameraFile:
 
     @classmethod
     def load(cls, path: Path) -> "CameraFile":
-        """Read a file.
+        """Read a file, or return the camera of a name in `CAMERAS` where no such file is.
 
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
         """
+        if str(path) in CAMERAS and not path.exists():
+            return cls(camera=CAMERAS[str(path)])
         with reading("camera file", path, "Calibrate again, or correct that entry."):
             content = read_json_object(path)
             version = content.pop("format_version")

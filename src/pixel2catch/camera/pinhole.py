@@ -3,10 +3,9 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, linalg
 
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import CameraSpec
@@ -32,17 +31,31 @@ class Projection:
         depth = homogeneous[..., 2]
         return homogeneous[..., :2] / depth.unsqueeze(-1), depth
 
+    @property
+    def inverse(self) -> Float[Tensor, "*turns 3 3"]:
+        """Return R K⁻¹, the inverse of the matrix: points at depth 1 on the rays of pixels (u, v, 1)."""
+        right, down, forward = self.matrix.unbind(-2)
+        columns = (linalg.cross(down, forward), linalg.cross(forward, right), linalg.cross(right, down))
+        return torch.stack(columns, dim=-1) / (right * columns[0]).sum(-1)[..., None, None]
+
+    def points(
+        self, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
+    ) -> Float[Tensor, "num_envs 3"]:
+        """Return the world points [m] at pixels [px] and depths [m]: the inverse of `pixels`."""
+        homogeneous = torch.cat((pixels, torch.ones_like(depth)[:, None]), dim=-1) * depth[:, None]
+        return self.center + (homogeneous.unsqueeze(-2) * self.inverse).sum(-1)
+
     def moved(self, offset: Float[Tensor, "num_envs 3"]) -> "Projection":
         """Return the camera, translated by an offset in the world frame [m]."""
         return replace(self, center=self.center + offset)
 
     def turned(self, rotation: Float[Tensor, "num_envs 3"]) -> "Projection":
         """Return the camera, turned about its centre by a rotation vector in the world frame [rad]."""
-        angle = torch.linalg.vector_norm(rotation, dim=-1)[:, None, None]
+        angle = linalg.vector_norm(rotation, dim=-1)[:, None, None]
         turn = rotation[:, None].expand(-1, 3, -1)
         rows = self.matrix.expand_as(turn)
         # Rodrigues' formula; sin(x) / x and (1 - cos x) / x² by sinc, which is exact at 0, too.
-        across = torch.linalg.cross(turn, rows, dim=-1) * torch.sinc(angle / torch.pi)
+        across = linalg.cross(turn, rows) * torch.sinc(angle / torch.pi)
         along = 0.5 * torch.sinc(0.5 * angle / torch.pi).square() * (turn * rows).sum(-1, keepdim=True)
         return replace(self, matrix=torch.cos(angle) * rows + across + along * turn)
 
@@ -64,16 +77,6 @@ def project(
     pixel with a depth of 0 or less has no meaning.
     """
     return nominal_projection(camera, points).pixels(points)
-
-
-def back_project(
-    camera: CameraSpec, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
-) -> Float[Tensor, "num_envs 3"]:
-    """Return the world points [m] at pixels [px] and depths [m]: the inverse of `project`."""
-    inverse = constant(_inverse(camera), pixels.device, pixels.dtype)
-    center = camera_center(camera, pixels)
-    homogeneous = torch.cat((pixels * depth[:, None], depth[:, None]), dim=-1)
-    return center + (homogeneous.unsqueeze(-2) * inverse).sum(-1)
 
 
 def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
@@ -105,12 +108,6 @@ def is_in_view(
     """Return whether each projected point lies in front of the camera and on the image."""
     u, v = pixels.unbind(-1)
     return (depth > 0.0) & (u >= 0.0) & (u <= camera.width) & (v >= 0.0) & (v <= camera.height)
-
-
-@lru_cache(maxsize=16)
-def _inverse(camera: CameraSpec) -> Matrix:
-    """The inverse of K Rᵀ, 3 x 3."""
-    return tuple(map(tuple, np.linalg.inv(_matrix(camera)).tolist()))
 
 
 @lru_cache(maxsize=16)

@@ -40,11 +40,13 @@ def make_pipeline(
 ) -> "PolicyPipeline":
     """Build perception and policy for a robot and a camera, a live one or a recorded one."""
     from pixel2catch.deployment.policy_pipeline import PolicyController, PolicyPipeline
-    from pixel2catch.evaluation.loading import load_policy
+    from pixel2catch.evaluation.loading import load_policy, region_remark
     from pixel2catch.perception.regions import RobotMask
     from pixel2catch.workcells import find_workcell
 
-    policy, _ = load_policy(policy_path)
+    policy, method = load_policy(policy_path)
+    for remark in region_remark(method, camera):
+        say(remark)
     workcell = find_workcell(profile.workcell)
     controller = PolicyController(policy, workcell, camera)
     profile.require(policy.contract.commands)

@@ -27,14 +27,14 @@ class Train:
     #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent,
     #: proposed_local_critic, single_agent_local_critic, object_position, object_extent, shared_reward,
     #: agent_per_robot, journal, catch, catch_alone, catch_teacher, or one of your own, with --import FILE.py;
-    #: with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit.
+    #: with a memory METHOD+age, +boxes, +boxes5 (any number), +fit or +anycamera.
     method: Positional[str] = METHOD
     #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
     #: CUDA, else cpu.
     preset: PresetName | None = None
     #: What is thrown, and what disturbs the robot: nominal, the paper's task; wide, with the disturbances of
-    #: laboratories; wide_sharp, the same with boxes to 2 px; or sizes, balls and boxes of 6 to 28 cm.
-    #: Default: nominal.
+    #: laboratories; wide_sharp, the same with boxes to 2 px; people, throws of people before any camera of a
+    #: region; or sizes, balls and boxes of 6 to 28 cm. Default: nominal.
     task: str | None = None
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands load such a file by `--import FILE.py`. Default: ur5e_allegro.

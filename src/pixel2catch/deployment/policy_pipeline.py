@@ -10,6 +10,8 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.camera.image import Box, Verdict
+from pixel2catch.camera.level import level_boxes
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import DeploymentError, PolicyMismatchError
 from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
 from pixel2catch.mdp.observations import observe
@@ -39,6 +41,7 @@ class PolicyController:
     def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
         """Raise PolicyMismatchError for another robot or camera, or inputs that no camera measures."""
         self.method = method_of(policy.contract)  #: The method that the policy was trained with.
+        self.projection = nominal_projection(camera, torch.zeros(0))  #: The calibrated camera.
         policy.contract.require(contract_of(self.method, workcell, camera))
         self._policy = policy
         self.object_radius = policy.contract.object_radius  #: Of the largest object in training [m].
@@ -74,6 +77,7 @@ class PolicyController:
         palm_pos, palm_quat = self._geometry.palm_poses(joint_pos)
         return Measurement(
             boxes=boxes,
+            camera_pos=self.projection.center[None],
             object_pos=_UNKNOWN,
             initial_object_pos=_UNKNOWN,
             joint_pos=joint_pos,
@@ -266,8 +270,10 @@ class PolicyPipeline:
 
     def _measured_boxes(self, now: float) -> BoxHistory:
         edges = torch.tensor([box.edges for box in self._boxes], dtype=torch.float32)
-        stamps = [box.stamp for box in self._boxes]
-        return BoxHistory.of_stamps(edges, stamps, now, self._controller.method.num_boxes)
+        stamps, method = [box.stamp for box in self._boxes], self._controller.method
+        if method.is_levelled:
+            edges = level_boxes(edges, self._controller.projection)
+        return BoxHistory.of_stamps(edges, stamps, now, method.num_boxes)
 
     def _box_at(self, moment: float) -> BoxHistory:
         """Return the box at a time [s], interpolated between two images; the newest one if it is older."""

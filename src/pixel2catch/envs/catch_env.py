@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.camera.level import level_boxes
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector
@@ -67,6 +68,14 @@ LastAction = tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs
 """The last action in joint order, in [-1, 1], and the joint targets that it led to [rad]."""
 
 
+def _require_same_view(method: Method, teacher: Method | None) -> None:
+    if teacher and teacher.pixel_features and teacher.is_levelled != method.is_levelled:
+        raise InvalidValueError(
+            f"teacher '{teacher.name}' and method '{method.name}' observe boxes of different cameras; use a "
+            "teacher that observes the object's position, such as catch_teacher+age."
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorState:
     """Detections on their way, measurements, and true states of the last control steps."""
@@ -119,6 +128,7 @@ class CatchEnv:
             (Method | None, "teacher", teacher),
         ):
             require(kind, name, value)
+        _require_same_view(method, teacher)
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
         self.method, self.teacher, self.num_envs = method, teacher, num_envs
@@ -213,7 +223,7 @@ class CatchEnv:
         target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
         commands = self._commands.pushed(target)
         late = commands.interpolated(self.episode.command_delay)
-        log = self.world.run(late, self.episode.drag)
+        log = self.world.run(late, self.episode.drag, self.episode.side_force)
         command = (action, target)
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
@@ -300,7 +310,7 @@ class CatchEnv:
         started = (torch.zeros_like(joint_pos), joint_pos)
         delivered = detections.delivered(latency)
         boxes = sensors.history.now.boxes.advanced(
-            delivered.box, self._age(delivered), delivered.stale == 0.0
+            self._measured_box(delivered), self._age(delivered), delivered.stale == 0.0
         )
         now = self._measure(
             select(begun, started, command),
@@ -323,7 +333,14 @@ class CatchEnv:
         return self.episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
-        return BoxHistory.begun(detection.box, self._age(detection), self.method.num_boxes)
+        box = self._measured_box(detection)
+        return BoxHistory.begun(box, self._age(detection), self.method.num_boxes)
+
+    def _measured_box(self, detection: Detection) -> Float[Tensor, "num_envs 4"]:
+        """Return the box of a detection as the method observes it [px]."""
+        if not self.method.is_levelled:
+            return detection.box
+        return level_boxes(detection.box, self._detector.assumed(self.episode))
 
     def _measure(
         self,
@@ -338,6 +355,7 @@ class CatchEnv:
         palm_pos, palm_quat = self.world.geometry.palm_poses(joint_pos)
         return Measurement(
             boxes=boxes,
+            camera_pos=self._detector.assumed(self.episode).center.expand(self.num_envs, 3),
             object_pos=detection.object_pos,
             initial_object_pos=initial_object_pos,
             joint_pos=joint_pos,

@@ -113,7 +113,9 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: Its images do not have the size that policies use.
         """
-        return replace(self.with_sensing(camera=file), scene=replace(self.scene, camera=file.camera))
+        return replace(
+            self.with_sensing(camera=file, any_camera=False), scene=replace(self.scene, camera=file.camera)
+        )
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
         """Return the task with other fields of `SensingCfg` in all variants."""

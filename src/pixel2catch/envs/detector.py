@@ -23,9 +23,10 @@ class Detector:
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
         """Return the detection in an image of this moment, without errors of the sensors."""
-        cfg, camera = self._cfg, self._camera(episode)
-        points, is_visible = self._world.surface_points(cfg.camera.camera)
-        box, is_seen = detect(points, is_visible, cfg.least_visible, camera)
+        cfg, errors = self._cfg, episode.camera_errors
+        assumed = self.assumed(episode)
+        points, is_visible = self._world.surface_points(assumed.center)
+        box, is_seen = detect(points, is_visible, cfg.least_visible, errors.camera if errors else assumed)
         if cfg.box_scale != 1.0:
             box = scaled_box(box, cfg.box_scale)
         exact = torch.zeros_like(box[:, 0])
@@ -52,8 +53,9 @@ class Detector:
             age_error = wrong.age_error(episode.parameters.latency, self._generator)
         object_pos = detection.object_pos
         if wrong is not None or cfg.edge_noise:
-            camera = self._camera(episode)
-            object_pos = tracked_position(camera, cfg.camera.camera, object_pos, shift)
+            assumed = self.assumed(episode)
+            camera = wrong.camera if wrong else assumed
+            object_pos = tracked_position(camera, assumed, object_pos, shift)
         return replace(
             detection,
             box=perturb_box(box, error, RGB_CAMERA),
@@ -62,6 +64,7 @@ class Detector:
             age_error=age_error,
         )
 
-    def _camera(self, episode: Episode) -> Projection:
+    def assumed(self, episode: Episode) -> Projection:
+        """Return the calibrated camera: one for all environments, or one for each."""
         nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
-        return nominal if episode.camera_errors is None else episode.camera_errors.camera
+        return nominal if episode.camera_errors is None else episode.camera_errors.assumed

@@ -12,7 +12,12 @@ from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.control_step import Columns, Transition, take
-from pixel2catch.mdp.randomization import EpisodeParameters, sample_delay, sample_parameters
+from pixel2catch.mdp.randomization import (
+    EpisodeParameters,
+    RandomizationCfg,
+    sample_delay,
+    sample_parameters,
+)
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
@@ -149,6 +154,8 @@ class Episode:
     command_delay: Float[Tensor, " num_envs"]
     #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
     drag: Float[Tensor, " num_envs"] | None
+    #: Likewise its sideways acceleration, world frame; none without such a force.
+    side_force: Float[Tensor, "num_envs 3"] | None
     record: EpisodeRecord  #: What became of the episode so far.
 
 
@@ -165,7 +172,8 @@ def draw_episode(
     deviation of the bias of each action, `object_ids` are the thrown objects. Optional disturbances are drawn
     last, so that a seed throws the same without them.
     """
-    has_air = any(each.randomization.air_density for each in cfg.all_variants)
+    has_side_force = any(each.randomization.side_force for each in cfg.all_variants)
+    has_air = has_side_force or any(each.randomization.air_density for each in cfg.all_variants)
     is_exact = all(is_camera_exact(each.sensing) for each in cfg.all_variants)
 
     def draw(task: CatchEnvCfg) -> Episode:
@@ -188,6 +196,7 @@ def draw_episode(
             if is_drawn
             else drawn(delay[0], num_envs, generator),
             drag=drag,
+            side_force=_side_force(ranges, throw, generator) if has_side_force else None,
             record=EpisodeRecord.start(parameters.object_id),
         )
 
@@ -200,6 +209,17 @@ def draw_episode(
         episode = select(is_of, draw(variant.of(cfg)), episode)
         chance = chance - variant.share
     return episode
+
+
+def _side_force(
+    ranges: RandomizationCfg, throw: Throw, generator: torch.Generator
+) -> Float[Tensor, "num_envs 3"]:
+    """Draw level accelerations across the throws, to either side, over the square of the speed [1/m]."""
+    num_envs = len(throw.pos)
+    along = torch.nn.functional.normalize(throw.lin_vel[:, :2], dim=-1)
+    across = torch.stack((-along[:, 1], along[:, 0], torch.zeros_like(along[:, 0])), dim=-1)
+    sign = 1.0 - 2.0 * (torch.rand(num_envs, generator=generator, device=generator.device) < 0.5).float()
+    return (sign * drawn(ranges.side_force, num_envs, generator))[:, None] * across
 
 
 @cache
@@ -229,4 +249,6 @@ def drawn_parameters(episode: Episode) -> Float[Tensor, "num_envs k"]:
     if episode.camera_errors is not None:
         columns += [10.0 * episode.camera_errors.drop_rate, episode.camera_errors.clock_error]
         tables += [episode.camera_errors.box_bias]
+    if episode.side_force is not None:
+        tables.append(100.0 * episode.side_force)
     return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)

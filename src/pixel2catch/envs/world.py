@@ -20,7 +20,7 @@ from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import contact_solref
-from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
 from pixel2catch.sim.factory import make_simulation
@@ -68,7 +68,7 @@ class Occluders:
 
     def may_hide(
         self,
-        origin: Float[Tensor, "3"],
+        origin: Float[Tensor, "*num_envs 3"],
         center: Float[Tensor, "num_envs 3"],
         object_id: Int[Tensor, " num_envs"],
         geom_pos: Float[Tensor, "num_envs num_geoms 3"],
@@ -79,11 +79,14 @@ class Occluders:
         and geoms are in the world frame [m].
         """
         radius = self._object_radius[object_id]
-        way, offset = (center - origin).T[..., None], (geom_pos - origin).movedim(-1, 0).contiguous()
+        way, offset = (
+            (center - origin).T[..., None],
+            (geom_pos - origin.unsqueeze(-2)).movedim(-1, 0).contiguous(),
+        )
         share = (offset * way).sum(dim=0) / way.square().sum(dim=0)
         apart = (offset - share.clamp(0.0, 1.0) * way).square().sum(dim=0).sqrt()
         is_near = apart < self._radius + radius[:, None]
-        is_low = torch.minimum(center[:, 2] - radius, origin[2]) < self._top
+        is_low = torch.minimum(center[:, 2] - radius, origin[..., 2]) < self._top
         return is_near.any(dim=-1) | is_low
 
 
@@ -181,6 +184,7 @@ class CatchWorld:
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
         drag: Float[Tensor, " num_envs"] | None = None,
+        side_force: Float[Tensor, "num_envs 3"] | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
         """Simulate one control step; commands ramp linearly to the target (first-order hold).
@@ -188,6 +192,7 @@ class CatchWorld:
         Args:
             joint_pos_target: Joint targets at its end [rad].
             drag: Deceleration of the object by air over the square of its speed [1/m].
+            side_force: Its sideways acceleration over the square of its speed, world frame [1/m].
             num_steps: Physics steps. Default: those of a control step.
         """
         num_steps = num_steps or self._scene.decimation
@@ -195,20 +200,25 @@ class CatchWorld:
         log = None
         for _ in range(num_steps):
             if drag is not None:
-                self._slow_object(drag)
+                self._slow_object(drag, side_force)
             self._actuators.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
         return log
 
-    def _slow_object(self, drag: Float[Tensor, " num_envs"]) -> None:
+    def _slow_object(
+        self, drag: Float[Tensor, " num_envs"], side_force: Float[Tensor, "num_envs 3"] | None
+    ) -> None:
         """Apply the force of the air to the object; tumbling is neglected."""
         force = self._fields.qfrc_applied[:, self._linear]
         velocity = self._fields.qvel[:, self._linear]
         speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
         mass = self._model["body_mass"][:, self.objects.indices.body]
-        force.copy_(mass[:, None] * (-drag.to(force)[:, None] * speed * velocity))
+        acceleration = -drag.to(force)[:, None] * speed * velocity
+        if side_force is not None:
+            acceleration = acceleration + side_force.to(force) * speed.square()
+        force.copy_(mass[:, None] * acceleration)
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""
@@ -239,20 +249,23 @@ class CatchWorld:
         )
 
     def surface_points(
-        self, camera: CameraSpec = RGB_CAMERA
+        self, camera_pos: Float[Tensor, "*num_envs 3"] | None = None
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Return surface points of the object, world frame [m], and which of them nothing hides."""
+        """Return surface points of the object, world frame [m], and which of them nothing hides.
+
+        They are seen from one place or one for each environment [m]. Default: the release's camera.
+        """
         pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
         points = torch.baddbmm(
             pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
         )
+        origin = camera_center(RGB_CAMERA, points) if camera_pos is None else camera_pos
         may_hide = None
         if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
-            may_hide = self._occluders.may_hide(camera_center(camera, points), pos, self._object_id, geoms)
-        directions = (points - camera_center(camera, points)).to(self.simulation.dtype)
-        origin = camera_center(camera, directions)
-        hit = self.simulation.ray(origin, directions, OCCLUDER_GROUPS, may_hide)
+            may_hide = self._occluders.may_hide(origin, pos, self._object_id, geoms)
+        directions = (points - origin.unsqueeze(-2)).to(self.simulation.dtype)
+        hit = self.simulation.ray(origin.to(directions), directions, OCCLUDER_GROUPS, may_hide)
         return points, is_unoccluded(hit)
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:

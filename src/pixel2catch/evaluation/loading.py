@@ -2,11 +2,12 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.region import REGION
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, contract_of, method_of
@@ -78,7 +79,11 @@ def task_of(
 
 
 def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
-    """Yield a remark on the camera if it is not the release's."""
+    """Yield a remark on the camera if it is not the release's, or not one of the training's region."""
+    method = method_of(policy.contract)
+    if method.is_levelled:
+        yield from region_remark(method, task.sensing.camera.camera)
+        return
     trained = _camera_of(policy)
     if task.sensing.camera.camera != trained:
         yield "the policy was trained for another camera: this is what the change does to it"
@@ -86,5 +91,12 @@ def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
         yield "the policy was trained for a camera of its own, and sees by that"
 
 
+def region_remark(method: Method, camera: CameraSpec) -> Iterator[str]:
+    """Yield a remark if a method is for any camera of a region and the camera is outside it."""
+    if method.is_levelled and (outside := REGION.outside(camera)):
+        yield f"the camera is outside the region of the policy's training: {outside}"
+
+
 def _camera_of(policy: Policy) -> CameraSpec:
-    return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
+    """Return the camera of a policy's training; the release's of a policy for any camera."""
+    return CameraSpec(**(asdict(RGB_CAMERA) | cast(dict[str, Any], policy.contract.camera)))

@@ -10,8 +10,10 @@ from math import radians
 from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.tasks import LIGHT, OUTSIDE_CAMERA, PEOPLE_ROBOT, PEOPLE_THROWS
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
+from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.own_files import catalogue
 from pixel2catch.workcells import find_workcell
 
@@ -77,6 +79,11 @@ LOW_SOURCE = "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training"
 HIGH_SOURCE = "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m"
 FAR_SOURCE = "ours: released 2.9 to 3.5 m away"
 NEAR_SOURCE = "ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training"
+CAMERAS_SOURCE = "the region of `camera.region`, and 1 cm, 0.5° and 1 % of errors of a careful calibration"
+PEOPLE_SOURCE = (
+    "30 recorded throws of a bottle from 3 to 4 m: `envs.tasks.PEOPLE_THROWS`; aimed: without their scatter; "
+    "all: with the disturbances of the task people"
+)
 TOGETHER_SOURCE = "levels of the axes above"
 
 
@@ -143,6 +150,12 @@ class Setting:
         """Name in tables."""
         space = "" if self.axis.unit == "°" else " "
         return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
+
+
+def _as(name: str, values: Any) -> FieldChange:
+    """Return the change of a part of the task to the fields in which its class differs from the default."""
+    default = type(values)()
+    return part(name, **{key: each for key, each in vars(values).items() if each != getattr(default, key)})
 
 
 def _gains(percent: float) -> FieldChange:
@@ -226,6 +239,28 @@ BOTH_LATE = {"2.5 and 0.5": together(_latency(2.5), _delay(0.5)), "3 and 1": tog
 RESTITUTIONS = {f"{e:g}": part("randomization", restitution=(e, e)) for e in (0, 0.25, 0.5, 0.75)}
 LATENCIES = {f"{steps:g}": _latency(steps) for steps in (0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5)}
 
+ANY_CAMERA = {
+    "any": part("sensing", any_camera=True, camera=RELEASE_CAMERA),
+    "any with errors": part(
+        "sensing",
+        any_camera=True,
+        camera=RELEASE_CAMERA,
+        camera_offset=0.01,
+        camera_turn=radians(0.5),
+        focal_error=0.01,
+    ),
+}
+_PEOPLE = together(_as("throws", PEOPLE_THROWS), _as("randomization", LIGHT))
+OF_PEOPLE = {
+    "aimed": together(_PEOPLE, part("throws", speed_deviation=0.0, angle_deviation=0.0)),
+    "thrown": _PEOPLE,
+    "all": together(
+        _as("throws", PEOPLE_THROWS),
+        _as("randomization", PEOPLE_ROBOT),
+        _as("sensing", replace(OUTSIDE_CAMERA, clock_error=(0.0, 0.05))),
+    ),
+}
+
 _ALL = (
     _axis("nominal", "", {"": together()}, "the task of training, at a finer physics rate"),
     _axis("camera_position", "cm", _sensing("camera_offset", (1, 2, 4), 1e-2), CAMERA_POSITION_SOURCE),
@@ -247,6 +282,8 @@ _ALL = (
     _axis("spin", "rad/s", {"10": SPIN, "25": part("throws", spin=25.0)}, ELBOW_SOURCE, WRIST_SOURCE),
     _axis("air", "", {f"{grams} g": together(AIR, _mass(grams)) for grams in (30, 15)}, AIR_SOURCE),
     _axis("throws", "", THROWS, NEAR_SOURCE, FAR_SOURCE, LOW_SOURCE, HIGH_SOURCE, HUMAN_SOURCE),
+    _axis("cameras", "", ANY_CAMERA, CAMERAS_SOURCE),
+    _axis("people", "", OF_PEOPLE, PEOPLE_SOURCE),
     _axis("together", "", COMBINED, *(3 * (TOGETHER_SOURCE,)), REALITY_SOURCE),
 )
 

@@ -11,17 +11,19 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import Projection, back_project, nominal_projection
+from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.camera.region import REGION
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
 from pixel2catch.mdp.throws import Throw, drawn, random_directions
-from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraErrors:
     """The draws of one episode in each environment."""
 
-    camera: Projection  #: The true camera; trackers assume the nominal one.
+    assumed: Projection  #: The calibrated camera, which trackers and policies assume.
+    camera: Projection  #: The true camera.
     box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
     noise_scale: Float[Tensor, " num_envs"]  #: Factor on the noise of every edge.
     drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
@@ -56,7 +58,11 @@ def is_camera_exact(cfg: SensingCfg) -> bool:
     names = "camera_offset camera_turn focal_error box_bias drop_rate blackout_steps clock_error stamp_jitter"
     drawn_per_episode = (*names.split(), "unstamped", "image_period", "noise_scale")
     exact = SensingCfg()
-    return cfg.camera.is_exact and all(getattr(cfg, n) == getattr(exact, n) for n in drawn_per_episode)
+    return (
+        cfg.camera.is_exact
+        and not cfg.any_camera
+        and all(getattr(cfg, n) == getattr(exact, n) for n in drawn_per_episode)
+    )
 
 
 def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
@@ -67,9 +73,10 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     amount = partial(drawn, num_envs=num_envs, generator=generator)
     zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
     spec = cfg.camera.camera
-    camera = (
-        nominal_projection(spec, offset) if cfg.camera.is_exact else cfg.camera.sample(num_envs, generator)
-    )
+    assumed = nominal_projection(spec, offset)
+    if cfg.any_camera:
+        assumed = REGION.sample(num_envs, generator)
+    camera = assumed if cfg.camera.is_exact else cfg.camera.sample(num_envs, generator)
     bias_angle = 2.0 * torch.pi * chance[:, 1]
     flight_steps = throw.flight_time() / CONTROL_DT
     blackout_steps = amount(cfg.blackout_steps).round()
@@ -77,6 +84,9 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     direction = torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1)
     turn, offset = amount(cfg.camera_turn)[:, None] * turn, amount(cfg.camera_offset)[:, None] * offset
     return CameraErrors(
+        assumed=Projection(
+            matrix=assumed.matrix.expand(num_envs, 3, 3), center=assumed.center.expand(num_envs, 3)
+        ),
         camera=camera.zoomed(zoom, spec).turned(turn).moved(offset),
         box_bias=amount(cfg.box_bias)[:, None] * direction,
         drop_rate=amount(cfg.drop_rate),
@@ -103,7 +113,7 @@ def scaled_box(box: Float[Tensor, "num_envs 4"], factor: float) -> Float[Tensor,
 
 def tracked_position(
     camera: Projection,
-    assumed: CameraSpec,
+    assumed: Projection,
     object_pos: Float[Tensor, "num_envs 3"],
     shift: Float[Tensor, "num_envs 2"],
 ) -> Float[Tensor, "num_envs 3"]:
@@ -113,4 +123,4 @@ def tracked_position(
     back at the true depth by the assumed camera.
     """
     pixels, depth = camera.pixels(object_pos[:, None])
-    return back_project(assumed, pixels[:, 0] + shift, depth[:, 0])
+    return assumed.points(pixels[:, 0] + shift, depth[:, 0])

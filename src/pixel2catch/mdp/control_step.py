@@ -76,7 +76,8 @@ class BoxHistory:
 class Measurement:
     """What the robot measures at one control step, in simulation and in the laboratory."""
 
-    boxes: BoxHistory  #: The last measured boxes of the object.
+    boxes: BoxHistory  #: The last measured boxes of the object; those of a level camera for some methods.
+    camera_pos: Float[Tensor, "num_envs 3"]  #: Place of the calibrated camera, world frame [m].
     #: Position of the object's centre by a tracker, as old as the box, world frame [m]; for comparisons.
     object_pos: Float[Tensor, "num_envs 3"]
     initial_object_pos: Float[Tensor, "num_envs 3"]  #: The first such position of the episode [m].

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.camera.level import level_sight
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
@@ -110,6 +111,16 @@ def joint_pos_target(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
 def box_age(frame: ObservationInputs) -> Float[Tensor, "num_envs 1"]:
     """Return the age of the newest measured box, by its stamp [control steps]. Source: ours."""
     return frame.now.boxes.age[:, :1]
+
+
+def camera_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
+    """Return the place of the calibrated camera [m]. Source: ours, for policies of any camera."""
+    return frame.now.camera_pos
+
+
+def palm_sight(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+    """Return where the level camera sees the agent's palms: see `camera.level.level_sight` (ours)."""
+    return level_sight(take(frame.now.palm_pos, frame.palms), frame.now.camera_pos).flatten(1)
 
 
 def box_track(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:

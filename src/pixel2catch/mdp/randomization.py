@@ -42,6 +42,8 @@ class RandomizationCfg:
     command_delay: Annotated[Range, Within(0.0, 30.0)] = (0, 0)
     #: Difference of neighbouring delays [control steps]; 0 draws any.
     command_delay_grid: Annotated[float, Within(0.0, 30.0)] = 1.0
+    #: Sideways acceleration by the air over the square of the speed [1/m], of random sign; paper: 0.
+    side_force: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Density of the air that slows the object [kg/m³]; paper: 0, at sea level: 1.2.
     air_density: Annotated[Amount, Within(0.0, 10.0)] = 0.0
 

@@ -41,8 +41,10 @@ class SensingCfg:
     #: The camera and its uncertainty: the true camera of each episode is drawn within that. Default: the
     #: release's, without errors.
     camera: CameraFile = RELEASE_CAMERA
-    #: Distance of the true camera from that one, in a random direction [m]. The paper's training has neither
-    #: this error nor those below (ours; values with sources: `envs.tasks`, `evaluation.stress`).
+    #: Draw the calibrated camera of each episode from `camera.region.REGION` instead.
+    any_camera: bool = False
+    #: Distance of the true camera from the calibrated one, in a random direction [m]. The training of the
+    #: paper has neither this error nor those below (ours; values: `envs.tasks`, `evaluation.stress`).
     camera_offset: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Angle between the two, about a random axis [rad].
     camera_turn: Annotated[Amount, Within(0.0, 0.8)] = 0.0
@@ -69,7 +71,11 @@ class SensingCfg:
     unstamped: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a camera of another resolution than that of policies."""
+        """Refuse a camera of another resolution than that of policies, and one that would not be used."""
+        if self.any_camera and self.camera != RELEASE_CAMERA:
+            raise InvalidValueError(
+                "sensing.any_camera draws the camera, and sensing.camera is given, too: leave out one."
+            )
         camera = self.camera.camera
         if (camera.width, camera.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
             raise InvalidValueError(

@@ -4,6 +4,7 @@ Source: release, unless a line has another source.
 """
 
 from dataclasses import dataclass
+from math import tan
 from typing import Annotated
 
 import torch
@@ -31,6 +32,8 @@ class ThrowCfg:
     aim_z: Height = (0.9, 1.1)  #: The catch height.
     peak_z: Height = (1.6, 1.9)  #: Highest point of the path.
     clearance: Annotated[float, Within(0.01, 3.0)] = 0.2  #: Least height of the peak over release and aim.
+    #: Elevation at release below which the peak is raised [rad] (ours; paper: none).
+    least_elevation: Annotated[float, Within(0.0, 1.4)] = 0.0
     #: Control steps that the object hovers before it flies, first and last.
     hover_steps: Annotated[tuple[int, int], IN_ORDER, Within(1, 900)] = (5, 19)
     #: Standard deviation of the relative error of the speed at release (ours; paper: no errors, no spin).
@@ -72,6 +75,8 @@ def sample_throws(
     first, last = cfg.hover_steps
     hover_steps = torch.randint(first, last + 1, (num_envs,), generator=generator, device=device)
     peak = torch.maximum(peak, cfg.clearance + torch.maximum(pos[:, 2], aim[:, 2]))
+    if cfg.least_elevation:
+        peak = torch.maximum(peak, peak_of_elevation(pos, aim, cfg.least_elevation))
     lin_vel = launch_velocity(pos, aim, peak)
     if drag is not None:
         lin_vel = velocity_through_air(pos, aim, lin_vel, drag)
@@ -118,6 +123,18 @@ def launch_velocity(
     fall = torch.sqrt(2.0 * (peak - aim[:, 2]) / GRAVITY)
     horizontal = (aim[:, :2] - pos[:, :2]) / (rise + fall)[:, None]
     return torch.cat((horizontal, (GRAVITY * rise)[:, None]), dim=-1)
+
+
+LEAST_FALL = 0.05  #: Least height at the aim of the straight line of an elevation [m]. Source: ours.
+
+
+def peak_of_elevation(
+    pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], elevation: float
+) -> Float[Tensor, " num_envs"]:
+    """Return the peak height of the path from `pos` to `aim` that begins at an elevation [rad] [m]."""
+    rise = torch.linalg.vector_norm(aim[:, :2] - pos[:, :2], dim=-1) * tan(elevation)
+    fall = (rise + pos[:, 2] - aim[:, 2]).clamp(min=LEAST_FALL)
+    return pos[:, 2] + rise.square() / (4.0 * fall)
 
 
 def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Float[Tensor, " num_envs"]:
@@ -176,16 +193,24 @@ def flight_path(
     lin_vel: Float[Tensor, "num_envs 3"],
     drag: Float[Tensor, " num_envs"],
     duration: Float[Tensor, " num_envs"],
+    side_force: Float[Tensor, "num_envs 3"] | None = None,
+    num_steps: int = NUM_STEPS,
 ) -> Float[Tensor, "num_points num_envs 3"]:
     """Return points of a flight through air, at equal time steps from the release to `duration` [m].
 
-    `drag` is the deceleration over the square of the speed [1/m].
+    Args:
+        pos: Release position [m].
+        lin_vel: Velocity at release [m/s].
+        drag: Deceleration over the square of the speed [1/m].
+        duration: Time of the last point [s].
+        side_force: Sideways acceleration over the square of the speed [1/m]. Default: none.
+        num_steps: Steps of the midpoint rule.
     """
-    step, path = duration[:, None] / NUM_STEPS, [pos]
-    for _ in range(NUM_STEPS):
-        middle = lin_vel + 0.5 * step * _acceleration(lin_vel, drag[:, None])
+    step, path = duration[:, None] / num_steps, [pos]
+    for _ in range(num_steps):
+        middle = lin_vel + 0.5 * step * _acceleration(lin_vel, drag[:, None], side_force)
         path.append(path[-1] + step * middle)
-        lin_vel = lin_vel + step * _acceleration(middle, drag[:, None])
+        lin_vel = lin_vel + step * _acceleration(middle, drag[:, None], side_force)
     return torch.stack(path)
 
 
@@ -196,7 +221,8 @@ def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int = 0) -> Float[Tensor,
     return path.transpose(0, 1).double()
 
 
-def _acceleration(lin_vel: Tensor, drag: Tensor) -> Tensor:
-    acceleration = -drag * torch.linalg.vector_norm(lin_vel, dim=-1, keepdim=True) * lin_vel
+def _acceleration(lin_vel: Tensor, drag: Tensor, side_force: Tensor | None) -> Tensor:
+    speed = torch.linalg.vector_norm(lin_vel, dim=-1, keepdim=True)
+    acceleration = -drag * speed * lin_vel
     acceleration[:, 2] -= GRAVITY
-    return acceleration
+    return acceleration if side_force is None else acceleration + side_force * speed.square()

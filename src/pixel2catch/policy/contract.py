@@ -57,7 +57,8 @@ class PolicyContract:
     #: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
     commands: dict[str, dict[str, float]]
     control_dt: float  #: Time between two actions [s].
-    #: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
+    #: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation; of a policy for
+    #: any camera the size alone.
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
     task: str = "nominal"  #: Name of the task of its training; it may act in others.
@@ -139,7 +140,11 @@ def contract_of(
             for joint, command in zip(workcell.joints, commands_of(workcell), strict=True)
         },
         control_dt=CONTROL_DT,
-        camera=dataclasses.asdict(camera),
+        camera={
+            name: value
+            for name, value in dataclasses.asdict(camera).items()
+            if name in ("width", "height") or not method.is_levelled
+        },
         workcell=workcell.name,
     )
 
@@ -163,6 +168,7 @@ def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
     joints, num_palms = torch.zeros(1, len(workcell.joints)), len(workcell.palms)
     return Measurement(
         boxes=BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), num_boxes),
+        camera_pos=torch.zeros(1, 3),
         object_pos=torch.zeros(1, 3),
         initial_object_pos=torch.zeros(1, 3),
         joint_pos=joints,

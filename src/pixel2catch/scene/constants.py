@@ -7,7 +7,7 @@ the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configu
 from dataclasses import dataclass
 from typing import Annotated
 
-from pixel2catch.checks import UNIT_LENGTH, Within
+from pixel2catch.checks import CAMERA_NAMES, UNIT_LENGTH, Within
 from pixel2catch.robots.spec import Quat, Vec3
 
 GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
@@ -75,3 +75,18 @@ RGB_CAMERA = CameraSpec(
     quat=quat_multiply((0.96814764, 0.0, 0.25038000, 0.0), FORWARD_TO_OPTICAL),
 )
 """The RGB camera behind and above the robot. Source: release (there with x forward and z up)."""
+
+PEOPLE_CAMERA = CameraSpec(
+    width=640,
+    height=480,
+    fx=417.03,
+    fy=417.03,
+    cx=320.0,
+    cy=240.0,
+    pos=(-0.8, 0.0, 1.6),
+    quat=quat_multiply((0.99897391, 0.0, 0.04528951, 0.0), FORWARD_TO_OPTICAL),
+)
+"""A camera that sees throws of people from 4 m and the hand: 75° wide, 5.2° down. Source: ours, computed."""
+
+CAMERAS: dict[str, CameraSpec] = dict(zip(CAMERA_NAMES, (RGB_CAMERA, PEOPLE_CAMERA), strict=True))
+"""Cameras that a name stands for, in place of a file."""

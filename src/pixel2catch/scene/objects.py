@@ -6,6 +6,7 @@ inertia. Differs: the release's cone has its origin at half its height.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from math import radians
 
 import numpy as np
 from jaxtyping import Float
@@ -101,6 +102,15 @@ def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
     return make_object(name, long_bar, short_bar)
 
 
+def _bent(name: str, length: float, width: float, angle: float, mass: float) -> ObjectSpec:
+    """Return two bars of a length and width [m] with an angle [rad] between them."""
+    bar = shapes.box(length, width, width).moved((0.5 * (length - width * np.tan(0.25 * angle)), 0.0, 0.0))
+    half = 0.5 * (np.pi - angle)
+    turn = np.array([[np.cos(half), np.sin(half), 0.0], [-np.sin(half), np.cos(half), 0.0], [0.0, 0.0, 1.0]])
+    right = bar.vertices @ turn.T
+    return make_object(name, *(ConvexPart(vertices=right * (side, 1.0, 1.0)) for side in (1, -1)), mass=mass)
+
+
 _GROUPS: dict[str, tuple[ObjectSpec, ...]] = {
     # Training objects: five shapes in two sizes. Source: release.
     "seen": (
@@ -156,6 +166,19 @@ _GROUPS: dict[str, tuple[ObjectSpec, ...]] = {
         make_object("cube_20", shapes.box(0.2, 0.2, 0.2), mass=0.2),
         make_object("drum_24", shapes.cylinder(0.1, 0.24), mass=0.22),
     ),
+    # Long and irregular things for one hand. Source: ours: an empty bottle of 0.5 l whose drag is that of the
+    # recorded flights of one, a wooden rod, a foam bar, an elbow.
+    "long": (
+        make_object("bottle", shapes.cylinder(0.032, 0.2), mass=0.032),
+        make_object("rod_16", shapes.cylinder(0.012, 0.16), mass=0.05),
+        make_object("bar_18", shapes.box(0.03, 0.03, 0.18), mass=0.03),
+        _bent("elbow_14", length=0.1, width=0.03, angle=radians(90.0), mass=0.04),
+    ),
+    # Objects of the same kind, not used in training. Source: ours.
+    "long_unseen": (
+        make_object("stick_20", shapes.cylinder(0.0125, 0.2), mass=0.06),
+        _bent("banana", length=0.1, width=0.035, angle=radians(130.0), mass=0.12),
+    ),
 }
 
 OBJECTS: dict[str, ObjectSpec] = catalogue(
@@ -166,7 +189,7 @@ OBJECTS: dict[str, ObjectSpec] = catalogue(
 OBJECT_GROUPS = {name: tuple(spec.name for spec in group) for name, group in _GROUPS.items()}
 """Names of the objects of each group."""
 
-SEEN, UNSEEN, REAL, SIZES, SIZES_UNSEEN = OBJECT_GROUPS.values()
+SEEN, UNSEEN, REAL, SIZES, SIZES_UNSEEN, LONG, LONG_UNSEEN = OBJECT_GROUPS.values()
 
 
 def largest_radius(names: Iterable[str], scale: float = 1.0) -> float:

@@ -58,7 +58,7 @@ class BatchSimulation(Simulation):
 
     def ray(  # noqa: D102
         self,
-        origin: Float[Tensor, "3"],
+        origin: Float[Tensor, "*num_envs 3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
         mask: Bool[Tensor, " num_envs"] | None = None,
@@ -71,7 +71,10 @@ class BatchSimulation(Simulation):
                 self._rays.expand(name)[:] = values
         distance = np.full(directions.shape[:2], -1.0)
         distance[ids], _ = self._rays.ray(
-            origin.numpy(), directions.numpy()[ids], geomgroup=geomgroup, ids=ids
+            origin.expand(self.num_envs, 3).numpy()[ids, None],
+            directions.numpy()[ids],
+            geomgroup=geomgroup,
+            ids=ids,
         )
         return torch.from_numpy(distance)
 

@@ -132,7 +132,7 @@ class EngineSimulation(Simulation):
 
     def ray(  # noqa: D102
         self,
-        origin: Float[Tensor, "3"],
+        origin: Float[Tensor, "*num_envs 3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
         mask: Bool[Tensor, " num_envs"] | None = None,

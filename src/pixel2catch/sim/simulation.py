@@ -72,15 +72,15 @@ class Simulation(ABC):
     @abstractmethod
     def ray(
         self,
-        origin: Float[Tensor, "3"],
+        origin: Float[Tensor, "*num_envs 3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
         mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
         """Return the distance to the nearest geom along each ray in lengths of its direction, -1 for a miss.
 
-        Origin [m] and directions are in the world frame; rays hit geoms of some groups. Environments outside
-        the mask may be skipped and then miss.
+        Origin [m], one or one for each environment, and directions are in the world frame; rays hit geoms of
+        some groups. Environments outside the mask may be skipped and then miss.
         """
 
     def record(

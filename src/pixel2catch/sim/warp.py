@@ -112,7 +112,7 @@ class WarpSimulation(Simulation):
 
     def ray(  # noqa: D102
         self,
-        origin: Float[Tensor, "3"],
+        origin: Float[Tensor, "*num_envs 3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
         mask: Bool[Tensor, " num_envs"] | None = None,
@@ -183,6 +183,7 @@ def _nearest(
     hfield_adr: wp.array[int], hfield_data: wp.array[float], mat_rgba: wp.array2d[wp.vec4],
     geom_xpos: wp.array2d[wp.vec3], geom_xmat: wp.array2d[wp.mat33],
     groups: vec6,
+    num_origins: int,
     origin: wp.array[wp.vec3],
     directions: wp.array2d[wp.vec3],
     distance: wp.array2d[float],
@@ -194,7 +195,7 @@ def _nearest(
             nmeshface, body_weldid, geom_type, geom_bodyid, geom_dataid, geom_matid, geom_group, geom_size,
             geom_rgba, mesh_vertadr, mesh_faceadr, mesh_vert, mesh_face, hfield_size, hfield_nrow,
             hfield_ncol, hfield_adr, hfield_data, mat_rgba, geom_xpos, geom_xmat,
-            env, origin[0], directions[env, ray], groups, True, -1, geom,
+            env, origin[wp.min(env, num_origins - 1)], directions[env, ray], groups, True, -1, geom,
         )
         if hit >= 0.0 and (nearest < 0.0 or hit < nearest):
             nearest = hit
@@ -205,12 +206,13 @@ def _nearest(
 def _cast_rays(
     model: mjw.Model,
     data: mjw.Data,
-    origin: Float[Tensor, "3"],
+    origin: Float[Tensor, "*num_envs 3"],
     directions: Float[Tensor, "num_envs num_rays 3"],
     groups: tuple[int, ...],
 ) -> Float[Tensor, "num_envs num_rays"]:
     """Cast rays with one thread each; MuJoCo Warp's own function takes a block of threads for a ray."""
     num_envs, num_rays, _ = directions.shape
+    origins = origin.to(directions).view(-1, 3).contiguous()
     distance = torch.empty(num_envs, num_rays, device=directions.device)
     fields = (
         *("nmeshface", "body_weldid", "geom_type", "geom_bodyid", "geom_dataid", "geom_matid", "geom_group"),
@@ -226,7 +228,8 @@ def _cast_rays(
             data.geom_xpos,
             data.geom_xmat,
             vec6(*(float(group in groups) for group in range(MAX_GEOM_GROUPS))),
-            wp.from_torch(origin.to(directions).view(1, 3), dtype=_Vec3),
+            len(origins),
+            wp.from_torch(origins, dtype=_Vec3),
             wp.from_torch(directions.contiguous(), dtype=_Vec3),
         ],
         outputs=[wp.from_torch(distance)],

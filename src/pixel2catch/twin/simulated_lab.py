@@ -245,7 +245,7 @@ class SimulatedLab:
         if self.phase is Phase.EMPTY:
             return None
         sensing = self._task.sensing
-        points, is_visible = self._world.surface_points(sensing.camera.camera)
-        projection = nominal_projection(sensing.camera.camera, points)
+        projection = nominal_projection(sensing.camera.camera, self.record.hold_speed)
+        points, is_visible = self._world.surface_points(projection.center)
         box, is_seen = detect(points, is_visible, sensing.least_visible, projection)
         return box[0].tolist() if is_seen else None
