@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rollouts import EXACT, HOVERING, after, make, object_path, object_pos, rollout
+from rollouts import AT_ONCE, EXACT, HOVERING, after, make, object_path, object_pos, rollout
 from torch import Tensor
 
 from paper_robot import JOINTS
@@ -16,6 +16,7 @@ from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS
 
@@ -179,3 +180,20 @@ def test_a_teacher_sees_the_same_world():
     for seen, expected in both:
         torch.testing.assert_close(seen.teacher["robot"], expected.policy["robot"])
     assert not alone.reset().teacher
+
+
+@pytest.mark.parametrize("latency", [None, 0.012])
+def test_a_branch_goes_on_as_the_original_did_and_draws_nothing(latency: float | None):
+    """With equal noise, though other episodes began meanwhile; nominal joints, and a command path."""
+    path = {} if latency is None else {"latency": latency, "filter_gain": 300.0, "filter_lookahead": 0.1}
+    env = make(3, throws=AT_ONCE, dynamics=JointDynamics.nominal().with_values(**path))
+    list(rollout(env, 12, action=0.3))
+    state = clone(env.live)
+    env.seed(1)
+    expected = [clone(step.observation.policy) for step in rollout(env, 6, action=-0.2)]
+    env.reset()
+    env.seed(1)
+    with env.branched(state):
+        found = [clone(step.observation.policy) for step in rollout(env, 6, action=-0.2)]
+    torch.testing.assert_close(found, expected, rtol=0.0, atol=0.0)
+    assert torch.equal(env._generator.get_state(), torch.Generator().manual_seed(1).get_state())

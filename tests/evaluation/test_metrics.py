@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.evaluation.metrics import metrics, paired_difference, wilson_interval
+from pixel2catch.evaluation.metrics import metrics, paired_difference, pooled_counts, wilson_interval
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
@@ -45,6 +45,7 @@ def five_trials() -> Trials:
         hold_steps=torch.tensor([45, 5, 0, 0, 0]),
         torque_squares=squares,
         limit_steps=torch.tensor([3, 0, 12, 0, 0]),
+        closed_loop=torch.tensor([1, -1, 0, -1, 0]),
     )
 
 
@@ -86,6 +87,11 @@ def test_metrics_by_hand():
     assert result["success_rate"] == 2 / 5
     assert result["palm_contact_rate"] == 2 / 5
     assert result["verified_hold_rate"] == 1 / 5
+    assert (result["closed_loop_hold_rate"], result["closed_loop_hold_rate_trials"]) == (1 / 3, 3)
+    assert pooled_counts([result, {"closed_loop_hold_rate": 0.5, "trials": 2}], "closed_loop_hold_rate") == (
+        2,
+        5,
+    )
     assert result["table_contact_rate"] == 1 / 5
     assert result["self_contact_rate"] == 2 / 5
     assert result["mean_penetration"] == pytest.approx(0.10 / 100)
@@ -107,7 +113,12 @@ def test_metrics_without_contact_are_valid_json():
     none = torch.tensor([0])
     squares = torch.zeros(1, 13)
     trials = Trials(
-        record=record, is_verified=flags(0), hold_steps=none, torque_squares=squares, limit_steps=none
+        record=record,
+        is_verified=flags(0),
+        hold_steps=none,
+        torque_squares=squares,
+        limit_steps=none,
+        closed_loop=none - 1,
     )
     result = metrics(trials, UR5E_ALLEGRO)
     assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3

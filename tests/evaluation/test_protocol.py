@@ -1,5 +1,6 @@
 """The protocol with throws and policies whose outcome is known."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -16,6 +17,7 @@ from pixel2catch.evaluation.protocol import (
     TRIAL_STEPS,
     EvaluationCfg,
     RoundState,
+    Trials,
     evaluate,
     run_round,
     shake_action,
@@ -25,6 +27,7 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import PROPOSED
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from snapshots import tensors
 
 PALM = (0.434, 0.133, 1.391)
 """Palm in the start pose [m]."""
@@ -62,6 +65,28 @@ def test_a_closed_hand_holds_what_fell_into_it():
     assert trials.record.steps[trials.is_verified].max() < ROUND_STEPS
     assert (trials.hold_steps[trials.is_verified] == TEST_STEPS).all()
     assert trials.record.max_object_force.min() > 0.03 * 9.81  # more than its weight
+
+
+def test_the_policy_goes_on_in_the_closed_loop_hold_of_every_second_throw():
+    """A hand that stays closed keeps the ball; one that opens at step 60 loses it, but not when frozen."""
+    cfg = over_the_palm(hover_steps=5)
+    stays = evaluate(grasp(closes_at=9), PROPOSED, cfg)
+    opens = evaluate(Scripted(lambda step: (0.0, 1.0 if 9 <= step < 60 else -1.0)), PROPOSED, cfg)
+    for trials, share in ((stays, 0.75), (opens, 0.0)):
+        assert trials.is_verified.float().mean() >= 0.75
+        assert (trials.closed_loop[1::2] == -1).all()
+        assert trials.closed_loop[::2].float().mean() >= share
+    assert opens.closed_loop[::2].float().mean() <= 0.25
+
+
+def test_a_closed_loop_hold_changes_no_other_round():
+    cfg = replace(over_the_palm(hover_steps=5), trials=2)
+    env, actor = cfg.make_env(PROPOSED), grasp(closes_at=9)
+    alone = [run_round(env, actor) for _ in range(2)]
+    env.close()
+    both = evaluate(grasp(closes_at=9), PROPOSED, cfg)
+    expected = replace(Trials.concatenate(alone), closed_loop=both.closed_loop)
+    assert all(map(torch.equal, tensors(both), tensors(expected)))
 
 
 def test_an_object_that_hovers_at_the_palm_is_no_verified_hold():

@@ -93,6 +93,14 @@ class JointActuators:
         ):
             write(mask, value, target)
 
+    @property
+    def live(self) -> tuple[Tensor, ...]:
+        """Return the tensors of the state besides the gains, one row per environment."""
+        state = (self._command, self._last_vel)
+        if self._path is None or self._dry_friction is None:
+            return state
+        return (*state, *self._path.live, self._dry_friction.bend, self._dry_friction.last)
+
     def increment(
         self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
     ) -> Float[Tensor, "num_envs num_joints"]:
@@ -202,6 +210,11 @@ class CommandPath:
         self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
         at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
         write(mask, at_rest, self._state)
+
+    @property
+    def live(self) -> tuple[Tensor, ...]:
+        """Return the tensors of the state, one row per environment."""
+        return self._history.movedim(0, 1), self._state
 
     def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
         """Return the targets of the servos in a physics step [rad] from the commands at its end [rad].

@@ -1,5 +1,7 @@
 """The catching environment: act, simulate, reward, reset, observe."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import torch
@@ -85,6 +87,10 @@ class SensorState:
     history: History  #: The last three measurements.
     before: Privileged  #: True state one control step earlier.
     now: Privileged  #: True state.
+
+
+LiveState = tuple[tuple[Tensor, ...], Episode, DelayLine[Tensor], SensorState]
+"""State of world, episodes, delayed targets and sensors."""
 
 
 class CatchEnv:
@@ -189,6 +195,24 @@ class CatchEnv:
             self._require_numbers()
         step = self._advance(action.clamp(-1.0, 1.0))
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
+
+    @property
+    def live(self) -> LiveState:
+        """Return the tensors of all state, one row per environment; steps change them in place."""
+        return self.world.live, self.episode, self._commands, self._sensors
+
+    @contextmanager
+    def branched(self, state: LiveState) -> Iterator[Observation]:
+        """Go back to a copy of `live`; afterwards draws go on as if nothing had been drawn in between."""
+        draws = self._generator.get_state()
+        _, episode, _, _ = state
+        self.world.reset(self._everywhere, episode.parameters, episode.throw)
+        assign(self.live, state)
+        self.world.simulation.forward(self._everywhere)
+        try:
+            yield self._observe()
+        finally:
+            self._generator.set_state(draws)
 
     def check(self) -> None:
         """Check contacts and actions since the last call; wait for the device.

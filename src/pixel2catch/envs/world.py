@@ -148,11 +148,20 @@ class CatchWorld:
         first = self.objects.indices.dofs.start
         self._linear = slice(first, first + 3)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
+        #: Environments that `run` advances; the CPU leaves others as they are. None: all.
+        self.is_active: Bool[Tensor, " num_envs"] | None = None
 
     @property
     def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
         """Return the true joint positions [rad]."""
         return _snapshot(self._fields.qpos[:, : self._num_joints])
+
+    @property
+    def live(self) -> tuple[Tensor, ...]:
+        """Return the tensors of the state besides what `reset` sets, one row per environment."""
+        fields = self._fields
+        state = (fields.qpos, fields.qvel, fields.qacc_warmstart, fields.xfrc_applied)
+        return (*state, *self._actuators.live)
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Set the masked robots to their start, with new dynamics and a new hovering object."""
@@ -197,15 +206,16 @@ class CatchWorld:
         """
         num_steps = num_steps or self._scene.decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)
-        log = None
+        peaks = None
         for _ in range(num_steps):
             if drag is not None:
                 self._slow_object(drag, side_force)
             self._actuators.advance(increment)
-            self.simulation.step()
-            log = self._read_log() if log is None else log.merged(self._read_log())
-        assert log is not None
-        return log
+            self.simulation.step(self.is_active)
+            seen = self._magnitudes()
+            peaks = seen if peaks is None else [*map(torch.maximum, peaks, seen)]
+        assert peaks is not None
+        return self._log(*peaks)
 
     def _slow_object(
         self, drag: Float[Tensor, " num_envs"], side_force: Float[Tensor, "num_envs 3"] | None
@@ -222,7 +232,9 @@ class CatchWorld:
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""
-        return self._read_log().cleared(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+        return self._log(*self._magnitudes()).cleared(
+            torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        )
 
     def privileged(self, log: StepExtremes) -> Privileged:
         """Return the true state, with the contacts of a control step from its log."""
@@ -288,19 +300,37 @@ class CatchWorld:
         field = self._model[name][:, rows]
         write(mask, value.to(field.dtype).expand_as(field), field)
 
-    def _read_log(self) -> StepExtremes:
-        fields, anything, num_robots = self._fields, self._anything, self._num_robots
-        number, distance = fields.sensordata[:, self._contacts].unflatten(1, (-1, 2)).unbind(dim=-1)
-        of_object, of_robots = (number[:, : anything + 1] > 0), (number[:, anything + 1 :] > 0)
+    def _magnitudes(self) -> list[Tensor]:
+        """Return what `_log` takes of one physics step, in new memory; of several steps the largest."""
+        fields, sensors = self._fields, self._fields.sensordata[:, self._contacts]
+        return [
+            sensors[:, ::2] > 0,
+            -sensors[:, 2 * self._anything + 1],
+            take(fields.qvel, self.arms).abs(),
+            fields.actuator_force.abs(),
+            fields.qfrc_constraint[:, self._linear].square().sum(dim=-1),
+        ]
+
+    def _log(
+        self,
+        is_found: Bool[Tensor, "num_envs num_sensors"],
+        overlap: Float[Tensor, " num_envs"],
+        joint_speed: Float[Tensor, "num_envs num_arm_joints"],
+        torque: Float[Tensor, "num_envs num_joints"],
+        square_force: Float[Tensor, " num_envs"],
+    ) -> StepExtremes:
+        """Return the log of physics steps from the largest of their `_magnitudes`, in SI units."""
+        anything, num_robots = self._anything, self._num_robots
+        of_object, of_robots = is_found[:, : anything + 1], is_found[:, anything + 1 :]
         return StepExtremes(
             is_touching=of_object[:, :anything],
             is_robot_on_table=of_robots[:, :num_robots].any(dim=-1),
             is_self_contact=of_robots[:, num_robots:].any(dim=-1),
             is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
-            penetration=-torch.clamp(distance[:, anything], max=0.0).float(),
-            joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
-            torque_share=self._torque_share().amax(dim=-1),
-            object_force=torch.linalg.vector_norm(fields.qfrc_constraint[:, self._linear], dim=-1).float(),
+            penetration=overlap.clamp(min=0.0).float(),
+            joint_speed=joint_speed.amax(dim=-1).float(),
+            torque_share=(torque / self._actuators.effort_limit).amax(dim=-1).float(),
+            object_force=square_force.sqrt().float(),
         )
 
     def _torque_share(self) -> Float[Tensor, "num_envs num_joints"]:

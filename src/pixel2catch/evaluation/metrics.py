@@ -63,8 +63,8 @@ def paired_difference(home: str, other: str) -> Metrics:
 
 def pooled_counts(rates: Sequence[Mapping[str, Any]], name: str) -> tuple[int, int]:
     """Return the number of events of a rate, and of trials, over several metrics."""
-    trials = sum(each["trials"] for each in rates)
-    return sum(round(each[name] * each["trials"]) for each in rates), trials
+    trials = [each.get(f"{name}_trials", each["trials"]) for each in rates]
+    return sum(round(each[name] * own) for each, own in zip(rates, trials, strict=True)), sum(trials)
 
 
 def assess(
@@ -111,8 +111,11 @@ def metrics(trials: Trials, workcell: WorkcellSpec) -> Metrics:
     forces, held = record.max_object_force[record.is_hand_contact], int(trials.hold_steps.sum())
     shares = (trials.torque_squares.double().sum(dim=0) / max(held, 1)).sqrt().tolist()
     fingers = [joint.name for group in workcell.groups if group.role == "hand" for joint in group.joints]
+    tested = trials.closed_loop[trials.closed_loop >= 0]
+    name, num_held = "closed_loop_hold_rate", int(tested.sum())
     return {
         **_rates(trials, everything),
+        **(rate(name, num_held, len(tested)) | {f"{name}_trials": len(tested)} if len(tested) else {}),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
         "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,
         "robot_contact_rate": int(record.is_robot_contact.sum()) / num_trials,

@@ -14,7 +14,10 @@ from pixel2catch.evaluation.report import RATES, Row, percent, table
 from pixel2catch.evaluation.stress import Setting, is_trained_on
 from pixel2catch.reports import Cells, Section
 
-KEPT = ("trials", *EVENTS, *(f"{name}_interval" for name in EVENTS), "failures", "max_penetration")
+KEPT = (
+    *("trials", *EVENTS, *(f"{name}_interval" for name in EVENTS), "failures", "max_penetration"),
+    *(f"closed_loop_hold_rate{kind}" for kind in ("", "_interval", "_trials")),
+)
 """Metrics in the rows."""
 
 UNTRAINED = "†"  #: Mark of a setting that a policy was not trained on.

@@ -5,6 +5,10 @@ After a success the policy stops: the arm holds its measured position, the hand 
 one second at least two parts of the hand must touch the object at every control step. Then the arm shakes for
 half a second. If the object is still at the palm, the hold is verified.
 
+The closed-loop hold of every second throw goes on from the state at its success in the other way: the policy
+acts for two seconds, in which the arm shakes likewise. The object must stay at the palm, and at least two
+parts of the hand must touch it at the end.
+
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
@@ -12,7 +16,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
-from typing import Protocol, runtime_checkable
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -22,10 +26,10 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.checks import Count, Device, Seed, require_valid
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, LiveState, Observation, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.control_step import JointCommand, put, take
-from pixel2catch.mdp.tensors import mapped, select
+from pixel2catch.mdp.tensors import assign, clone, mapped, select, write
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -34,6 +38,9 @@ from pixel2catch.scene.constants import CONTROL_DT, OBJECT_VEL
 TRIAL_STEPS = EpisodeCfg().max_steps  #: Control steps in which reaching and success count, as in training.
 HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
 SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
+
+CLOSED_LOOP_STEPS = 60  #: Control steps of the closed-loop hold: 2.0 s. Source: ours.
+CLOSED_LOOP_EVERY = 2  #: One in every second environment takes a fifth more time. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
 ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
@@ -79,7 +86,8 @@ class EvaluationCfg:
 
     def make_env(self, method: Method) -> CatchEnv:
         """Return environments whose episodes end only when the object is lost or robots hit each other."""
-        endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, rest_steps=ROUND_STEPS, ends_on_robot_contact=True)
+        steps = ROUND_STEPS + CLOSED_LOOP_STEPS
+        endings = EpisodeCfg(max_steps=steps, rest_steps=steps, ends_on_robot_contact=True)
         task = replace(self.task, objects=self.objects, episode=endings)
         return CatchEnv(task, method, num_envs=self.num_envs, device=self.device, seed=self.seed)
 
@@ -107,6 +115,8 @@ class Trials:
     #: Squares of the finger joints' shares of their torque limits, summed over `hold_steps`.
     torque_squares: Float[Tensor, "num_trials num_fingers"]
     limit_steps: Int[Tensor, " num_trials"]  #: Control steps with an arm joint at its torque limit.
+    #: Whether the closed-loop hold passed; -1 where it was not tested.
+    closed_loop: Int[Tensor, " num_trials"]
 
     @classmethod
     def concatenate(cls, several: "list[Trials]") -> "Trials":
@@ -129,14 +139,10 @@ class RoundState(Trials):
         self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec
     ) -> Float[Tensor, "num_envs num_joints"]:
         """Return the policy's action; in a test, the arms' hold or shake and the hands' last action."""
-        parts, commands = list[Tensor](), commands_of(workcell)
-        for group in workcell.groups:
-            joints = workcell.columns(group.name)
-            is_arm = group.role == "arm"
-            parts.append(
-                shake_action(self.test_steps, commands[joints]) if is_arm else self.action[:, joints]
-            )
-        return select(self.is_testing, torch.cat(parts, dim=-1), action)
+        arms, hands = workcell.of_role("arm"), workcell.of_role("hand")
+        shake = _shake(self.test_steps, workcell)
+        held = put([(arms, take(shake, arms)), (hands, take(self.action, hands))])
+        return select(self.is_testing, held, action)
 
     def advanced(
         self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int, workcell: WorkcellSpec
@@ -163,6 +169,7 @@ class RoundState(Trials):
             hold_steps=self.hold_steps + is_held.long(),
             torque_squares=self.torque_squares + is_held[:, None] * hands.square(),
             limit_steps=self.limit_steps + is_limited.long(),
+            closed_loop=self.closed_loop,
             action=action,
         )
 
@@ -196,7 +203,14 @@ def evaluate(
             if is_seeded:
                 env.seed(cfg.seed + number)
             steps = itertools.count(number * ROUND_STEPS + 1)
-            rounds.append(run_round(env, actor, lambda *_, steps=steps: on_share(next(steps) / num_steps)))
+            hold = ClosedLoopHold(env, actor)
+
+            def watch(_: Step, state: RoundState, hold=hold, steps=steps) -> None:
+                hold.watch(state)
+                on_share(next(steps) / num_steps)
+
+            trials = run_round(env, actor, watch)
+            rounds.append(replace(trials, closed_loop=hold.result()))
             on_round(rounds[-1])
             on_share((number + 1) / cfg.trials)
     finally:
@@ -272,16 +286,58 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
     actor.reset()
     state = _round_start(env)
     for number in range(1, ROUND_STEPS + 1):
-        chosen = actor.act(observation.policy)
-        whole = put([(agent.joints, chosen[agent.name]) for agent in env.method.agents])
-        action = state.chosen(whole, env.workcell)
-        step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
-        actor.reset(step.terminated)
+        action = state.chosen(_policy_action(env, actor, observation), env.workcell)
+        step = _step(env, actor, action, state.is_running)
         state = state.advanced(step, action, number, env.workcell)
         observation = step.observation
         yield step, state
         if number >= TRIAL_STEPS and not state.is_testing.any():
             break
+
+
+@final
+class ClosedLoopHold:
+    """The closed-loop hold of every second throw of a round."""
+
+    def __init__(self, env: CatchEnv, actor: Actor) -> None:
+        """Take environments and policy; the round has not begun."""
+        self._env, self._actor = env, actor
+        self._kept: tuple[LiveState, dict[str, Tensor]] | None = None
+        self._is_tested = torch.arange(env.num_envs, device=env.device) % CLOSED_LOOP_EVERY == 0
+        self._is_held = torch.zeros_like(self._is_tested)
+
+    def watch(self, state: RoundState) -> None:
+        """Copy the state of tested throws that have just become a success; call it after every step."""
+        begun = self._is_tested & state.is_testing & (state.test_steps == 0)
+        if begun.any():
+            live = self._env.live, self._hidden_states
+            self._kept = self._kept or clone(live)
+            write(begun, live, self._kept)
+            self._is_held |= begun
+
+    def result(self) -> Int[Tensor, " num_envs"]:
+        """Return whether each throw passes, -1 where it is not tested; call it after the round."""
+        if self._kept is not None:
+            state, hidden_states = self._kept
+            assign(self._hidden_states, hidden_states)
+            with self._env.branched(state) as observation:
+                self._go_on(observation)
+        return torch.where(self._is_tested, self._is_held.long(), -1)
+
+    @property
+    def _hidden_states(self) -> dict[str, Tensor]:
+        return getattr(self._actor, "hidden_states", {})  # of a policy with a GRU
+
+    def _go_on(self, observation: Observation) -> None:
+        env = self._env
+        for number in range(HOLD_TEST_STEPS, HOLD_TEST_STEPS + CLOSED_LOOP_STEPS):
+            steps = torch.full_like(self._is_held, number, dtype=torch.long)
+            action = _policy_action(env, self._actor, observation) + _shake(steps, env.workcell)
+            step = _step(env, self._actor, action, self._is_held)
+            observation = step.observation
+            self._is_held &= ~step.terminated & (step.record.held_steps > 0)
+            if number == HOLD_TEST_STEPS + CLOSED_LOOP_STEPS - 1:
+                self._is_held &= step.log.is_touching.sum(dim=-1) >= LEAST_PARTS
 
 
 def shake_action(
@@ -293,6 +349,33 @@ def shake_action(
     amplitude = [lead / command.scale for lead, command in zip(SHAKE_LEAD, commands, strict=False)]
     amplitude += [0.0] * (len(commands) - len(amplitude))
     return wave[:, None] * torch.tensor(amplitude, device=test_steps.device)
+
+
+def _shake(
+    test_steps: Int[Tensor, " num_envs"], workcell: WorkcellSpec
+) -> Float[Tensor, "num_envs num_joints"]:
+    """Return the shake of all arms, with 0 for the hands."""
+    commands, waves = commands_of(workcell), list[Tensor]()
+    for group in workcell.groups:
+        wave = shake_action(test_steps, commands[workcell.columns(group.name)])
+        waves.append(wave if group.role == "arm" else 0.0 * wave)
+    return torch.cat(waves, dim=-1)
+
+
+def _policy_action(
+    env: CatchEnv, actor: Actor, observation: Observation
+) -> Float[Tensor, "num_envs num_joints"]:
+    chosen = actor.act(observation.policy)
+    return put([(agent.joints, chosen[agent.name]) for agent in env.method.agents])
+
+
+def _step(env: CatchEnv, actor: Actor, action: Tensor, is_running: Bool[Tensor, " num_envs"]) -> Step:
+    """Make a control step; on the CPU the physics of other environments stands still."""
+    env.world.is_active = is_running if env.device.type == "cpu" else None
+    step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
+    env.world.is_active = None
+    actor.reset(step.terminated)
+    return step
 
 
 def _round_start(env: CatchEnv) -> RoundState:
@@ -308,5 +391,6 @@ def _round_start(env: CatchEnv) -> RoundState:
         hold_steps=none,
         torque_squares=take(action, env.workcell.of_role("hand")),
         limit_steps=none,
+        closed_loop=none - 1,
         action=action,
     )

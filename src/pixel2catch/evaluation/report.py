@@ -30,8 +30,12 @@ PAPER = {
 MAIN_RATES = {"T.R.": "tracking_rate", "S.R.": "success_rate"}
 """Rates of the paper, in the order of `PAPER`, with the names of their metrics."""
 
-CONTACT_RATES = {"palm contact": "palm_contact_rate", "verified hold": "verified_hold_rate"}
-"""Rates that need contact; the paper has none of them."""
+CONTACT_RATES = {
+    "palm contact": "palm_contact_rate",
+    "verified hold": "verified_hold_rate",
+    "closed-loop hold": "closed_loop_hold_rate",
+}
+"""Rates that need contact; the paper has none of them. Objects and older files lack the last one."""
 
 RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics that they show.
 
@@ -103,7 +107,11 @@ def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table
 
 
 def _cells(rates: Metrics) -> dict[str, str]:
-    texts = {title: percent(rates[name], rates[f"{name}_interval"]) for title, name in RATES.items()}
+    texts = {
+        title: percent(rates[name], rates[f"{name}_interval"])
+        for title, name in RATES.items()
+        if name in rates
+    }
     # Without a space in the interval, a narrow terminal breaks the line before it.
     shown = {title: text.replace(", ", "\N{EN DASH}") for title, text in texts.items()}
     return {"trials": f"{rates['trials']}", **shown}

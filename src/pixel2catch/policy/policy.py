@@ -93,7 +93,7 @@ class Policy(nn.Module):
         super().__init__()
         self.contract = contract
         self.hidden, self.recurrent = tuple(hidden), recurrent
-        self._hidden_states: dict[str, Tensor] = {}
+        self.hidden_states: dict[str, Tensor] = {}  #: Hidden states of a GRU, by agent.
         self.agents = nn.ModuleDict(
             {
                 name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden, recurrent)
@@ -108,10 +108,10 @@ class Policy(nn.Module):
     def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
         """Reset the hidden states of a GRU where an episode ended, or everywhere."""
         if is_ended is None:
-            self._hidden_states.clear()
+            self.hidden_states.clear()
         else:
-            self._hidden_states = {
-                name: state * ~is_ended[:, None] for name, state in self._hidden_states.items()
+            self.hidden_states = {
+                name: state * ~is_ended[:, None] for name, state in self.hidden_states.items()
             }
 
     def to(self, *args: Any, **kwargs: Any) -> "Policy":  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -131,13 +131,13 @@ class Policy(nn.Module):
         """Return the mean action of every agent, clipped to [-1, 1]; hidden states are kept."""
         actions = {}
         for name in self.agents:
-            observation, state = observations[name], self._hidden_states.get(name)
+            observation, state = observations[name], self.hidden_states.get(name)
             if state is None:
                 state = observation.new_zeros(len(observation), self.recurrent)
             mean, state = self.network(name)(observation, state)
             actions[name] = mean.clamp(-1.0, 1.0)
             if self.recurrent:
-                self._hidden_states[name] = state
+                self.hidden_states[name] = state
         return actions
 
     @property

@@ -50,8 +50,9 @@ class BatchSimulation(Simulation):
     def can_expand(self, field: str) -> bool:  # noqa: D102
         return field in MODEL_FIELDS
 
-    def step(self) -> None:  # noqa: D102
-        self._batch.step(stage=_VELOCITY_STAGE)
+    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+        ids = None if mask is None else mask.numpy().nonzero()[0]
+        self._batch.step(ids, stage=_VELOCITY_STAGE)
 
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
         self._batch.forward(None if mask is None else mask.numpy(), stage=_VELOCITY_STAGE)

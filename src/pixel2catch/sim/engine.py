@@ -113,7 +113,7 @@ class EngineSimulation(Simulation):
         """Return whether the engine uses a field or does not need it; it would ignore any other field."""
         return field in FOLLOWED or field in DERIVED
 
-    def step(self) -> None:  # noqa: D102
+    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
         self._rebuild()
         self._push_state()
         self._torque[:] = self._servo_torque()

@@ -59,8 +59,11 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def step(self) -> None:
-        """Advance every environment by one physics step; bound fields then describe the new state."""
+    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+        """Advance every environment by one physics step; bound fields then describe the new state.
+
+        Environments outside the mask may be left as they are.
+        """
 
     @abstractmethod
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:

@@ -89,7 +89,7 @@ class WarpSimulation(Simulation):
     def can_expand(self, field: str) -> bool:  # noqa: D102
         return hasattr(self._model, field) and getattr(self._model, field).shape[0] in (1, self.num_envs)
 
-    def step(self) -> None:  # noqa: D102
+    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
         if not self._device.is_cuda or torch.cuda.is_current_stream_capturing():
             self._step()
         else:
