@@ -53,7 +53,8 @@ def main() -> None:
         if name in publishers:
             publishers[name].publish(data)
         elif name == TARGETS.name:
-            loop.send(JointTargets.of(messages.read_float_array(data)))
+            row = messages.read_float_array(data)
+            loop.send(JointTargets.recorded(row, setup.limits.num_joints))
         elif name == SERVO.name:
             clock.time = Command.of(messages.read_float_array(data)).time
             begun, worked = perf_counter(), thread_time()

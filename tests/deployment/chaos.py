@@ -56,6 +56,7 @@ class Chaos:
             image_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
             box_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
             is_perception_sound=~self._happens(),
+            is_planned=self._happens(),
             dead_man_stamp=self._wrong(self.sent["dead_man_stamp"], WRONG_STAMPS),
             pressed_stamp=self.pressed,
             arm_stamp=self._requests(),

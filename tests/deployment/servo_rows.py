@@ -18,7 +18,13 @@ LIMITS = replace(ServoLimits.of(UR5E_ALLEGRO), ramp_time=0.1)
 """Limits of the robot, with a short ramp."""
 
 TRUE = ("is_perception_sound", "is_safe", "is_status_known", "has_controller", "has_subscriber")
-FALSE = ("is_stop_requested", "has_other_publisher", "has_other_operator", "has_other_subscriber")
+FALSE = (
+    "is_planned",
+    "is_stop_requested",
+    "has_other_publisher",
+    "has_other_operator",
+    "has_other_subscriber",
+)
 """Flags of inputs without a fault."""
 
 

@@ -363,13 +363,14 @@ def test_fingers_stopped_or_pushed_by_an_object_are_no_fault():
 
 @pytest.mark.parametrize("is_planned", [False, True])
 def test_only_a_hand_that_a_policy_moves_must_be_free(is_planned: bool):
-    """Fingers close on an object that they hold; a planned motion has boxes as new as its targets."""
+    """Fingers close on an object that they hold. Boxes are as new as the targets if clocks differ."""
     lab = Lab().started()
     lab.target[0, FINGERS] = HOME[FINGERS] + 0.2
     lab.is_held_fast[FINGERS] = True
 
     def planned(good: ServoInputs) -> ServoInputs:
-        return replace(noisy(good), box_stamp=good.target_stamp) if is_planned else noisy(good)
+        planned = np.full(lab.rows, is_planned)
+        return replace(noisy(good), box_stamp=good.target_stamp, is_planned=planned)
 
     assert (lab.run(0.5, planned)["mode"][0] == Mode.RUN) == is_planned
 

@@ -192,7 +192,7 @@ def test_an_old_request_to_arm_does_not_count(stage: Stage):
 
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
-TARGETS = JointTargets.of(np.array([1.0, 0.5, 0.4, False, True, *NUMBERS]))
+TARGETS = JointTargets.of(np.array([1.0, 0.5, 0.4, False, True, False, *NUMBERS]))
 COMMAND = Command.of(np.array([1.0, 4e-4, 0.99, 0.98, 3, 4, 1 << 15, 6, 7, *(np.nan * NUMBERS), *NUMBERS]))
 
 
@@ -207,6 +207,14 @@ def test_targets_and_commands_arrive_unchanged(ends: tuple[LoopEnd, ServoEnd]):
             np.testing.assert_array_equal(getattr(received, name), value)
     assert not servo.receive()
     assert not servo.is_closed
+
+
+def test_targets_of_old_recordings_are_read_without_the_field_of_planned_motions():
+    for row in (np.array([1.0, 0.5, box, False, True, *NUMBERS]) for box in (0.4, 1.0)):
+        targets = JointTargets.recorded(row, len(NUMBERS))
+        assert (targets.is_stop_requested, targets.is_planned) == (True, row[2] == 1.0)
+        assert targets.joint_pos_target == pytest.approx(NUMBERS)
+        assert JointTargets.recorded(targets.row, len(NUMBERS)).row == pytest.approx(targets.row)
 
 
 def test_packets_that_do_not_fit_are_dropped_and_counted(ends: tuple[LoopEnd, ServoEnd]):

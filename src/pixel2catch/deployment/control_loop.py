@@ -207,7 +207,7 @@ class ControlLoop:
 
     def _with_image(self, targets: JointTargets, stamp: float) -> JointTargets:
         """Return targets with the newest image's exposure time [s], and whether perception is sound."""
-        if self._cycle and self._cycle.phase != "throw":
+        if targets.is_planned:
             return targets
         stamp = min(stamp, self._clock.now())
         return replace(targets, image_stamp=stamp, is_perception_sound=not self._problem)

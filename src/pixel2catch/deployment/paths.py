@@ -49,8 +49,10 @@ class Motion:
 
 
 def blind_targets(joint_pos: Joints, now: float) -> JointTargets:
-    """Return targets [rad] that depend on no image; by equal stamps [s] the servo knows a planned motion."""
-    return JointTargets(joint_pos_target=joint_pos, target_stamp=now, image_stamp=now, box_stamp=now)
+    """Return targets of a planned motion [rad], as new as if there were an image now [s]."""
+    return JointTargets(
+        joint_pos_target=joint_pos, target_stamp=now, image_stamp=now, box_stamp=now, is_planned=True
+    )
 
 
 class PathFinder:

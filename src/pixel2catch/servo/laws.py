@@ -230,9 +230,8 @@ def hand_faults(robot: Record, joints: Records, inputs: Record, limits: Records)
 
     Until an object touches it, a hand follows its commands as an arm does. It is free up to the ramp, for
     `FREE_TIME` from its first quick motion on, and again after it was calm for `CALM_TIME`. In a planned
-    motion, whose box has the stamp of its targets, it may hold something, and is not watched.
+    motion it may hold something, and is not watched.
     """
-    is_planned = inputs.box_stamp == inputs.target_stamp
     is_quick, is_calm, is_astray, is_frozen = False, True, False, False
     for number in range(len(joints)):
         joint, limit = joints[number], limits[number]
@@ -245,11 +244,11 @@ def hand_faults(robot: Record, joints: Records, inputs: Record, limits: Records)
             is_frozen |= joint.still_time > FROZEN_TIME
     dt = limits[0].dt
     robot.calm_time = robot.calm_time + dt if is_calm and not is_quick else 0.0
-    if robot.mode != Mode.RUN or robot.calm_time > CALM_TIME or is_planned:
+    if robot.mode != Mode.RUN or robot.calm_time > CALM_TIME or inputs.is_planned:
         robot.free_time = FREE_TIME
     elif is_quick or robot.free_time < FREE_TIME:
         robot.free_time -= dt
-    is_free = robot.free_time > 0.0 and not is_planned
+    is_free = robot.free_time > 0.0 and not inputs.is_planned
     return bit(Fault.HAND_ASTRAY, is_astray and is_free) | bit(Fault.JOINTS_FROZEN, is_frozen and is_free)
 
 

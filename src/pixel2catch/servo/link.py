@@ -109,13 +109,14 @@ class Row:
 class JointTargets(Row):
     """Targets of the policy for the servo."""
 
-    NUM_NUMBERS = 5
+    NUM_NUMBERS = 6
 
     target_stamp: float  #: Time of the decision, `Clock.now` [s].
     image_stamp: float  #: Exposure time of the newest image, `Clock.now` [s].
     box_stamp: float  #: Exposure time of the newest image in which the object was found, `Clock.now` [s].
     is_perception_sound: bool = True  #: Whether images and boxes are plausible.
     is_stop_requested: bool = False  #: Whether the servo must stop the robot.
+    is_planned: bool = False  #: Whether the targets are of a planned motion, which uses no image.
     joint_pos_target: Joints  #: Target of each joint, in joint order [rad].
 
     @classmethod
@@ -123,6 +124,12 @@ class JointTargets(Row):
         """Return the targets before the first decision: NaN, infinitely old."""
         unknown = np.full(num_joints, np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf, box_stamp=-np.inf)
+
+    @classmethod
+    def recorded(cls, row: Float64[np.ndarray, " size"], num_joints: int) -> "JointTargets":
+        """Read a row of a recording; in one without `is_planned`, planned motions have equal stamps."""
+        num = cls.NUM_NUMBERS - 1
+        return cls.of(np.insert(row, num, row[0] == row[2]) if len(row) == num + num_joints else row)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

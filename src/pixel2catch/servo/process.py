@@ -188,7 +188,7 @@ class ServoSubscriptions:
         """Return the inputs of a tick."""
         percents = [each.value for each in self._scaling if each.value is not None]
         shares = [round(percent / 100.0, SCALING_DIGITS) for percent in percents]
-        passed_on = ("target_stamp", "image_stamp", "box_stamp", "is_perception_sound")
+        passed_on = ("target_stamp", "image_stamp", "box_stamp", "is_perception_sound", "is_planned")
         values = {name: getattr(targets, name) for name in passed_on} | {
             "now": now,
             "dead_man_stamp": self._dead_man_stamp,

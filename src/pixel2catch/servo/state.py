@@ -73,6 +73,7 @@ class ServoInputs:
     image_stamp: Times  #: Exposure time of the newest image [s].
     box_stamp: Times  #: Exposure time of the newest image in which the object was found [s].
     is_perception_sound: Flags  #: Whether images and boxes are plausible.
+    is_planned: Flags  #: Whether the targets are of a planned motion.
     dead_man_stamp: Times  #: Last time at which the dead-man's switch was held [s].
     pressed_stamp: Times  #: Last time at which it was pressed after a release or a silence [s].
     arm_stamp: Times  #: Time of the last request to arm [s].
