@@ -329,6 +329,15 @@ def test_a_hand_that_does_not_follow_stops(fault: str):
     assert lab.outputs[-1]["stopped_by"][0] == Fault.HAND_ASTRAY
 
 
+@pytest.mark.parametrize(("joints", "angle"), [(8, 0.09), (8, 0.06), (FINGERS, 0.09)])
+def test_one_joint_alone_may_be_off_by_less_than_all_alike(joints: range | int, angle: float):
+    """By 0.07 rad for 0.04 s; a swing of the arm drags several joints by up to 0.1 rad."""
+    lab = Lab().started()
+    lab.is_held_fast[joints] = True
+    lab.target[0, joints] += angle
+    assert (until_stopped(lab, 0.5, noisy) < 0.3) == (joints == 8 and angle > 0.07)
+
+
 @pytest.mark.parametrize("seconds", [0.0, 2.0])
 def test_an_elbow_measured_with_an_offset_stops(seconds: float):
     """0.1 rad, at once or slowly, while the arm holds a pose and after a swing."""

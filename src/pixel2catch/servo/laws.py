@@ -53,6 +53,9 @@ LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
 LEAST_AHEAD, LEAST_FOLLOWING = 0.04, 0.5
 HAND_ERROR = 0.1  #: Distance of a free finger from its expected position that is a fault [rad]. Source: ours.
 HAND_TIME = 0.12  #: Duration of that distance that is a fault [s]; a swing of the arm has 0.1. Source: ours.
+#: Distance of a free finger joint, beyond that of every other one, that is a fault [rad], and its duration
+#: [s]. Source: ours; 0.05 rad in rehearsed throws, 0.07 rad for 0.03 s in the fastest swings of an arm.
+LONE_ERROR, LONE_TIME = 0.07, 0.04
 #: Lead of a finger's command from which its motion is quick [rad], and duration of quick motions in which no
 #: object touches the hand yet [s]. Source: ours; in 60 rehearsed throws the first contact came after 0.5 s.
 QUICK_LEAD, FREE_TIME = 0.08, 0.4
@@ -228,21 +231,25 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
 def hand_faults(robot: Record, joints: Records, inputs: Record, limits: Records) -> int:
     """Update how long fingers move freely, and return the faults of free fingers that do not follow.
 
-    Until an object touches it, a hand follows its commands as an arm does. It is free up to the ramp, for
+    Until an object touches it, a hand follows its commands as an arm does; what a swing of the arm drags are
+    several joints alike. It is free up to the ramp, for
     `FREE_TIME` from its first quick motion on, and again after it was calm for `CALM_TIME`. In a planned
     motion it may hold something, and is not watched.
     """
-    is_quick, is_calm, is_astray, is_frozen = False, True, False, False
+    is_quick, is_calm, is_astray, is_frozen, largest, second = False, True, False, False, 0.0, 0.0
     for number in range(len(joints)):
         joint, limit = joints[number], limits[number]
         if limit.is_finger:
             error = abs(joint.measured - joint.expected) - limit.lag_error * joint.slack
             joint.astray_time = joint.astray_time + limit.dt if error > HAND_ERROR else 0.0
+            second, largest = max(second, min(largest, error)), max(largest, error)
             is_quick |= abs(joint.command - joint.expected) > QUICK_LEAD
             is_calm &= error < CALM_ERROR
             is_astray |= joint.astray_time > HAND_TIME
             is_frozen |= joint.still_time > FROZEN_TIME
     dt = limits[0].dt
+    robot.lone_time = robot.lone_time + dt if largest - second > LONE_ERROR else 0.0
+    is_astray |= robot.lone_time > LONE_TIME
     robot.calm_time = robot.calm_time + dt if is_calm and not is_quick else 0.0
     if robot.mode != Mode.RUN or robot.calm_time > CALM_TIME or inputs.is_planned:
         robot.free_time = FREE_TIME

@@ -24,6 +24,7 @@ ROBOT_STATE = np.dtype(
         ("used_press", np.float64),  # time of the switch's last press before the last stop [s]
         ("target_begun", np.float64),  # time at which the motion to the newest target began [s]
         ("target_stamp", np.float64),  # stamp of that target [s]
+        ("lone_time", np.float64),  # time for which one finger joint alone has been off its position [s]
         ("calm_time", np.float64),  # time for which the fingers have been near their expected positions [s]
         ("free_time", np.float64),  # time for which no object touches the fingers yet [s]
         ("is_returning", np.bool_),  # whether the joints have been measured since the last stop
