@@ -125,7 +125,7 @@ def suspend(run: Running) -> None:
 
 
 def publish(topic: Topic | None, data: bytes) -> Callable[[Running], None]:
-    """Another program, such as a second twin or a robot on the same domain, sends a message."""
+    """Another program sends a message."""
     assert topic is not None
     return lambda run: run.other().publisher(topic).publish(data)
 
@@ -141,12 +141,10 @@ PROCESS_FAULTS: dict[str, tuple[Callable[[Running], object], str]] = {
     "servo suspended": (suspend, "clock"),
     "second program commands": (lambda run: run.other().publisher(ARM.command_topic), "other publisher"),
     "second driver": (lambda run: run.other().subscription(ARM.command_topic), "other subscriber"),
-    "two twins": (publish(PROFILE.status.safety_mode, messages.safety_mode(1)), "status unknown"),
-    "clash of domains": (publish(PROFILE.status.speed_scaling, messages.number(100.0)), "status unknown"),
+    "second status": (publish(PROFILE.status.safety_mode, messages.safety_mode(1)), "status unknown"),
     "second operator": (publish(PROFILE.operator.dead_man, messages.boolean(True)), "other operator"),
     "packets lost": (lose_packets, "joints stale"),
     "pedal removed": (lambda run: run.lab.silent.add(PROFILE.operator.dead_man.name), "dead man"),
-    "control loop suspended": (lambda run: run.lab.silent.add("control loop"), "image stale"),
 }
 
 
