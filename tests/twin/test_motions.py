@@ -202,7 +202,7 @@ def test_the_joint_check_names_the_wrong_joint(fault: str, number: int, monkeypa
         found = encoders(lab, time)
         return replace(found, position=HOME + factors @ (found.position - HOME))
 
-    check = JointCheck(WORKCELL, LIMITS)
+    check = JointCheck(LIMITS)
 
     def plan(start: np.ndarray) -> Motion:
         """Return the part of the whole motion that moves the joint."""

@@ -3,7 +3,7 @@
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, OutputFile
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
-from pixel2catch.errors import DeploymentError, InvalidValueError
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, printable
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -23,11 +23,9 @@ from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.control_loop import Connection
     from pixel2catch.deployment.policy_pipeline import PolicyPipeline
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.scene.constants import CameraSpec
-    from pixel2catch.servo.limits import ServoLimits
 
 
 def make_pipeline(
@@ -83,9 +81,9 @@ class Deploy:
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
     def run(self) -> None:
-        """Deploy until a signal, and print what happened."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
+            from pixel2catch.deployment.joint_check import check_joints
             from pixel2catch.deployment.throw_cycle import ThrowCycle
             from pixel2catch.servo import link
             from pixel2catch.servo.status_words import sentence
@@ -121,7 +119,7 @@ class Deploy:
             gc.freeze()  # later collections skip what exists now
             with stop:
                 if is_check_due:
-                    _check_joints(connection, profile, limits, lambda: stop.is_set, report)
+                    check_joints(connection, profile, limits, lambda: stop.is_set, report)
                 loop = ControlLoop(pipeline, camera, connection, profile, executor, cycle=cycle)
                 loop.run(lambda: stop.is_set, report)
         summary = loop.statistics.summary()
@@ -144,35 +142,6 @@ class Deploy:
             return input("Check the joints, each by some degrees? [Y/n] ").strip().lower() in ("", "y", "yes")
         say("the joints of this profile were not checked today: add --joint-check")
         return False
-
-
-def _check_joints(
-    connection: "Connection",
-    profile: "Profile",
-    limits: "ServoLimits",
-    is_over: Callable[[], bool],
-    on_status: Callable[[dict[str, Any]], None],
-) -> None:
-    """Move each joint by some degrees once the robot is armed; record in a file that this was done today.
-
-    Raises:
-        DeploymentError: A joint does not fit the profile, or not all were moved.
-    """
-    from pixel2catch.deployment.follower import follow
-    from pixel2catch.deployment.joint_check import JointCheck, record_of_today
-    from pixel2catch.workcells import find_workcell
-
-    check, topic = JointCheck(find_workcell(profile.workcell), limits), profile.operator.status
-    try:
-        is_done = follow(check.plan, "joint check", connection, topic, is_over, on_status, check.note)
-        reasons = [] if is_done else ["it was ended"]
-    except DeploymentError as error:
-        reasons = [str(error)]
-    if wrong := [*check.findings(), *reasons]:
-        raise DeploymentError(f"joint check: {'; '.join(wrong)}")
-    path = record_of_today(profile.name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.touch()
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:

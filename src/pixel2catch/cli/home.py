@@ -2,19 +2,12 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from pixel2catch.cli.console import saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pixel2catch.deployment.paths import PathFinder
-    from pixel2catch.servo.limits import Joints
 
 QUARTER, EVEN = 0.25, 0.9
 """Limits of the servo over those of a catch, and speed of the motion over that which they permit."""
@@ -32,12 +25,11 @@ class Home:
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
     def run(self) -> None:
-        """Find the path, wait for the operator, and move."""
-        move_once(self.link, "to the start pose", lambda finder, _: finder.home)
+        move_once(self.link, "to the start pose", "")
 
 
-def move_once(link: Link, what: str, goal_of: "Callable[[PathFinder, Joints], Joints]") -> None:
-    """Let the robot move to the goal for a `PathFinder` and the measured pose [rad], and open the hand.
+def move_once(link: Link, what: str, place: str | None) -> None:
+    """Let the robot move over a place, "" for its start pose, or None to stay there, and open the hand.
 
     Raises:
         DeploymentError: It did not move to the end.
@@ -53,7 +45,7 @@ def move_once(link: Link, what: str, goal_of: "Callable[[PathFinder, Joints], Jo
         connection = slow.connect(profile, limits, stack)
         stop = stack.enter_context(StopRequest())
         is_done = follow(
-            lambda start: finder.motion(start, goal_of(finder, start)),
+            lambda start: finder.motion(start, start if place is None else finder.pose_over(place)),
             what,
             connection,
             profile.operator.status,

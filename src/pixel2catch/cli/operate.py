@@ -46,7 +46,6 @@ class Operate:
     network: Network = field(default_factory=Network)  #: Connection to the deployment.
 
     def run(self) -> None:
-        """Operate until Ctrl-C, and print changes."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, Switches, operate_by_keys
             from pixel2catch.servo.status_words import sentence

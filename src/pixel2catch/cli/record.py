@@ -43,7 +43,6 @@ class Record:
     lockstep: DynamicsPath | None = None
 
     def run(self) -> None:
-        """Wait for the operator, follow, record."""
         from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):

@@ -38,7 +38,6 @@ class Rehearse:
     out: NewFolder = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
 
     def run(self) -> None:
-        """Rehearse, write the report and print it."""
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.workcells import known_workcell

@@ -19,8 +19,5 @@ class Release:
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
     def run(self) -> None:
-        """Find the path, wait for the operator, move and open."""
         what = f"release over {self.place}" if self.place else "release"
-        move_once(
-            self.link, what, lambda finder, start: finder.pose_over(self.place) if self.place else start
-        )
+        move_once(self.link, what, self.place or None)

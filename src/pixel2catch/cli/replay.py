@@ -34,7 +34,6 @@ class Replay:
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: How the object is found.
 
     def run(self) -> None:
-        """Replay, compare and report."""
         with needs_extra("deployment"):
             from pixel2catch.deployment.replay import compare, recorded_targets, replay
             from pixel2catch.workcells import find_workcell

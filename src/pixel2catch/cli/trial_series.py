@@ -23,7 +23,7 @@ from pixel2catch.cli.console import prepare, say, saying_changes
 from pixel2catch.cli.deploy import Deploy, make_pipeline
 from pixel2catch.cli.main import parse_options
 from pixel2catch.cli.rehearse import Rehearse
-from pixel2catch.deployment.operator import ANSWERS, newest
+from pixel2catch.deployment.operator import ANSWERS, NOTHING, newest
 from pixel2catch.deployment.trials import measure
 from pixel2catch.errors import DeploymentError, InvalidValueError, PerceptionError
 from pixel2catch.evaluation.grid import Json
@@ -132,13 +132,8 @@ class TrialSeries:
     def _ask(self, question: str, found: Row) -> str:
         """Ask for an outcome, at this terminal and on the operator's page."""
         file, topics = sys.stdin.fileno(), self._profile.operator
-        stops = {
-            "message": ", ".join(found.get("stopped_by", ())),
-            "stopped_by": [],
-            "refused": [],
-            "found": [],
-        }
-        status = messages.text(json.dumps({"mode": question, "is_asking": True, **stops}))
+        stops = ", ".join(found.get("stopped_by", ()))
+        status = messages.text(json.dumps({**NOTHING, "mode": question, "message": stops, "is_asking": True}))
         with ExitStack() as stack:
             if os.isatty(file):
                 stack.callback(termios.tcsetattr, file, termios.TCSADRAIN, termios.tcgetattr(file))

@@ -32,7 +32,6 @@ class Trials:
     rehearse: str = ""
 
     def run(self) -> None:
-        """Lead through the series, and write its report at the end."""
         with needs_extra("deployment"):
             from pixel2catch.cli.trial_series import TrialSeries, new_plan
         from pixel2catch.evaluation.grid import differences, held, read_row

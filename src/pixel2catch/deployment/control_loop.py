@@ -230,11 +230,8 @@ class ControlLoop:
         return status
 
     def _make_status(self, complaint: str, trouble: str, now: float) -> dict[str, Any]:
-        box, sight, cycle = (
-            self._box if now - self._images.stamp < SILENCE else None,
-            self._pipeline.sight,
-            self._cycle,
-        )
+        box = self._box if now - self._images.stamp < SILENCE else None
+        sight, cycle = self._pipeline.sight, self._cycle
         causes = self._requests.complaint, self._problem, self._images.message, box and box.message, complaint
         wrong = self._images.take_notice() or next(filter(None, causes), "")
         words = self._requests.stopped_by, cycle.message if cycle else "", wrong, trouble
@@ -257,9 +254,7 @@ class StepClock(Clock):
         """See `Clock.now`."""
         return self.time
 
-    def stamp(self) -> float:
-        """See `Clock.stamp`."""
-        return self.time
+    stamp = now
 
     def sleep_until(self, moment: float) -> None:
         """See `Clock.sleep_until`."""

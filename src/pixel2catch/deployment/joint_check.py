@@ -1,13 +1,18 @@
 """The joint check: each joint moves by a few degrees, and the encoder that follows is compared."""
 
 import re
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pixel2catch.deployment.control_loop import Connection
+from pixel2catch.deployment.follower import follow
 from pixel2catch.deployment.paths import Motion
-from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.laws import USER_CACHE
 from pixel2catch.servo.limits import Joints, ServoLimits
 from pixel2catch.servo.link import Command
@@ -24,9 +29,10 @@ LAG_ERROR = 0.08  #: Time by which a joint may follow later than twice its lag [
 class JointCheck:
     """Plans the motion, keeps the servo's commands, and finds the joints that do not fit the profile."""
 
-    def __init__(self, workcell: WorkcellSpec, limits: ServoLimits) -> None:
-        """Start without a command."""
-        self._names, self._limits = workcell.joint_names, limits
+    def __init__(self, limits: ServoLimits) -> None:
+        """Start without a command, for the work cell of these limits."""
+        workcell, self._limits = limits.workspace.workcell, limits
+        self._names = workcell.joint_names
         self._roles = [group.role for group in workcell.groups for _ in group.joints]
         self._rows: list[tuple[float, Joints, Joints]] = []
 
@@ -70,6 +76,30 @@ class JointCheck:
         if abs(own - 1.0) > GAIN_ERROR:
             return f"has another scale: it moves {own:.2f} times as far as its command"
         return f"follows after {lag:.2f} s, not {expected:.2f} s" if lag > 2.0 * expected + LAG_ERROR else ""
+
+
+def check_joints(
+    connection: Connection,
+    profile: Profile,
+    limits: ServoLimits,
+    is_over: Callable[[], bool],
+    on_status: Callable[[dict[str, Any]], None],
+) -> None:
+    """Let each joint move by some degrees, and write the record of today; for the arguments see `follow`.
+
+    Raises:
+        DeploymentError: A joint does not fit the profile, or not all were moved.
+    """
+    check, topic, reason = JointCheck(limits), profile.operator.status, "it was ended"
+    try:
+        is_done = follow(check.plan, "joint check", connection, topic, is_over, on_status, check.note)
+    except DeploymentError as error:
+        is_done, reason = False, str(error)
+    if wrong := [*check.findings(), *([] if is_done else [reason])]:
+        raise DeploymentError(f"joint check: {'; '.join(wrong)}")
+    path = record_of_today(profile.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
 
 
 def record_of_today(profile: str) -> Path:

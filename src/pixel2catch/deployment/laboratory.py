@@ -209,14 +209,10 @@ def images(survey: Survey, profile: Profile, age: float) -> str:
 def timing(
     found: list[tuple[float, float]], rate: float, age: float, ages: tuple[float, float], hint: str
 ) -> str:
-    """Check rate, pauses and stamps of messages.
+    """Check rate [Hz], pauses and stamps of messages, by their arrivals and stamps, time of day [s].
 
-    Args:
-        found: Arrival and stamp of each message, time of day [s].
-        rate: Expected rate [Hz].
-        age: Longest pause that does not stop the robot [s].
-        ages: Range of the age at arrival; outside it, stamps are of another clock [s].
-        hint: What to do if the rate is too low.
+    A pause longer than the age stops the robot [s]. Stamps with an age at arrival beyond the ages [s] are of
+    another clock. The hint is what to do if the rate is too low.
     """
     arrivals, stamps = np.transpose(found)
     times = np.unique(stamps)

@@ -83,8 +83,8 @@ def read_prompt(data: bytes) -> BoxPrompt:
 
 SWITCH_TIME = 0.04  #: Time between two messages of the switch [s]. Source: ours, a fifth of its timeout.
 FARTHEST = 1e9  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
-SEVERAL = {"mode": "several", "message": "", "stopped_by": [], "refused": [], "found": []}
-"""The status while several programs publish one: either may be that of the robot."""
+NOTHING = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}
+"""The entries that every status has."""
 
 
 class OperatorConsole:
@@ -132,7 +132,7 @@ class OperatorConsole:
         arrived = self._statuses.take()
         found = newest(arrived, self.status)
         if arrived and self._transport.num_other_publishers(self._status_topic) > 1:
-            found = dict(SEVERAL)
+            found = NOTHING | {"mode": "several"}  # either may be that of the robot
         self.status = found if is_status(found) else self.status
 
 

@@ -68,10 +68,10 @@ class PathFinder:
         self.is_arm = limits.joint_records["is_arm"]  #: Whether each joint is an arm's.
 
     def pose_over(self, name: str) -> Joints:
-        """Return the pose over a place of the profile, with an open hand [rad]; raise if there is no such."""
-        if name not in self._places:
+        """Return the pose over a place of the profile [rad], with an open hand; "" is the start pose."""
+        if name and name not in self._places:
             raise UnknownNameError("place", name, self._places)
-        angles = self._places[name].joints
+        angles = self._places[name].joints if name else {}
         return np.array([angles.get(joint.name, joint.home) for joint in self._workcell.joints])
 
     def motion(self, start: Joints, goal: Joints) -> Motion:

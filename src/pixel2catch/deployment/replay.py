@@ -62,11 +62,8 @@ def replay(
     """
     clock, broker = StepClock(lambda _: None), Broker()
     clock.time = _begin(recording, profile)
-    node, limits, topics = (
-        broker.node(clock),
-        ServoLimits.of(find_workcell(profile.workcell)),
-        played_topics(profile),
-    )
+    node, topics = broker.node(clock), played_topics(profile)
+    limits = ServoLimits.of(find_workcell(profile.workcell))
     publishers = {topic: broker.node(clock).publisher(topic) for topic in topics}
     with ExitStack() as stack:
         recorder = DeploymentRecorder(

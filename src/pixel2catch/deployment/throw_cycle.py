@@ -127,10 +127,8 @@ class ThrowCycle:
         elif self._motion.done():
             motion = self._motion.result()
             if not self.message:
-                self.message, self._begin = (
-                    f"{what}: {motion.duration:.0f} s of motion.",
-                    max(self._begin, now),
-                )
+                self.message = f"{what}: {motion.duration:.0f} s of motion."
+                self._begin = max(self._begin, now)
             self._target = motion.at(now + CONTROL_DT - self._begin)
             if now - self._begin > motion.duration:
                 self._go_to(self._goals[1:], now, FADE_STEPS)

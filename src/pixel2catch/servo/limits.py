@@ -257,10 +257,8 @@ class ServoLimits:
         """Limits of each joint for the compiled laws."""
         joints, even_speed = self.joints, self.joints.lead / self.joints.lag
         motion = motion_columns(joints.acceleration, joints.jerk, self.dt)
-        is_arm, stop_time = (
-            np.isfinite(joints.tracking_error),
-            joints.lead / (joints.lag * joints.deceleration),
-        )
+        is_arm = np.isfinite(joints.tracking_error)
+        stop_time = joints.lead / (joints.lag * joints.deceleration)
         sizes = [len(group.joints) for group in self.workspace.workcell.groups]
         group = np.repeat(np.arange(len(sizes)), sizes)[: self.num_joints]
         return records(

@@ -88,12 +88,11 @@ def flag_names(kind: type[IntFlag], found: int) -> list[str]:
 class Row:
     """A dataclass that is sent and recorded as a row: its numbers, then its arrays, in their order."""
 
-    NUM_NUMBERS = 0
-
     @classmethod
     def of(cls, row: Float64[np.ndarray, " size"]) -> Self:
         """Read a row."""
-        num, kinds = cls.NUM_NUMBERS, cls.__annotations__
+        kinds = cls.__annotations__
+        num = sum(kind in (bool, int, float) for kind in kinds.values())
         numbers = [kind(value) for kind, value in zip(kinds.values(), row[:num].tolist(), strict=False)]
         arrays = row[num:].reshape(len(kinds) - num, -1)
         return cls(**dict(zip(kinds, [*numbers, *arrays], strict=True)))
@@ -101,15 +100,12 @@ class Row:
     @property
     def row(self) -> Float64[np.ndarray, " size"]:
         """Write a row."""
-        values = [*vars(self).values()]
-        return np.concatenate((values[: self.NUM_NUMBERS], *values[self.NUM_NUMBERS :]))
+        return np.hstack([*vars(self).values()])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTargets(Row):
     """Targets of the policy for the servo."""
-
-    NUM_NUMBERS = 6
 
     target_stamp: float  #: Time of the decision, `Clock.now` [s].
     image_stamp: float  #: Exposure time of the newest image, `Clock.now` [s].
@@ -128,15 +124,12 @@ class JointTargets(Row):
     @classmethod
     def recorded(cls, row: Float64[np.ndarray, " size"], num_joints: int) -> "JointTargets":
         """Read a row of a recording; in one without `is_planned`, planned motions have equal stamps."""
-        num = cls.NUM_NUMBERS - 1
-        return cls.of(np.insert(row, num, row[0] == row[2]) if len(row) == num + num_joints else row)
+        return cls.of(row if len(row) > num_joints + 5 else np.insert(row, 5, row[0] == row[2]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command(Row):
     """Command and mode of one tick of the servo."""
-
-    NUM_NUMBERS = 9
 
     time: float  #: Time of the tick, `Clock.now` [s].
     duration: float  #: Computing time of the tick [s].
