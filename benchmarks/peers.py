@@ -3,8 +3,8 @@
 import argparse
 import json
 import time
-from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterable, Sequence
 from math import hypot
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from pixel2catch.camera.image import Edges, Image, Verdict
+from pixel2catch.camera.image import Edges, Image, Pixels, Verdict
 from pixel2catch.evaluation.box_scores import Score, score_box, summary
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.background import BackgroundSubtraction
@@ -25,6 +25,7 @@ CLICK_ERROR = 2.0  #: How far each edge of a person's box is off at most [px]. S
 LARGEST_DISTANCE = 60.0  #: From the prediction to a region that is taken for the object [px]. Source: ours.
 LARGEST_GROWTH = 3.0  #: How many times larger or smaller than before it may be. Source: ours.
 LEAST_AREA = 12  #: Of a region [px]. Source: ours.
+LEAST_DIFFERENCE = 20  #: Between two images, of 255. Source: ours.
 
 
 class Method(Protocol):
@@ -32,11 +33,14 @@ class Method(Protocol):
 
     def start(self, image: Image, box: Edges) -> Edges | None:
         """Look at the image in which a person says that the object is in this box."""
-        ...
 
     def see(self, image: Image) -> Edges | None:
         """Return the object's box in the next image; None where it is not found."""
-        ...
+
+
+Made = dict[str, Callable[[], Method]]  #: Methods by name.
+Images = Sequence[Image]
+Truths = Sequence[Truth | None]
 
 
 class Ours:
@@ -56,11 +60,25 @@ class Ours:
         return seen.edges if seen.verdict is Verdict.SEEN else None
 
 
-class NearestBlob(Method):
-    """MOG2, and of its regions that nearest to where constant velocity leads."""
+def differences() -> Callable[[Pixels], np.ndarray]:
+    """Return what makes the pixels 255 that differ from those of both of the last two images."""
+    last: deque[Pixels] = deque(maxlen=2)
 
-    def __init__(self) -> None:
-        self._model = cv2.createBackgroundSubtractorMOG2(300, 16.0, detectShadows=True)
+    def moving(image: Pixels) -> np.ndarray:
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        differs = [cv2.absdiff(grey, before) > LEAST_DIFFERENCE for before in last]
+        last.append(grey)
+        return 255 * np.logical_and.reduce([*differs, np.full(grey.shape, bool(differs))])
+
+    return moving
+
+
+class NearestBlob(Method):
+    """Of the regions that move, that nearest to where constant velocity leads."""
+
+    def __init__(self, moving: Callable[[Pixels], np.ndarray]) -> None:
+        """Start with what makes the moving pixels 255, such as a background subtractor."""
+        self._moving = moving
         self._box: Edges | None = None
         self._velocity = (0.0, 0.0)
         self._num_lost = 0
@@ -70,7 +88,7 @@ class NearestBlob(Method):
         return self.see(image)
 
     def see(self, image: Image) -> Edges | None:
-        mask = (self._model.apply(image.pixels) == 255).astype(np.uint8)
+        mask = (self._moving(image.pixels) == 255).astype(np.uint8)
         if self._box is None:
             return None
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
@@ -117,13 +135,14 @@ class Mil(Method):
         return (float(left), float(top), float(left + width), float(top + height)) if is_found else None
 
 
-def methods(
-    hue: tuple[float, float] | None, robot: RobotMask | None = None
-) -> dict[str, Callable[[], Method]]:
+def methods(hue: tuple[float, float] | None, robot: RobotMask | None = None) -> Made:
     """What makes each, by name; colour where the object's hue is known [degrees]."""
-    made: dict[str, Callable[[], Method]] = {
+    made: Made = {
         "background": lambda: Ours(BackgroundSubtraction(), robot),
-        "nearest blob": NearestBlob,
+        "nearest blob": lambda: NearestBlob(
+            cv2.createBackgroundSubtractorMOG2(300, 16.0, detectShadows=True).apply
+        ),
+        "differences": lambda: NearestBlob(differences()),
         "MIL": Mil,
     }
     if hue is not None:
@@ -131,7 +150,7 @@ def methods(
     return made
 
 
-def follow(method: Method, images: Sequence[Image], truths: Sequence[Truth | None], seed: int) -> list[Score]:
+def follow(method: Method, images: Images, truths: Truths, seed: int) -> list[Score]:
     """Show a method a stream; a person points the object out in the first image in which it is labelled.
 
     That image counts for nothing, and neither do images of which the truth is not known.
@@ -160,43 +179,47 @@ class Results:
         """Compare some methods, whose names are separated by commas; empty for all."""
         self._chosen = chosen.split(",") if chosen else None
         self._scores = defaultdict[str, dict[str, list[Score]]](dict)
+        self._kinds = defaultdict[str, dict[str, list[Score]]](dict)
         self._seconds, self._num_images = defaultdict[str, float](float), Counter[str]()
         cv2.setNumThreads(1)
 
     def add(
         self,
-        case: str,
-        images: Sequence[Image],
-        truths: Sequence[Truth | None],
-        hue: tuple[float, float] | None,
+        case: str | None,
+        images: Images,
+        truths: Truths,
+        made: Made,
         seed: int,
+        kinds: Iterable[str] = (),
     ) -> None:
-        """Show a stream to the methods."""
-        for name, make in methods(hue).items():
+        """Show a stream to the methods; count their scores for the case, if any, and each for its kind."""
+        for name, make in made.items():
             if self._chosen is None or name in self._chosen:
                 begin = time.thread_time()
                 found = follow(make(), images, truths, seed)
                 self._seconds[name] += time.thread_time() - begin
                 self._num_images[name] += len(images)
-                self._scores[case].setdefault(name, []).extend(found)
+                if case is not None:
+                    self._scores[case].setdefault(name, []).extend(found)
+                for kind, score in zip(kinds, found, strict=False):
+                    self._kinds[kind].setdefault(name, []).append(score)
 
     def report(self, out: Path | None) -> None:
-        """Print a table of the images in flight, and write all numbers as JSON."""
-        pooled: dict[str, list[Score]] = {name: [] for name in self._seconds}
-        for each in self._scores.values():
-            for name, rows in each.items():
-                pooled[name] += rows
-        cases = {**self._scores, "all": pooled}
+        """Print a table of the images in flight; write it as Markdown, and all numbers as JSON."""
+        every = self._scores.values()
+        pooled = {name: [row for each in every for row in each.get(name, ())] for name in self._seconds}
+        cases = {**self._scores, "all": pooled, **self._kinds}
         report = {case: {name: summary(rows) for name, rows in each.items()} for case, each in cases.items()}
         took = {name: 1e3 * spent / self._num_images[name] for name, spent in self._seconds.items()}
-        title = "in flight: within 5 px, false boxes"
-        print(f"{title:40s}" + "".join(f"{name:>32s}" for name in took))
+        rows = [["in flight: within 5 px, false boxes", *took], ["---"] * (len(took) + 1)]
         for case, found in report.items():
-            cells = [_cell(found[name]["flight"]) if name in found else "" for name in took]
-            print(f"{case:40s}" + "".join(f"{cell:>32s}" for cell in cells))
-        print(f"{'ms an image, of one core':40s}" + "".join(f"{each:32.2f}" for each in took.values()))
+            rows.append([case, *(_cell(found[name]["flight"]) if name in found else "" for name in took)])
+        rows.append(["ms an image, of one core", *(f"{each:.2f}" for each in took.values())])
+        text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+        print(text)
         if out:
-            write_atomically({out: json.dumps({**report, "ms an image": took}, indent=1).encode()})
+            numbers = json.dumps({**report, "ms an image": took}, indent=1)
+            write_atomically({out: numbers.encode(), out.with_suffix(".md"): f"{text}\n".encode()})
 
 
 def parser_of(description: str | None) -> argparse.ArgumentParser:
@@ -213,9 +236,8 @@ def parser_of(description: str | None) -> argparse.ArgumentParser:
 def _cell(flight: dict[str, Any]) -> str:
     if not flight["images"]:
         return "-"
-    low, high = flight["within_5px_interval"]
-    share = f"{100 * flight['within_5px']:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-    return f"{share} of {flight['images']}, {flight['false_boxes']}"
+    share, low, high = (100 * each for each in (flight["within_5px"], *flight["within_5px_interval"]))
+    return f"{share:.0f} % ({low:.0f} to {high:.0f}) of {flight['images']}, {flight['false_boxes']}"
 
 
 def _middle(box: Edges) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from composites import WIDTH, Fault, Film, Flight, Thing, exposure_step, film, flicker, jpeg, noisy, shake
-from peers import Results, parser_of
+from peers import Results, methods, parser_of
 
 from pixel2catch.camera.image import Image, Pixels
 from pixel2catch.perception.sources import ImageFit, video_images
@@ -95,7 +95,7 @@ def main() -> None:
             shown = made(case, room, flight, np.random.default_rng([options.seed, throw, 1]))
             hue = (350.0, 16.0) if case.thing is RED else None
             images = [Image(pixels=each, stamp=i * CONTROL_DT) for i, each in enumerate(shown.images)]
-            results.add(name, images, shown.truths, hue, throw)
+            results.add(name, images, shown.truths, methods(hue), throw)
         print(f"throw {throw} of {options.throws}", flush=True)
     results.report(options.out)
 

@@ -11,6 +11,7 @@ import pytest
 from composites import HEIGHT, WIDTH, Flight, Thing, film, paint, true_box
 from filmed import save_labels, save_video
 
+from pixel2catch.camera.image import Image
 from pixel2catch.perception.labels import Label, Labels
 
 ROOM = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
@@ -44,11 +45,27 @@ def test_clips_in_a_folder_are_compared(
     size = {"width": WIDTH, "height": HEIGHT, "rate": 30.0}
     labels = Labels(video="throw.mp4", object="red ball", images=images, **size)
     save_labels(tmp_path / "throw.json", labels)
+    (tmp_path / "bounces.toml").write_text(f"throw = {known[-2][0]}")
     out = tmp_path / "clips.out"
-    arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,color", "--out", str(out)]
+    arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,differences", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", arguments)
     perception_on_clips.main()
     assert "throw (red ball)" in capsys.readouterr().out
     report = json.loads(out.read_text())
-    assert set(report["all"]) == {"nearest blob", "color"}
+    assert set(report["all"]) == {"nearest blob", "differences"}
     assert report["throw (red ball)"]["nearest blob"]["flight"]["images"] == 7
+    kinds = {
+        kind: report[kind]["differences"]["flight"]["images"] for kind in ("free flight", "after a bounce")
+    }
+    assert kinds == {"free flight": 5, "after a bounce": 2}
+    assert report["every second image, 12 to 15 Hz"]["differences"]["flight"]["images"] == 4
+    assert "| all |" in out.with_suffix(".md").read_text()
+
+
+def test_strong_compression_keeps_number_size_and_stamps_of_images():
+    images = [Image(pixels=np.full((48, 64, 3), 40 * i, np.uint8), stamp=0.1 * i) for i in range(5)]
+    decoded = perception_on_clips.compressed(images)
+    assert [image.stamp for image in decoded] == [image.stamp for image in images]
+    assert all(
+        np.abs(a.pixels.astype(int) - b.pixels).max() < 20 for a, b in zip(decoded, images, strict=True)
+    )
