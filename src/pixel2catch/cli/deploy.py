@@ -156,8 +156,7 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         if values := summary[name]:
             times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p90", "p99", "max"))
             yield f"{name.removesuffix('_ms').replace('_', ' ')} [ms]: {times}"
-    ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
-    if ages:
+    if ages := [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]:
         yield f"median age of an image [ms]: {', '.join(ages)}"
     for name, words in (("stops", "stopped"), ("refusals", "arming refused")):
         for reasons, count in summary[name].items():

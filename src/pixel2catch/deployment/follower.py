@@ -33,19 +33,8 @@ def follow(
     """Plan a motion from the measured pose, announce it, and follow it once, when the servo is armed.
 
     It is planned again if somebody moves the robot before. In the servo's ramp, the robot moves to the first
-    targets. Operator and servo guard it.
-
-    Args:
-        plan: Returns the motion from a pose [rad].
-        what: Purpose of the motion, in the announcement.
-        connection: Network, servo, clock and recording.
-        topic: Topic of the status.
-        is_over: Ends it early.
-        on_status: Gets a status with every target; "done" is the share of the motion that was sent.
-        on_command: Gets every command of the servo.
-
-    Returns:
-        Whether it was followed to its end.
+    targets. Operator and servo guard it. A status is published with every target; its "done" is the share of
+    the motion that was sent. Returns whether the motion was followed to its end, not ended by `is_over`.
 
     Raises:
         DeploymentError: There is no such motion, the servo process has ended, or it has stopped the robot.

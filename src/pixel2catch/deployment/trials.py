@@ -78,8 +78,8 @@ def measure(
     distances = np.array(
         [palm_distance(geometry, camera, each.command.joint_pos, each.center) for each in flight]
     )
-    times, is_new = np.array([each.time for each in flight]), np.ones(len(flight), dtype=bool)
-    is_new[1:] = [one.status["box"] != other.status["box"] for one, other in pairwise(flight)]
+    times, boxes = np.array([each.time for each in flight]), [each.status["box"] for each in flight]
+    is_new = np.array([True, *(one != other for one, other in pairwise(boxes))])
     place = int(np.argmin(np.where(is_new, distances, inf)))
     lingers = is_new & (times > times[place] + LINGER_TIME) & (distances < LINGER)
     errors = [
