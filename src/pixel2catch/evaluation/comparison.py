@@ -52,7 +52,7 @@ RATES_NOTE = (
 QUALITY_NOTE = (
     "Verified hold: after the success the policy stops, two parts of the hand touch the object for 1 s, and "
     "the hold survives half a second of shaking. Closed-loop hold: the policy goes on instead, for 2 s of "
-    "shaking, in every second throw. Speed, torque and penetration are the largest of all throws."
+    "shaking, in every third throw. Speed, torque and penetration are the largest of all throws."
 )
 CURVES_NOTE = (
     "Rates in training: the policy is stochastic and all noise is on, so they are below those of the tables. "

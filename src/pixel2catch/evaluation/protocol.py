@@ -5,9 +5,9 @@ After a success the policy stops: the arm holds its measured position, the hand 
 one second at least two parts of the hand must touch the object at every control step. Then the arm shakes for
 half a second. If the object is still at the palm, the hold is verified.
 
-The closed-loop hold of every second throw goes on from the state at its success in the other way: the policy
-acts for two seconds, in which the arm shakes likewise. The object must stay at the palm, and at least two
-parts of the hand must touch it at the end.
+The closed-loop hold of every third throw goes on from the state at its success in the other way: the policy
+acts for two seconds, in which the arm shakes likewise. The object must stay at the palm and in front of the
+robot's base, and at least two parts of the hand must touch it at the end.
 
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
@@ -40,7 +40,7 @@ HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
 SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 
 CLOSED_LOOP_STEPS = 60  #: Control steps of the closed-loop hold: 2.0 s. Source: ours.
-CLOSED_LOOP_EVERY = 2  #: One in every second environment takes a fifth more time. Source: ours.
+CLOSED_LOOP_EVERY = 3  #: One in every third environment takes a fifth more time. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
 ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
@@ -297,7 +297,7 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
 
 @final
 class ClosedLoopHold:
-    """The closed-loop hold of every second throw of a round."""
+    """The closed-loop hold of every third throw of a round."""
 
     def __init__(self, env: CatchEnv, actor: Actor) -> None:
         """Take environments and policy; the round has not begun."""
