@@ -42,7 +42,11 @@ def commands(text: str) -> list[str]:
 
 COMMANDS = {line: page.name for page in PAGES for line in commands("".join(blocks(page, "sh")))}
 COMMANDS |= {line: script.name for script in EXAMPLES for line in commands(script.read_text("utf-8"))}
-QUICK = ("pixel2catch doctor", "pixel2catch scene scene.xml")
+QUICK = (
+    "pixel2catch doctor",
+    "pixel2catch scene scene.xml",
+    "pixel2catch scene sight.png --camera people",
+)
 """Commands of the documents that take a second or two, as they stand there."""
 
 

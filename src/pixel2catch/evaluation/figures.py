@@ -66,7 +66,7 @@ def curves_picture(
         panels[0].set_ylabel("% of episodes")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
-        return _png(figure)
+        return png(figure)
 
 
 def heat_map(rows: Sequence[Row], by: tuple[str, str], mark: Callable[[Row], str]) -> bytes:
@@ -96,10 +96,11 @@ def heat_map(rows: Sequence[Row], by: tuple[str, str], mark: Callable[[Row], str
         axes.spines[:].set_visible(False)
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label("S.R. [% of throws]")
-        return _png(figure)
+        return png(figure)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG file."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()

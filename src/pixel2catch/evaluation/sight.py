@@ -1,0 +1,80 @@
+"""Which throws a camera sees, and how well: shares of flights in view, sizes, and times."""
+
+from dataclasses import dataclass, replace
+
+import matplotlib
+import numpy as np
+import torch
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from pixel2catch.camera.pinhole import is_in_view, project
+from pixel2catch.evaluation.figures import HEAT, STYLE, png
+from pixel2catch.mdp.throws import ThrowCfg, sample_paths, sample_throws
+from pixel2catch.scene.constants import CameraSpec
+
+NUM_THROWS = 500  #: Drawn throws of a row of the table. Source: ours.
+DISTANCES = np.linspace(1.0, 5.0, 17)  #: Distances of the release from the hand in the chart [m].
+PEAKS = np.linspace(1.3, 3.1, 19)  #: Peak heights in the chart [m].
+RELEASE_HEIGHT = 1.2  #: Release height in the chart [m]. Source: ours, of people between hip and chest.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """How a camera sees throws without air; means over throws."""
+
+    share: float  #: Share of the flight in view.
+    whole: float  #: Share of the throws of which the whole flight is in view.
+    catch: float  #: Share of the throws whose aim is in view, and so the hand.
+    time: float  #: Time from the first sight in flight to the aim [s].
+    release_size: float  #: Pixels per centimetre at the release [px/cm].
+    catch_size: float  #: The same at the aim.
+
+
+def sight(camera: CameraSpec, throws: ThrowCfg) -> Sight:
+    """Return how a camera sees drawn throws; occlusion by the robot is left out."""
+    paths = sample_paths(throws, NUM_THROWS)
+    duration = sample_throws(throws, NUM_THROWS, torch.Generator().manual_seed(0)).flight_time()
+    is_seen, depth = _seen(camera, paths)
+    first = is_seen.float().argmax(dim=1) / (paths.shape[1] - 1)
+    is_any = is_seen.any(dim=1)
+    size = 0.01 * camera.fx / depth
+    return Sight(
+        share=float(is_seen.float().mean()),
+        whole=float(is_seen.all(dim=1).float().mean()),
+        catch=float(is_seen[:, -1].float().mean()),
+        time=float(torch.where(is_any, (1.0 - first) * duration, 0.0).mean()),
+        release_size=float(size[:, 0].mean()),
+        catch_size=float(size[:, -1].mean()),
+    )
+
+
+def _seen(camera: CameraSpec, paths: Float[Tensor, "num_throws num_points 3"]) -> tuple[Tensor, Tensor]:
+    pixels, depth = project(camera, paths)
+    return is_in_view(camera, pixels, depth), depth
+
+
+def chart(camera: CameraSpec) -> bytes:
+    """Draw the share of the flight in view by distance and peak height, as a PNG file."""
+    middle = ThrowCfg()
+    aim = (sum(middle.aim_x) / 2.0, sum(middle.aim_z) / 2.0)
+    paths = torch.cat([sample_paths(_throw(d, p, aim), 1) for p in PEAKS for d in DISTANCES])
+    share = _seen(camera, paths)[0].float().mean(dim=1).view(len(PEAKS), len(DISTANCES))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+        axes = figure.subplots()
+        shown = axes.contourf(
+            DISTANCES, PEAKS, 100.0 * share.numpy(), levels=np.arange(0, 101, 10), cmap=HEAT
+        )
+        figure.colorbar(shown, label="share of the flight in view [%]")
+        axes.set(xlabel="distance of the thrower from the hand [m]", ylabel="highest point of the throw [m]")
+        return png(figure)
+
+
+def _throw(distance: float, peak: float, aim: tuple[float, float]) -> ThrowCfg:
+    """Return one throw, to the middle of the catch volume."""
+    x, z = aim
+    fixed = {"release_x": x + distance, "release_y": 0.0, "release_z": RELEASE_HEIGHT}
+    fixed |= {"aim_x": x, "aim_y": 0.0, "aim_z": z, "peak_z": peak}
+    return replace(ThrowCfg(), clearance=0.05, **{name: (value, value) for name, value in fixed.items()})
