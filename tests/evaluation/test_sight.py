@@ -1,6 +1,7 @@
 """Which throws a camera sees."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -30,6 +31,6 @@ def test_sizes_and_times_by_hand():
 
 
 def test_a_picture_needs_a_camera_and_a_model_has_none(tmp_path):
-    for file, camera in (("a.png", None), ("a.xml", "people")):
+    for file, camera in (("a.png", None), ("a.xml", Path("people"))):
         with pytest.raises(InvalidValueError, match="--camera"):
             Scene(file=tmp_path / file, camera=camera).run()
