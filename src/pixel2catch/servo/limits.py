@@ -97,6 +97,7 @@ class JointLimits:
     start_distance: Joints
     #: Age of a measured position that is a fault [s]: ten cycles of UR's driver, five of the slowest hand's.
     position_age: Joints
+    period: Joints  #: Time for which the driver holds a command, and between two of its positions [s].
 
     @classmethod
     def of(
@@ -157,6 +158,7 @@ class JointLimits:
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
             position_age=age,
+            period=most["period"],
         )
 
     def __post_init__(self) -> None:
@@ -173,11 +175,13 @@ def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Jo
 
     The speed of commands is limited to what drivers accept, missed cycles included.
     """
-    budgets = {joint: part.limits for part in parts for joint in part.joints}
-    own = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
+    known = {joint: (part.limits, 1.0 / part.rate_hz) for part in parts for joint in part.joints}
+    usual = MotionBudget(), ServoLimits.dt
+    own, periods = zip(*(known.get(joint.name, usual) for joint in workcell.joints), strict=True)
     most = {kind.name: np.array([getattr(each, kind.name) for each in own]) for kind in fields(MotionBudget)}
     accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
-    return most | {"command_speed": np.minimum(most["command_speed"], accepted)}
+    accepted = np.minimum(most["command_speed"], accepted)
+    return most | {"command_speed": accepted, "period": np.array(periods)}
 
 
 def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
@@ -259,6 +263,7 @@ class ServoLimits:
         motion = motion_columns(joints.acceleration, joints.jerk, self.dt)
         is_arm = np.isfinite(joints.tracking_error)
         stop_time = joints.lead / (joints.lag * joints.deceleration)
+        hold = (np.maximum(np.rint(joints.period / self.dt), 1.0) - 1.0) * self.dt
         sizes = [len(group.joints) for group in self.workspace.workcell.groups]
         group = np.repeat(np.arange(len(sizes)), sizes)[: self.num_joints]
         return records(
@@ -273,6 +278,7 @@ class ServoLimits:
             stop_time=stop_time,  # in which a stop brings the joint to rest [s]
             even_speed=even_speed,  # at which the joint is not too fast, whatever its lag [rad/s]
             unseen_speed=np.where(is_arm, even_speed, np.inf),  # until the lag is estimated [rad/s]
-            time_ahead=self.dt + motion["delay"],  # that a tick looks ahead [s]
+            hold=hold,  # of a command beyond a tick [s]: a position may be as old, a command half as old
+            time_ahead=self.dt + motion["delay"] + 0.5 * hold,  # that a tick looks ahead [s]
             stop_reach=joints.lead + 0.5 * even_speed * stop_time,  # limits the return of a stop [rad]
         )
