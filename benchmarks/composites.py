@@ -5,7 +5,10 @@ A fault is a pure function of images and truths; chance comes from a generator t
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
+from math import inf
 
+import av
 import cv2
 import numpy as np
 
@@ -14,7 +17,8 @@ from pixel2catch.perception.labels import Truth
 
 WIDTH, HEIGHT = 640, 480
 GRAVITY = 0.55  #: Of a flight in the image [px per image²]: 4 m/s², 3 m away, at 30 Hz. Source: ours.
-EXPOSURE, NUM_BLURS = 0.25, 6  #: Share of an image's period, and instants in it that are averaged.
+EXPOSURE, NUM_BLURS = 0.25, 6  #: In control steps, and instants in it that are averaged for 15 px of blur.
+SHADE, SHADOW = 0.65, (1.3, 0.5)  #: Share of the light in a shadow; its half axes in radii of its thing.
 MARGIN = 2  #: Of the patch that is painted [px].
 SUBPIXEL = 4  #: Bits of the fraction of a painted coordinate.
 RIM = 0.55  #: By how much OpenCV paints smooth polygons too large [px]. Source: ours, the area of discs.
@@ -30,25 +34,34 @@ class Thing:
     is_box: bool = False
     spin: float = 0.35  #: Turn of a box between two images [rad].
     contrast: float | None = None  #: It has the colours of what is behind it, brighter by so many levels.
+    shadow: tuple[float, float] | None = None  #: Middle of its shadow, relative to the thing [px].
+    exposure: float = EXPOSURE  #: Of the camera that films it [control steps].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """Where a thing is: held, then in the air."""
+    """Where a thing is: held, then in the air. Times are in control steps."""
 
     start: tuple[float, float]  #: [px]
-    velocity: tuple[float, float]  #: After the release [px per image].
+    velocity: tuple[float, float]  #: After the release [px per control step].
     sizes: tuple[float, float]  #: Radius at the release and at the end [px].
     num_held: int = 15
     num_flying: int = 26
+    gravity: float = GRAVITY  #: [px per control step²].
+    bounce: float = inf  #: When it bounces, after the release.
+    kept: tuple[float, float] = (1.0, 1.0)  #: Factors on its velocity when it bounces.
+    begin: float = 0.0  #: After the release; another thing is there from then on.
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Middle and radius [px] so many images after the release; held before it."""
+        """Middle and radius [px] so long after the release; held before it."""
         after = max(time, 0.0)
         share = min(after / self.num_flying, 1.0)
         radius = self.sizes[0] + share * (self.sizes[1] - self.sizes[0])
-        u = self.start[0] + self.velocity[0] * after
-        return u, self.start[1] + self.velocity[1] * after + 0.5 * GRAVITY * after**2, radius
+        first, second = min(after, self.bounce), max(after - self.bounce, 0.0)
+        fallen = self.velocity[1] + self.gravity * first
+        u = self.start[0] + self.velocity[0] * (first + self.kept[0] * second)
+        v = self.start[1] + 0.5 * (self.velocity[1] + fallen) * first
+        return u, v + self.kept[1] * fallen * second + 0.5 * self.gravity * second**2, radius
 
 
 def outline(thing: Thing, flight: Flight, time: float) -> tuple[np.ndarray, Color]:
@@ -66,8 +79,10 @@ def outline(thing: Thing, flight: Flight, time: float) -> tuple[np.ndarray, Colo
 
 
 def paint(image: Pixels, thing: Thing, flight: Flight, time: float) -> Pixels:
-    """An image with the thing in it, blurred by its motion during the exposure."""
-    instants = [time + EXPOSURE * share for share in np.linspace(-0.5, 0.5, NUM_BLURS).tolist()]
+    """An image with the thing in it, blurred by its motion during the exposure, before its shadow."""
+    image = image if thing.shadow is None else shadowed(image, thing.shadow, flight.at(time))
+    num_blurs = round(NUM_BLURS * thing.exposure / EXPOSURE)
+    instants = [time + thing.exposure * share for share in np.linspace(-0.5, 0.5, num_blurs).tolist()]
     shapes = [outline(thing, flight, instant) for instant in instants]
     corners = np.concatenate([shape for shape, _ in shapes])
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - MARGIN, 0)
@@ -83,7 +98,7 @@ def paint(image: Pixels, thing: Thing, flight: Flight, time: float) -> Pixels:
         inner = shape - RIM * spokes / np.linalg.norm(spokes, axis=1, keepdims=True)
         points = np.round((inner - low - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
         cv2.fillPoly(mask, [points], 255, cv2.LINE_AA, SUBPIXEL)
-        share = mask[..., None].astype(np.float32) / (255.0 * NUM_BLURS)
+        share = mask[..., None].astype(np.float32) / (255.0 * num_blurs)
         cover += share
         light += share * np.array(color, dtype=np.float32)
     _, v, radius = flight.at(time)
@@ -95,6 +110,16 @@ def paint(image: Pixels, thing: Thing, flight: Flight, time: float) -> Pixels:
     result = image.copy()
     result[window] = np.clip(np.rint(painted), 0, 255).astype(np.uint8)
     return result
+
+
+def shadowed(image: Pixels, shadow: tuple[float, float], place: tuple[float, float, float]) -> Pixels:
+    """An image with the soft shadow on a surface of a thing at a place with a radius [px]."""
+    u, v, radius = place
+    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+    across = (columns + 0.5 - u - shadow[0]) / (SHADOW[0] * radius)
+    down = (rows + 0.5 - v - shadow[1]) / (SHADOW[1] * radius)
+    dark = np.clip(2.5 * (1.2 - np.hypot(across, down)), 0.0, 1.0)
+    return np.rint(image * (1.0 - (1.0 - SHADE) * dark[..., None])).astype(np.uint8)
 
 
 def true_box(thing: Thing, flight: Flight, time: float) -> Edges | None:
@@ -111,18 +136,29 @@ class Film:
 
     images: tuple[Pixels, ...]
     truths: tuple[Truth | None, ...]
+    times: tuple[float, ...]  #: When the images were taken [control steps].
 
 
 def film(
-    backgrounds: Sequence[Pixels], thing: Thing, flight: Flight, num_empty: int, *others: Flight
+    backgrounds: Sequence[Pixels],
+    thing: Thing,
+    flight: Flight,
+    num_empty: int,
+    *others: Flight,
+    period: float = 1.0,
 ) -> Film:
-    """A throw before backgrounds, which repeat; others of the same thing fly at the same time."""
+    """A throw before backgrounds, which repeat; others of the same thing are there at the same time.
+
+    The period is that of the images, in control steps.
+    """
     images, truths = [], []
-    for number in range(num_empty + flight.num_held + flight.num_flying):
-        time = float(number - num_empty - flight.num_held)
+    num_images = num_empty + int((flight.num_held + flight.num_flying) / period)
+    times = tuple(period * number for number in range(num_images))
+    for number in range(num_images):
+        time = times[number] - period * num_empty - flight.num_held
         image = backgrounds[number % len(backgrounds)]
         for other in others:
-            image = paint(image, thing, other, time) if time > 0 else image
+            image = paint(image, thing, other, time) if time > other.begin else image
         if number < num_empty:
             images.append(image)
             truths.append(None)
@@ -130,7 +166,7 @@ def film(
         images.append(paint(image, thing, flight, time))
         phase = "flight" if time > 0 else "held"
         truths.append(Truth(phase=phase, box=true_box(thing, flight, time)))
-    return Film(images=tuple(images), truths=tuple(truths))
+    return Film(images=tuple(images), truths=tuple(truths), times=times)
 
 
 Fault = Callable[[Film, np.random.Generator], Film]
@@ -182,7 +218,35 @@ def shake(film: Film, rng: np.random.Generator, amplitude: float = 2.0) -> Film:
         shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
         images.append(cv2.warpAffine(image, shift, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE))
         truths.append(truth and replace(truth, box=truth.box and _moved(truth.box, dx, dy)))
-    return Film(images=tuple(images), truths=tuple(truths))
+    return replace(film, images=tuple(images), truths=tuple(truths))
+
+
+def h264(film: Film, _: np.random.Generator, crf: int = 42) -> Film:
+    """Images of a video that is compressed as messengers do."""
+    file = BytesIO()
+    with av.open(file, "w", format="mp4") as container:
+        stream = container.add_stream("h264", rate=30, options={"crf": str(crf)})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for image in film.images:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+    file.seek(0)
+    with av.open(file, "r") as coded:
+        images = tuple(frame.to_ndarray(format="rgb24") for frame in coded.decode(video=0))
+    return replace(film, images=images)
+
+
+def dropped(film: Film, rng: np.random.Generator, share: float = 0.3) -> Film:
+    """Some images are lost, but never two together, and not the one in which the object is pointed out."""
+    kept, first = [0], next(i for i, truth in enumerate(film.truths) if truth)
+    for i in range(1, len(film.images)):
+        if i == first or kept[-1] < i - 1 or rng.uniform() >= share:
+            kept.append(i)
+    return Film(
+        images=tuple(film.images[i] for i in kept),
+        truths=tuple(film.truths[i] for i in kept),
+        times=tuple(film.times[i] for i in kept),
+    )
 
 
 def _moved(box: Edges, dx: float, dy: float) -> Edges:

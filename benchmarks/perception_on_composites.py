@@ -9,11 +9,26 @@ python benchmarks/perception_on_composites.py --backgrounds room.mp4 --faults "p
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from composites import WIDTH, Fault, Film, Flight, Thing, exposure_step, film, flicker, jpeg, noisy, shake
+from composites import (
+    WIDTH,
+    Fault,
+    Film,
+    Flight,
+    Thing,
+    dropped,
+    exposure_step,
+    film,
+    flicker,
+    h264,
+    jpeg,
+    noisy,
+    shake,
+)
 from peers import Results, methods, parser_of
 
 from pixel2catch.camera.image import Image, Pixels
@@ -32,6 +47,8 @@ RED = Thing(colors=((205, 40, 45),))
 GREY, WHITE = Thing(colors=((150, 148, 145),)), Thing(colors=((236, 236, 232),))
 TUMBLING = Thing(colors=((200, 60, 50), (60, 90, 180), (225, 205, 80), (230, 230, 230)), is_box=True)
 FAINT = Thing(colors=((0, 0, 0),), contrast=14.0)
+BEFORE_A_WALL = replace(GREY, shadow=(26.0, 16.0))  # its shadow touches it
+BLURRED = replace(GREY, exposure=0.6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +60,7 @@ class Case:
     num_empty: int = NUM_EMPTY
     change: Callable[[Flight], Flight] = field(default=lambda flight: flight)
     others: Callable[[Flight], tuple[Flight, ...]] = field(default=lambda _: ())
+    period: float = 1.0  #: Of the images [control steps].
 
 
 def tossed(flight: Flight) -> Flight:
@@ -55,6 +73,34 @@ def crossing(flight: Flight) -> tuple[Flight, ...]:
     """Another flight from the other side, that crosses this one."""
     start = (WIDTH - flight.start[0], flight.start[1] + 20.0)
     return (replace(flight, start=start, velocity=(-flight.velocity[0], flight.velocity[1])),)
+
+
+def bouncing(flight: Flight, *, kept: tuple[float, float] = (0.8, -0.7)) -> Flight:
+    """A flight that falls on the floor, or that a wall stops."""
+    velocity, time = (flight.velocity[0], -13.0), 21.0 if kept[1] < 0.0 else 11.0
+    return replace(flight, velocity=velocity, gravity=1.5, bounce=time, kept=kept, num_held=5, num_flying=34)
+
+
+def fast(flight: Flight, speed: float = 45.0) -> Flight:
+    """A flight of so many pixels across in a control step."""
+    side = np.sign(flight.velocity[0])
+    start, velocity = (320.0 - 290.0 * side, 300.0), (speed * side, -0.35 * speed)
+    return replace(flight, start=start, velocity=velocity, gravity=2.0, num_held=6, num_flying=15)
+
+
+def close(flight: Flight) -> Flight:
+    """A flight of something that is 80 px wide, and becomes 110 px wide."""
+    side = np.sign(flight.velocity[0])
+    start, velocity = (320.0 - 220.0 * side, 300.0), (24.0 * side, -17.0)
+    return replace(flight, start=start, velocity=velocity, sizes=(40.0, 55.0), gravity=1.6, num_flying=18)
+
+
+def twins(flight: Flight) -> tuple[Flight, ...]:
+    """Two of the same that are put beside the path before the throw, and lie still."""
+    places = [(flight.at(time)[0], flight.at(time)[1] + 34.0 * side) for time, side in ((6.0, 1), (15.0, -1))]
+    sizes = flight.sizes[0], flight.sizes[0]
+    still = replace(flight, velocity=(0.0, 0.0), gravity=0.0, sizes=sizes, begin=-3.5)
+    return tuple(replace(still, start=place) for place in places)
 
 
 CASES: dict[str, Case] = {
@@ -75,6 +121,20 @@ CASES: dict[str, Case] = {
     "grey, shake 2 px": Case(thing=GREY, fault=shake),
     "tumbling, shake 2 px": Case(thing=TUMBLING, fault=shake),
     "tumbling, few background images": Case(thing=TUMBLING, num_empty=FEW),
+    "bounces on the floor": Case(change=bouncing),
+    "grey, bounces on the floor": Case(thing=GREY, change=bouncing),
+    "tumbling, a wall stops it": Case(thing=TUMBLING, change=partial(bouncing, kept=(-0.5, 0.9))),
+    "15 Hz": Case(period=2.0),
+    "15 Hz, fast, white": Case(thing=WHITE, change=fast, period=2.0),
+    "white, dropped images": Case(thing=WHITE, change=partial(fast, speed=30.0), fault=dropped),
+    "80 to 110 px, blurred": Case(thing=BLURRED, change=close),
+    "80 to 110 px, red, few images": Case(thing=replace(RED, exposure=0.6), change=close, num_empty=FEW),
+    "shadow beside it": Case(thing=BEFORE_A_WALL),
+    "red, shadow beside it": Case(thing=replace(RED, shadow=(26.0, 16.0))),
+    "like ones lie still": Case(thing=WHITE, others=twins),
+    "H.264 crf 42": Case(thing=WHITE, fault=h264),
+    "grey, H.264 crf 42": Case(thing=GREY, fault=h264),
+    "JPEG 10": Case(fault=partial(jpeg, quality=10)),
 }
 
 
@@ -94,7 +154,8 @@ def main() -> None:
             case = CASES[name]
             shown = made(case, room, flight, np.random.default_rng([options.seed, throw, 1]))
             hue = (350.0, 16.0) if case.thing is RED else None
-            images = [Image(pixels=each, stamp=i * CONTROL_DT) for i, each in enumerate(shown.images)]
+            pairs = zip(shown.images, shown.times, strict=True)
+            images = [Image(pixels=each, stamp=time * CONTROL_DT) for each, time in pairs]
             results.add(name, images, shown.truths, methods(hue), throw)
         print(f"throw {throw} of {options.throws}", flush=True)
     results.report(options.out)
@@ -103,7 +164,8 @@ def main() -> None:
 def made(case: Case, room: list[Pixels], flight: Flight, rng: np.random.Generator) -> Film:
     """The images of a case."""
     changed = case.change(flight)
-    shown = film(room, case.thing, changed, case.num_empty, *case.others(changed))
+    others = case.others(changed)
+    shown = film(room, case.thing, changed, case.num_empty, *others, period=case.period)
     if len(room) == 1:  # one that was drawn has no noise
         shown = replace(shown, images=tuple(noisy(image, rng) for image in shown.images))
     return case.fault(shown, rng) if case.fault else shown

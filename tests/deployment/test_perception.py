@@ -246,7 +246,9 @@ class SuspendedSegmenter(ColorThreshold):
         super().__init__(RED)
         self.has_begun, self.may_go_on, self.settled_by = Event(), Event(), SimpleQueue[str]()
 
-    def find(self, image: Pixels, motion: Any = None, prompt: Any = None) -> Segmentation:
+    def find(
+        self, image: Pixels, motion: Any = None, prompt: Any = None, interval: float = 1.0
+    ) -> Segmentation:
         self.has_begun.set()
         assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()

@@ -44,11 +44,15 @@ class Follower:
         self.foreground = Foreground()
 
     def find(
-        self, image: Pixels, prompt: BoxPrompt | None = None, ignored: Mask | None = None
+        self,
+        image: Pixels,
+        prompt: BoxPrompt | None = None,
+        ignored: Mask | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         motion = self.foreground.step(image, ignored)
         motion = motion if prompt is None else self.foreground.reveal(motion, prompt)
-        found = self.segmenter.find(image, motion, prompt)
+        found = self.segmenter.find(image, motion, prompt, interval)
         self.foreground.keep(found.mask)
         return found
 

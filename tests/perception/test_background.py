@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import filmed
 import numpy as np
+import pytest
 from filmed import NUM_EMPTY, Disc, Follower
 
 from pixel2catch.perception.segmenter import BoxPrompt
@@ -148,3 +149,38 @@ def test_a_flight_is_followed_only_if_it_resembles_the_lost_object():
             segmenter.find(image, held_box() if step == NUM_EMPTY else None)
         image = next(filmed.images((others[color],), 1))
         assert (segmenter.find(image, guess).mask is not None) == is_taken
+
+
+def test_a_still_thing_like_the_ball_is_not_taken_for_it():
+    """Another red ball is put beside the path before the throw; the thrown one is then hidden."""
+    first = NUM_EMPTY + NUM_STILL + 8
+    hidden, later = BALL.path.copy(), np.arange(NUM_STEPS)[:, None] > NUM_EMPTY - 3
+    hidden[first : first + 3] = -100.0
+    twin = Disc(path=np.where(later, BALL.path[first] + (0.0, 24.0), -100.0), radius=9.0)
+    ball = Disc(path=hidden, radius=9.0)
+    worst = errors((twin, ball), truth=(ball,))
+    assert np.isnan(worst[first - NUM_EMPTY : first - NUM_EMPTY + 3]).all()
+    assert (worst[~np.isnan(worst)] <= 3.0).mean() >= 0.9
+
+
+@pytest.mark.parametrize("interval", [1, 2])
+def test_a_ball_that_bounces_is_found_again(interval: int):
+    """It falls by 40 px in an image, is hidden where it hits the floor, and rises; also at 15 Hz."""
+    times = np.arange(1, 21)[:, None]
+    down, up = (100.0, 30.0) + times[:5] * (8.0, 40.0), (140.0, 230.0) + times[:5] * (8.0, -40.0)
+    flight = np.concatenate((np.tile((100.0, 30.0), (NUM_STILL, 1)), down[:-1], up[1:]))[::interval]
+    path = np.concatenate((np.full((NUM_EMPTY, 2), -100.0), flight))
+    ball = Disc(path=path, radius=9.0)
+    segmenter = Follower()
+    for step, image in enumerate(filmed.images((ball,), len(path))):
+        box = filmed.box_of(ball.mask(step)).tolist() if step == NUM_EMPTY else None
+        found = segmenter.find(image, box and BoxPrompt(box=tuple(box)), interval=float(interval))
+        if step >= NUM_EMPTY:
+            assert found.mask is not None
+            assert np.abs(filmed.box_of(found.mask) - filmed.box_of(ball.mask(step))).max() <= 3
+
+
+def test_a_first_step_of_95_px_is_found():
+    path = np.concatenate((np.full((NUM_EMPTY, 2), -100.0), [(40.0, 200.0), (125.0, 158.0), (208.0, 122.0)]))
+    ball = Disc(path=path, radius=9.0)
+    assert (errors((ball,), truth=(ball,)) <= 3.0).all()

@@ -1,5 +1,7 @@
 """Connected regions, the track of an object in the image, and an object that is followed by its colour."""
 
+from dataclasses import replace
+
 import filmed
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from pixel2catch.envs.tasks import HUMAN_THROWS, SIDEWAYS
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.perception.regions import Blob, PlausibilityCfg, find_blobs, is_jump
 from pixel2catch.perception.segmenter import (
-    LARGEST_REACH,
+    LARGEST_CHANGE,
+    LONGEST_COAST,
     BoxPrompt,
     ColorRange,
     ColorThreshold,
@@ -34,53 +37,68 @@ def seen(track: ImageTrack, u: int, v: int) -> ImageTrack:
 
 
 def test_a_track_keeps_its_velocity_for_a_while():
-    track = seen(ImageTrack(center=(10.0, 10.0)), 16, 12)
-    assert track.expected == (22.0, 14.0)
-    track, _ = track.advanced([], None)
-    assert track.expected == (28.0, 16.0)
-    assert seen(track, 34, 18).velocity == (9.0, 3.0)
-    for _ in range(20):
-        track, _ = track.advanced([], None)
-    assert (track.expected, track.reach) == ((34.0, 18.0), LARGEST_REACH)
+    """In time: at the next image, half a control step after it, and three seconds later."""
+    track = seen(seen(ImageTrack(center=(10.0, 10.0)), 10, 10).after(1.0), 16, 12)
+    assert (track.velocity, track.after(1.0).expected) == ((6.0, 2.0), (22.0, 14.0))
+    assert track.after(0.5).expected == (19.0, 13.0)
+    track, _ = track.after(1.0).advanced([], None)
+    assert track.after(1.0).expected == (28.0, 16.0)
+    assert seen(track.after(1.0), 34, 18).velocity == (9.0, 3.0)
+    track = track.after(90.0)
+    assert (track.expected, track.reach) == ((34.0, 18.0), LONGEST_COAST * CFG.largest_jump)
+
+
+def test_images_that_come_fast_are_averaged():
+    """At 120 Hz the middle of a box is a pixel off, which is four pixels per control step."""
+    track = replace(ImageTrack(center=(40.0, 40.0)), num_seen=2, velocity=(8.0, 0.0))
+    assert seen(track.after(0.25), 43, 40).velocity == (9.0, 0.0)
 
 
 def chosen(track: ImageTrack, *places: tuple[int, int]) -> tuple[float, float] | None:
-    """Middle of the likeliest of some regions; None if none can be the object."""
+    """Middle of the likeliest of some regions in the next image; None if none can be the object."""
     mask = np.logical_or.reduce([mask_at(u, v) for u, v in places])
-    return next((blob.center for blob in track.candidates(find_blobs(mask))), None)
+    return next((blob.center for blob in track.after(1.0).candidates(find_blobs(mask))), None)
 
 
 @pytest.mark.parametrize(
-    ("place", "is_in_reach"),
+    ("place", "is_passed", "is_in_reach"),
     [
-        ((160, 100), True),  # at the expected place
-        ((100, 100), True),  # stopped by a hand
-        ((130, 130), True),  # 30 px beside the line
-        ((130, 160), False),  # 60 px beside it
-        ((220, 100), False),  # 60 px ahead of the expected place
-        ((40, 100), False),  # 60 px back
+        ((160, 100), True, True),  # at the expected place
+        ((100, 100), True, True),  # stopped by a hand
+        ((130, 130), True, True),  # 30 px beside the line
+        ((130, 160), False, True),  # it bounced
+        ((215, 100), False, True),
+        ((40, 100), False, True),
+        ((225, 100), False, False),  # 125 px from its last place: faster than a throw
     ],
 )
-def test_a_track_continues_near_its_line(place: tuple[int, int], is_in_reach: bool):
+def test_a_track_continues_or_bounces(place: tuple[int, int], is_passed: bool, is_in_reach: bool):
     track = ImageTrack(center=(100.0, 100.0), velocity=(60.0, 0.0), num_seen=2)
+    (blob,) = find_blobs(mask_at(*place))
+    assert track.after(1.0).passes(blob) == is_passed
     assert (chosen(track, place) is not None) == is_in_reach
     first = ImageTrack(center=(100.0, 100.0), num_seen=1)  # in any direction at any speed of a throw
-    assert (chosen(first, place) is not None) == (place != (220, 100))
+    assert (chosen(first, place) is not None) == is_in_reach
 
 
 def test_a_flying_object_is_ahead():
+    """Gravity takes four times as much of its way in twice the time."""
     track = ImageTrack(center=(100.0, 100.0), velocity=(30.0, 0.0), num_seen=2)
     blobs: list[Blob] = find_blobs(mask_at(137, 108) | mask_at(100, 100))
-    assert sorted(map(track.leads_to, blobs)) == [False, True]
-    assert not any(map(ImageTrack(center=(130.0, 100.0)).leads_to, blobs))  # its motion is unknown
+    assert sorted(map(track.after(1.0).leads_to, blobs)) == [False, True]
+    still = ImageTrack(center=(130.0, 100.0)).after(1.0)
+    assert not any(map(still.leads_to, blobs))  # its motion is unknown
+    (fallen,) = find_blobs(mask_at(160, 100 + round(3.5 * LARGEST_CHANGE)))
+    assert replace(track, span=2.0).after(2.0).leads_to(fallen)
+    assert not track.after(2.0).leads_to(fallen)  # the velocity is newer
 
 
 def test_the_nearest_region_continues_the_track_and_another_thing_does_not():
     track = ImageTrack(center=(140.0, 100.0), velocity=(10.0, 0.0))
     both = find_blobs(mask_at(150, 100) | mask_at(190, 100))
-    found = track.candidates(both)
+    found = track.after(1.0).candidates(both)
     assert [blob.center for blob in found] == [(150.0, 100.0), (190.0, 100.0)]
-    track, _ = track.advanced(both, found[0])
+    track, _ = track.after(1.0).advanced(both, found[0])
     assert chosen(track, (186, 102)) is None
     assert chosen(track, (186, 130)) is not None
     assert chosen(track, (160, 100)) is not None
@@ -152,9 +170,10 @@ OBJECT: Edges = (300.0, 200.0, 330.0, 230.0)
     ("jump", "growth", "steps", "expected"),
     [
         (61.0, 0.0, 1.0, False),
-        (91.0, 0.0, 1.0, True),
-        (91.0, 0.0, 2.0, False),  # an image was skipped
-        (91.0, 0.0, 0.5, True),  # a camera of 60 Hz sees no faster objects
+        (95.0, 0.0, 1.0, False),  # seen in a throw of a person
+        (121.0, 0.0, 1.0, True),
+        (121.0, 0.0, 2.0, False),  # an image was skipped
+        (121.0, 0.0, 0.5, True),  # a camera of 60 Hz sees no faster objects
         (0.0, 49.0, 1.0, False),
         (0.0, 51.0, 1.0, True),
         (0.0, -29.0, 1.0, False),
@@ -165,6 +184,14 @@ def test_a_box_moves_and_grows_no_faster_than_objects_do(
 ):
     now = (OBJECT[0], OBJECT[1] + jump, OBJECT[2], OBJECT[3] + jump + growth)
     assert is_jump(CFG, now, OBJECT, steps) is expected
+
+
+def test_a_prompt_sets_how_large_the_object_can_be():
+    """Of what is 45 px wide at its release, 135 px are the object at its catch."""
+    assert CFG.including((300.0, 200.0, 330.0, 220.0)) == CFG
+    large = CFG.including((300.0, 200.0, 345.0, 220.0))
+    assert large.largest_side == pytest.approx(135.0)
+    assert large.largest_share == pytest.approx(1.35**2 * CFG.largest_share)
 
 
 FLIGHTS = [(ThrowCfg(), 0.075, 1.0), (HUMAN_THROWS, 0.075, 0.999), (SIDEWAYS, 0.14, 1.0)]

@@ -78,7 +78,11 @@ class EverythingRed(ColorThreshold):
     """Returns all that is red, in one piece or several."""
 
     def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+        self,
+        image: Pixels,
+        motion: ImageMotion | None = None,
+        prompt: BoxPrompt | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         return Segmentation(mask=REDS.mask(image), score=1.0)
 
@@ -93,7 +97,7 @@ def everything_red() -> ObjectTracker:
         ((0, 0, 640, 480), Verdict.TOO_LARGE),
         ((300, 150, 400, 212), Verdict.TOO_LARGE),  # 6,200 px of 6,144 allowed
         ((300, 150, 304, 151), Verdict.TOO_SMALL),
-        (moved(START, 0, 100), Verdict.JUMP),
+        (moved(START, 0, 125), Verdict.JUMP),
         ((0, 0, 20, 20), Verdict.BORDER),  # a corner of the image
     ],
 )
@@ -127,7 +131,7 @@ def test_joint_positions_that_are_not_finite_skip_the_image():
 
 
 def test_a_lost_object_is_pointed_out_again():
-    far = moved(START, 250, 200)
+    far = moved(START, 280, 280)  # 396 px
     seen = play([picture(START), *[picture(far)] * (PATIENCE + 3)], color_tracker())
     verdicts = [each.verdict for each in seen]
     assert verdicts == [Verdict.SEEN, *[Verdict.NOT_FOUND] * PATIENCE, *[Verdict.SEEN] * 3]

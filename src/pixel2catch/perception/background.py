@@ -1,5 +1,6 @@
 """The object by its motion and its colours: what differs from the background near its expected place."""
 
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from math import hypot, inf, pi
@@ -9,7 +10,13 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
-from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, prompted, sharpened
+from pixel2catch.perception.foreground import (
+    INNER,
+    LEARNING_IMAGES,
+    LEAST_DIFFERENCE,
+    prompted,
+    sharpened,
+)
 from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
@@ -35,6 +42,10 @@ where the object is as bright as the background."""
 
 NEAR = 10.0  #: Distance up to which still things are learned as other things [px]. Source: ours.
 THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
+
+LEAST_STILL, LARGEST_NOISE = 0.5, 2.0 * LEAST_DIFFERENCE
+"""Share of unchanged pixels from which a region stands still, and largest change of such a pixel [levels].
+Source: ours."""
 
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px per image], and images after that in which it is not yet background:
@@ -64,17 +75,24 @@ class BackgroundSubtraction(Segmenter):
         self._track: ImageTrack | None = None
         self._appearance, self._num_still = Appearance(), inf
         self._size: Size | None = None
+        # The image in which it was last seen, and where it was there or something changed since.
+        self._seen: tuple[Pixels, Mask] | None = None
         self._later: partial[None] | None = None
 
     def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+        self,
+        image: Pixels,
+        motion: ImageMotion | None = None,
+        prompt: BoxPrompt | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         """See `Segmenter.find`. A guess that does not resemble the last object is ignored."""
         self.settle()
         is_known = self._track is not None and prompt is not None and prompt.is_guess
         if prompt is None or (is_known and not self._resembles(image, prompt.box)):
+            self._track = self._track and self._track.after(interval)
             return self._follow(motion, None)
-        self._track = ImageTrack(center=prompt.center, limits=self.limits)
+        self._track, self._seen = ImageTrack(center=prompt.center, limits=self.limits), None
         self._appearance, self._num_still, self._size = Appearance(), inf, None
         return self._follow(motion, prompt)
 
@@ -105,12 +123,18 @@ class BackgroundSubtraction(Segmenter):
         self._track, segmentation = self._track.advanced(blobs, blob)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
+        seen = self._seen if self._num_still < NUM_FRESH else None
+        if segmentation.mask is not None:
+            self._seen = motion.image, grown(segmentation.mask, GAP)
+        elif self._seen is not None:
+            before, changed = self._seen
+            self._seen = before, changed | ~_unchanged(motion.image, before)
         if blob is not None and not _touches(blob, motion.unknown):
             mask = blob.mask()
             is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
             if not is_box:
                 self._resize(blob, self._track.num_seen)
-            self._later = partial(self._learn, motion, mask, grown(mask, GAP))
+            self._later = partial(self._learn, motion, mask, grown(mask, GAP), seen)
         return segmentation
 
     def _object(
@@ -118,12 +142,35 @@ class BackgroundSubtraction(Segmenter):
     ) -> tuple[list[Blob], Blob | None]:
         """Return the regions of the image, and the one that is the object; None if none is.
 
+        The object flies on, or is stopped by a hand on its way; else it bounced off something. In a person's
+        box `within`, it may fill little of it, as a cross does. What stands still is the object, caught, only
+        if nothing else can be.
+        """
+        resting: tuple[list[Blob], Blob] | None = None
+        blobs: list[Blob] = []
+        for is_turned in (False, True):
+            for found in self._found(motion, track, within, is_turned=is_turned):
+                blobs, best = found
+                if best is None:
+                    continue
+                if not self._rests(track, best, motion.image):
+                    return blobs, best
+                resting = resting or (blobs, best)
+        if resting or within is None:
+            return resting or (blobs, None)
+        return (blobs := regions(within)), next(iter(blobs), None)
+
+    def _found(
+        self, motion: ImageMotion, track: ImageTrack, within: Mask | None, *, is_turned: bool
+    ) -> Iterator[tuple[list[Blob], Blob | None]]:
+        """Regions of the image, and one of them that can be the object, the likeliest first.
+
         First come regions with the object's colours, then smaller ones, then whatever moves. A region is a
         whole moving thing, its part with the object's or new colours, or that with its colours alone: the
-        one of the object's size is chosen, near the expected place if there is one. In a person's box
-        `within`, the object may fill little of it, as a cross does.
+        one of the object's size is chosen, near the expected place if there is one.
         """
-        shape, reach = motion.moving.shape, track.reach + REACH
+        shape, largest = motion.moving.shape, REACH if self._size is None else float(self._size[:2].max())
+        reach = (track.reach if is_turned else track.nearness) + max(REACH, largest)
         places = np.clip((track.center, track.expected), 0.0, np.array(shape[::-1]) - 1.0)
         left, top = np.maximum(places.min(0) - reach, 0.0).astype(int).tolist()
         right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
@@ -137,31 +184,54 @@ class BackgroundSubtraction(Segmenter):
             found = []
             for mask in masks:
                 blobs = regions(mask if within is None else mask & within[place], place, shape)
-                blob = self._first(track, blobs, motion.unknown, least, is_alike=place is window)
+                candidates = [blob for blob in track.candidates(blobs) if is_turned or track.passes(blob)]
+                fitting = [blob for blob in candidates if self._fits(blob, motion, least)]
+                blob = self._first(track, fitting, is_alike=place is window, is_turned=is_turned)
                 found += [(blobs, blob)] if blob else []
             if found:
-                return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
-        blobs = regions(alike, window, shape) if within is None else regions(within)
-        return blobs, None if within is None else next(iter(blobs), None)
+                yield min(found, key=lambda each: self._cost(track, each[1]))
+        yield (regions(alike, window, shape), None)
 
-    def _first(
-        self, track: ImageTrack, blobs: list[Blob], unknown: Mask, least: float, *, is_alike: bool
-    ) -> Blob | None:
-        """The likeliest region of a suitable size; without the object's own colours, only where expected."""
-        anywhere = is_alike or self._appearance.own_share < LEAST_OWN
-        for blob in track.candidates(blobs):
-            share = 1.0 if self._size is None else blob.area / float(self._size[2])
-            is_whole = share >= least or blob.is_cut or _touches(blob, unknown)
-            if (anywhere or track.leads_to(blob)) and share <= LARGEST_GROWTH and is_whole:
-                return blob
-        return None
+    def _first(self, track: ImageTrack, blobs: list[Blob], *, is_alike: bool, is_turned: bool) -> Blob | None:
+        """The likeliest of the regions that have the object's size.
 
-    def _change(self, blob: Blob) -> float:
-        """Difference of a region's sides or area from the object's, in logarithms; the larger of the two."""
-        if self._size is None:
+        On its way, an object without own colours needs motion alone; elsewhere nothing else must move.
+        """
+        has_own = self._appearance.own_share >= LEAST_OWN
+        is_likely = is_alike and has_own if is_turned else is_alike or not has_own
+        is_only = len(blobs) == 1 and not blobs[0].is_cut
+        return next((blob for blob in blobs if is_likely or is_only or track.leads_to(blob)), None)
+
+    def _fits(self, blob: Blob, motion: ImageMotion, least: float) -> bool:
+        """Whether a region has the object's size, and was not there when the object was elsewhere."""
+        share = 1.0 if self._size is None else blob.area / float(self._size[2])
+        is_whole = share >= least or blob.is_cut or _touches(blob, motion.unknown)
+        is_sized = share <= LARGEST_GROWTH and is_whole
+        return is_sized and self._still(motion.image, blob, apart=True) < LEAST_STILL
+
+    def _rests(self, track: ImageTrack, blob: Blob, image: Pixels) -> bool:
+        """Whether a region stands still where the object was seen in flight."""
+        way = hypot(*track.velocity) * track.age
+        return way >= 0.5 * min(blob.width, blob.height) and self._still(image, blob) >= LEAST_STILL
+
+    def _still(self, image: Pixels, blob: Blob, *, apart: bool = False) -> float:
+        """Share of a region that is unchanged since the object was last seen, there or apart from there."""
+        if self._seen is None:
             return 0.0
+        before, place = (each[blob.place] for each in self._seen)
+        same = blob.pixels(blob.place) & _unchanged(image[blob.place], before)
+        return float((same & ~place if apart else same).sum() / blob.area)
+
+    def _cost(self, track: ImageTrack, blob: Blob) -> tuple[bool, float]:
+        """How unlike the object a region is: far off, then by its distance and its size.
+
+        The latter is the difference of its sides or its area in logarithms, the larger of the two.
+        """
+        distance = 0.5 * blob.distance(track.expected) / REACH
+        if self._size is None:
+            return track.is_far(blob), distance
         width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
-        return max(width + height, AREA_WEIGHT * area)
+        return track.is_far(blob), distance + max(width + height, AREA_WEIGHT * area)
 
     def _resize(self, blob: Blob, num_seen: int) -> None:
         """Update the size of an object that was seen so often, as a mean in which later images count more.
@@ -201,17 +271,23 @@ class BackgroundSubtraction(Segmenter):
         least = LEAST_KNOWN * self._appearance.own_share
         return bool(has_colors[inside].sum() >= least * inside.sum())
 
-    def _learn(self, motion: ImageMotion, mask: Mask, maybe: Mask) -> None:
+    def _learn(
+        self, motion: ImageMotion, mask: Mask, maybe: Mask, seen: tuple[Pixels, Mask] | None = None
+    ) -> None:
         """Learn the colours of the object and of other things.
 
         These are ignored pixels, what else moves, and, unless the object moved lately, what is beside it.
+        What stands still since the object was seen elsewhere need not differ in colour.
         """
         image, ignored = motion.image, motion.ignored
         box = window_of(mask)
         if not mask[box].size:
             return
         far, near = grown_window(box, REACH), grown_window(box, NEAR)
-        others = [image[far][motion.moving[far] & ~maybe[far]]]
+        moving = motion.moving[far] & ~maybe[far]
+        if seen is not None:
+            moving &= ~_unchanged(image[far], seen[0][far]) | seen[1][far]
+        others = [image[far][moving]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
         if self._num_still >= NUM_FRESH:
@@ -270,6 +346,11 @@ def _spread(histogram: Histogram) -> Histogram:
 
 def _size(blob: Blob) -> Size:
     return np.array((blob.width, blob.height, blob.area), dtype=float)
+
+
+def _unchanged(image: Pixels, before: Pixels) -> Mask:
+    """Pixels that are the same in two images, but for noise."""
+    return cv2.absdiff(image, before).max(axis=-1) <= LARGEST_NOISE
 
 
 def _touches(blob: Blob, mask: Mask) -> bool:

@@ -1,6 +1,6 @@
 """Parts of an image: connected regions of a mask, the size limits of objects, and the robots' pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 import cv2
@@ -26,6 +26,8 @@ NEAREST = 0.05  #: Nearer points are left out [m].
 MARGIN = 4  #: Margin around the robot [px]. Source: ours, for errors of camera and clocks.
 HIDDEN = 0.002  #: A geom that protrudes less from another one of its body is left out [m]. Source: ours.
 
+LARGEST_APPROACH = 3.0  #: Size of an object at its catch over that at its release. Source: ours: 3 m and 1 m.
+
 Window = tuple[slice, slice]  #: Rows and columns of a part of an image.
 
 
@@ -40,18 +42,27 @@ class PlausibilityCfg:
     least_area: int = 6  #: Fewest pixels.
     largest_share: float = 0.02  #: Largest share of the image; 0.005 at most in those images.
     largest_side: float = 100.0  #: Longest side of a region [px]; 49 in those images.
-    largest_jump: float = 90.0  #: Of the middle of the box in a control step [px]; 61 in those images.
+    largest_jump: float = 120.0  #: Of the middle of the box in a control step [px]: 10 m/s, 1.7 m away.
     largest_growth: float = 50.0  #: Of a side of the box in a control step [px].
     largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
 
     @classmethod
     def up_to(cls, radius: float) -> "PlausibilityCfg":
         """Return the limits for objects up to a ball of this radius [m]."""
-        usual, scale = cls(), max(radius / OBJECT_RADIUS, 1.0)
-        return cls(
-            largest_share=scale**2 * usual.largest_share,
-            largest_side=scale * usual.largest_side,
-            largest_growth=scale * usual.largest_growth,
+        return cls()._scaled(radius / OBJECT_RADIUS)
+
+    def including(self, box: Edges) -> "PlausibilityCfg":
+        """Return the limits, raised for an object that fills this box at its release."""
+        xmin, ymin, xmax, ymax = box
+        return self._scaled(LARGEST_APPROACH * max(xmax - xmin, ymax - ymin) / self.largest_side)
+
+    def _scaled(self, scale: float) -> "PlausibilityCfg":
+        scale = max(scale, 1.0)
+        return replace(
+            self,
+            largest_share=scale**2 * self.largest_share,
+            largest_side=scale * self.largest_side,
+            largest_growth=scale * self.largest_growth,
         )
 
 

@@ -131,7 +131,11 @@ class Sam2Segmenter(Segmenter):
         return cast("int", self._model.image_size)
 
     def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+        self,
+        image: Pixels,
+        motion: ImageMotion | None = None,
+        prompt: BoxPrompt | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         """See `Segmenter.find`."""
         height, width = self._size or image.shape[:2]

@@ -60,7 +60,11 @@ class Segmenter(ABC):
 
     @abstractmethod
     def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+        self,
+        image: Pixels,
+        motion: ImageMotion | None = None,
+        prompt: BoxPrompt | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         """Find the object in the next image; it is not found before the first prompt.
 
@@ -68,6 +72,7 @@ class Segmenter(ABC):
             image: The next image of the stream.
             motion: What moves in it; None where `uses_motion` is false.
             prompt: Where the object is in it; the object before is discarded. None follows that one.
+            interval: Time since the image before [control steps].
 
         Raises:
             PerceptionError: The array is no image, or its size differs from the images before.
@@ -98,48 +103,58 @@ def check_image(image: np.ndarray, width: int, height: int) -> None:
 
 
 REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
-"""Largest distance of the object from the line between its last and its expected place, its growth with every
-image without the object, and its limit [px]. Source: ours; a release moves it by up to 30 px an image."""
+"""Largest distance of the object from its way to the expected place, its growth with every control step
+without the object, and its limit [px]. Source: ours; a release moves it by up to 30 px a step."""
 
-FIRST_REACH = 90.0  #: The same without a velocity [px]. Source: ours: the jump of `PlausibilityCfg`.
-LARGEST_CHANGE = (
-    12.0  #: Of a flight's motion in an image interval [px]. Source: ours; gravity makes up to 10.
-)
-LONGEST_STEP = 20.0  #: Largest motion in an interval with which another thing is known [px]. Source: ours.
-LONGEST_COAST = 3  #: Image intervals for which an unseen object keeps its velocity. Source: ours.
+LARGEST_CHANGE = 12.0  #: Of a flight's motion in a control step [px]. Source: ours; gravity makes up to 10.
+LONGEST_STEP = 20.0  #: Largest motion in a control step with which another thing is known [px]. Source: ours.
+LONGEST_COAST = 3.0  #: Control steps for which an unseen object keeps its velocity. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageTrack:
-    """Last place and motion of the object, with constant velocity in the image."""
+    """Last place and motion of the object in the image, with constant velocity; times in control steps."""
 
     center: tuple[float, float]  #: Middle of its last box [px].
-    velocity: tuple[float, float] = (0.0, 0.0)  #: Its last change in an image interval [px].
-    num_missed: int = 0  #: Images since the last box.
+    velocity: tuple[float, float] = (0.0, 0.0)  #: When it was last seen [px per control step].
+    span: float = 1.0  #: Time between the two boxes that gave the velocity.
+    interval: float = 1.0  #: Time between the newest two images.
+    age: float = 0.0  #: Time since the last box.
     num_seen: int = 0  #: Images in which it was seen; the velocity is known from two on.
     others: tuple[tuple[float, float], ...] = ()  #: Middles of the other things in the last image [px].
     limits: PlausibilityCfg = USUAL  #: What can be the object.
 
+    def after(self, interval: float) -> "ImageTrack":
+        """Return the track at the next image, so long after the one before."""
+        return replace(self, interval=interval, age=self.age + interval)
+
     @property
     def expected(self) -> tuple[float, float]:
-        """Expected place in the next image [px]. It stops after `LONGEST_COAST` images without the object."""
-        steps = min(self.num_missed + 1, LONGEST_COAST)
-        return self.center[0] + steps * self.velocity[0], self.center[1] + steps * self.velocity[1]
+        """Expected place in the newest image [px]. It stops `LONGEST_COAST` after the last box."""
+        time = min(self.age, LONGEST_COAST)
+        return self.center[0] + time * self.velocity[0], self.center[1] + time * self.velocity[1]
 
     def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
-        """Return the track after the next image, in which the object is one of the regions, and its pixels.
+        """Return the track with the newest image, in which the object is one of the regions, and its pixels.
 
-        The score is the region's share of its box.
+        Without the object only the regions that continue another thing are other things. The score is the
+        region's share of its box.
         """
-        others = tuple(each.center for each in blobs if each is not blob)
         if blob is None:
-            return replace(self, num_missed=self.num_missed + 1, others=others), NOT_FOUND
-        (u, v), steps = blob.center, self.num_missed + 1
+            known = (
+                each.center for each in blobs if any(self._is_near(each, other) for other in self.others)
+            )
+            return replace(self, others=tuple(known)), NOT_FOUND
+        (u, v), span = blob.center, self.age or 1.0
+        fresh = min(span, 1.0) if self.num_seen > 1 else float(self.num_seen)  # fast images are averaged
+        moved = (u - self.center[0]) / span, (v - self.center[1]) / span
+        du, dv = (old + fresh * (new - old) for old, new in zip(self.velocity, moved, strict=True))
         track = ImageTrack(
             center=blob.center,
-            velocity=((u - self.center[0]) / steps, (v - self.center[1]) / steps),
+            velocity=(du, dv),
+            span=span,
             num_seen=self.num_seen + 1,
-            others=others,
+            others=tuple(each.center for each in blobs if each is not blob),
             limits=self.limits,
         )
         score = blob.area / (blob.width * blob.height)
@@ -147,43 +162,51 @@ class ImageTrack:
 
     @property
     def reach(self) -> float:
-        """Largest distance of the object from the line between its last and its expected place [px]."""
-        least = REACH if self.num_seen > 1 else FIRST_REACH
-        return min(least + REACH_GROWTH * self.num_missed, LARGEST_REACH)
+        """Largest distance of the object from its last place, wherever it was thrown or bounced [px]."""
+        return self.limits.largest_jump * min(max(self.age, 1.0), LONGEST_COAST)
+
+    @property
+    def nearness(self) -> float:
+        """Largest distance from its way to the expected place without a bounce [px]."""
+        return min(REACH + REACH_GROWTH * max(self.age - 1.0, 0.0), LARGEST_REACH)
 
     def candidates(self, blobs: list[Blob]) -> list[Blob]:
-        """Return the regions that can be the object, the nearest to its expected place first.
+        """Return the regions that can be the object, those on its way first, then the nearest to its place.
 
-        They have an object's size and are near the line from its last place to there, because a hand may have
-        stopped it. Regions that continue another thing of the last image are left out.
+        They have an object's size and are where it can be. Regions that continue another thing of the last
+        image are left out.
         """
         sized = [blob for blob in blobs if blob.is_plausible(self.limits) and not self._is_other(blob, blobs)]
-        near = (blob for blob in sized if self._distance(blob.center) <= self.reach)
-        return sorted(near, key=lambda blob: blob.distance(self.expected))
+        near = (blob for blob in sized if blob.distance(self.center) <= self.reach)
+        return sorted(near, key=lambda blob: (not self.passes(blob), blob.distance(self.expected)))
 
     def leads_to(self, blob: Blob) -> bool:
         """Return whether a region is at the expected place, within what gravity and approach change."""
-        return self.num_seen > 1 and blob.distance(self.expected) <= LARGEST_CHANGE * (self.num_missed + 1)
+        change = LARGEST_CHANGE * max(0.5 * self.age * (self.age + self.span), 1.0)
+        return self.num_seen > 1 and blob.distance(self.expected) <= change
+
+    def passes(self, blob: Blob) -> bool:
+        """Return whether a region is on the way to the expected place, where a hand may stop it."""
+        (u, v), (end_u, end_v) = self.center, self.expected
+        du, dv = end_u - u, end_v - v
+        at_u, at_v = blob.center
+        share = min(max((du * (at_u - u) + dv * (at_v - v)) / max(du * du + dv * dv, 1.0), 0.0), 1.0)
+        return hypot(at_u - u - share * du, at_v - v - share * dv) <= self.nearness
 
     def is_far(self, blob: Blob) -> bool:
         """Return whether a region is farther from the expected place than a release moves the object."""
-        return blob.distance(self.expected) > REACH
+        return blob.distance(self.expected) > REACH * max(self.interval, 1.0)
 
-    def _distance(self, point: tuple[float, float]) -> float:
-        """Distance of a point from the line between the last and the expected place [px]."""
-        (u, v), (end_u, end_v) = self.center, self.expected
-        du, dv = end_u - u, end_v - v
-        length = max(du * du + dv * dv, 1.0)
-        share = min(max((du * (point[0] - u) + dv * (point[1] - v)) / length, 0.0), 1.0)
-        return hypot(point[0] - u - share * du, point[1] - v - share * dv)
+    def _is_near(self, blob: Blob, place: tuple[float, float]) -> bool:
+        return blob.distance(place) <= LONGEST_STEP * max(self.interval, 1.0)
 
     def _is_other(self, blob: Blob, blobs: list[Blob]) -> bool:
         """Whether a region without the object's expected place is the nearest one to another thing's last."""
         (u, v), (end_u, end_v) = blob.center, self.expected
         if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
             return False
-        reach = min(blob.distance(self.expected), LONGEST_STEP)
-        near = (other for other in self.others if blob.distance(other) < reach)
+        reach = blob.distance(self.expected)
+        near = (other for other in self.others if self._is_near(blob, other) and blob.distance(other) < reach)
         return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
 
 
@@ -219,16 +242,20 @@ class ColorThreshold(Segmenter):
         self._track: ImageTrack | None = None
 
     def find(
-        self, image: Pixels, motion: ImageMotion | None = None, prompt: BoxPrompt | None = None
+        self,
+        image: Pixels,
+        motion: ImageMotion | None = None,
+        prompt: BoxPrompt | None = None,
+        interval: float = 1.0,
     ) -> Segmentation:
         """See `Segmenter.find`."""
         if prompt is not None:
-            self._track = ImageTrack(center=prompt.center, limits=self.limits)
+            self._track, interval = ImageTrack(center=prompt.center, limits=self.limits), 0.0
         if self._track is None:
             return NOT_FOUND
-        blobs = find_blobs(self._colors.mask(image))
-        found = next(iter(self._track.candidates(blobs)), None)
-        self._track, segmentation = self._track.advanced(blobs, found)
+        track, blobs = self._track.after(interval), find_blobs(self._colors.mask(image))
+        found = next(iter(track.candidates(blobs)), None)
+        self._track, segmentation = track.advanced(blobs, found)
         return segmentation
 
     def reset(self) -> None:

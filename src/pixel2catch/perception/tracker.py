@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import inf, pi
+from math import inf, isfinite, pi
 
 import numpy as np
 
@@ -71,29 +71,35 @@ class Prompter:
     def reset(self) -> None:
         """Start a new throw."""
         self._given = self._usual
-        self._recent: deque[list[Blob]] = deque(maxlen=MOST_IMAGES)  # the newest image first
+        self._recent: deque[tuple[float, list[Blob]]] = deque(maxlen=MOST_IMAGES)  # the newest image first
 
     def give(self, prompt: BoxPrompt) -> None:
         """Point the object out in the next image, once."""
         self._given = prompt
 
-    def look(self, image: Pixels, motion: ImageMotion | None = None) -> BoxPrompt | None:
-        """Return where the object is in the newest image, in which some things may move, or None."""
+    def look(
+        self, image: Pixels, motion: ImageMotion | None = None, interval: float = 1.0
+    ) -> BoxPrompt | None:
+        """Return where the object is in the newest image, in which some things may move, or None.
+
+        The interval is the time since the image before [control steps].
+        """
         given, self._given = self._given, None
-        flying = self._flying(motion)  # for every image, because it compares several
+        flying = self._flying(motion, interval)  # for every image, because it compares several
         colored = self._sized(self._colors.mask(image)) if self._colors and not given else []
         return given or (BoxPrompt(box=colored[0].box) if colored else flying)
 
-    def _flying(self, motion: ImageMotion | None) -> BoxPrompt | None:
+    def _flying(self, motion: ImageMotion | None, interval: float) -> BoxPrompt | None:
         if motion is None or motion.doubt == Weakness.FEW_IMAGES:
             return None
         things = self._sized(closed(motion.moving))
-        self._recent.appendleft(things if len(things) <= MOST_CANDIDATES else [])
-        num_images = _num_images([len(blobs) for blobs in self._recent], motion.moving.size)
+        self._recent.appendleft((interval, things if len(things) <= MOST_CANDIDATES else []))
+        num_images = _num_images(list(self._recent), motion.moving.size)
         if num_images is None:
             return None
-        newest, middle, *earlier = list(self._recent)[:num_images]
-        flying = (now for now in newest for before in middle if _flies(now, before, earlier))
+        recent = list(self._recent)[:num_images]
+        (_, newest), (_, middle), *_ = recent
+        flying = (now for now in newest for before in middle if _flies(now, before, recent))
         return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
 
     def _sized(self, mask: Mask) -> list[Blob]:
@@ -106,30 +112,43 @@ class Prompter:
         return [blob for blob in find_blobs(mask) if blob.is_plausible(self.limits)]
 
 
-def _num_images(counts: list[int], area: int) -> int | None:
+Moving = list[tuple[float, list[Blob]]]
+"""The moving things of successive images, the newest first, each with the time since the image before."""
+
+
+def _num_images(recent: Moving, area: int) -> int | None:
     """Images that a flight needs to be distinguished from chance; None if there are too few.
 
-    The counts are of things in the last images, the newest first; the area is of an image [px²].
+    The area is of an image [px²].
     """
-    if len(counts) < 3:
+    if len(recent) < 3:
         return None
-    chance = counts[0] * counts[1] * pi * LARGEST_SPEED**2 / area
-    for number, count in enumerate(counts[2:], start=3):
-        chance *= count * pi * LARGEST_CHANGE**2 / area
+    (interval, newest), (before, middle), *earlier = recent
+    chance = len(newest) * len(middle) * pi * (LARGEST_SPEED * interval) ** 2 / area
+    for number, (next_interval, things) in enumerate(earlier, start=3):
+        chance *= len(things) * pi * _largest_change(interval, before) ** 2 / area
         if chance <= LARGEST_CHANCE:
             return number
+        interval, before = before, next_interval
     return None
 
 
-def _flies(now: Blob, before: Blob, earlier: list[list[Blob]]) -> bool:
-    """Whether two regions of successive images continue a flight through the earlier images, newest first."""
-    if not LEAST_SPEED <= now.distance(before.center) <= LARGEST_SPEED:
+def _largest_change(interval: float, before: float) -> float:
+    """How far gravity and approach move a flight from where two images lead it in a third one [px]."""
+    return LARGEST_CHANGE * max(0.5 * interval * (interval + before), 1.0)
+
+
+def _flies(now: Blob, middle: Blob, recent: Moving) -> bool:
+    """Whether regions of the newest two images continue a flight through all the earlier ones."""
+    (interval, _), (before, _), (_, firsts), *_ = recent
+    if not LEAST_SPEED * interval <= now.distance(middle.center) <= LARGEST_SPEED * interval:
         return False
-    for first in earlier[0]:
-        expected = (2 * before.center[0] - first.center[0], 2 * before.center[1] - first.center[1])
-        areas = (now.area, before.area, first.area)
-        is_continued = now.distance(expected) <= LARGEST_CHANGE and max(areas) <= LARGEST_GROWTH * min(areas)
-        if is_continued and (len(earlier) == 1 or _flies(before, first, earlier[1:])):
+    change, share = _largest_change(interval, before), interval / before
+    for first in firsts:
+        u, v = (at + share * (at - old) for at, old in zip(middle.center, first.center, strict=True))
+        areas = (now.area, middle.area, first.area)
+        is_continued = now.distance((u, v)) <= change and max(areas) <= LARGEST_GROWTH * min(areas)
+        if is_continued and (len(recent) == 3 or _flies(middle, first, recent[1:])):
             return True
     return False
 
@@ -178,8 +197,8 @@ class ObjectTracker:
         """
         self.durations: dict[str, float] = {}  #: Duration of each stage of the last step [s].
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
-        self._camera, self._limits = camera, limits
-        segmenter.limits = prompter.limits = limits
+        self._camera, self._usual = camera, limits
+        self._set_limits(limits)
         self._foreground, self._state = Foreground(), TrackState()
         self._is_checked, self._has_begun = False, not waits
 
@@ -187,6 +206,7 @@ class ObjectTracker:
         """Start a new throw, whose stamps may start again. The background is kept."""
         self._segmenter.reset()
         self._prompter.reset()
+        self._set_limits(self._usual)
         self._state, self._has_begun = TrackState(), True
 
     def settle(self) -> None:
@@ -215,6 +235,9 @@ class ObjectTracker:
             is_valid=state.seen_stamp > -inf,
             age=now - state.seen_stamp,
         )
+
+    def _set_limits(self, limits: PlausibilityCfg) -> None:
+        self._limits = self._segmenter.limits = self._prompter.limits = limits
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -248,26 +271,30 @@ class ObjectTracker:
             with self._stage("robot"):
                 ignored = self._robot.at(image.joint_pos)
         with self._stage("segment"):
-            segmentation, doubt = self._segment(image.pixels, ignored)
+            interval = (image.stamp - self._state.image_stamp) / CONTROL_DT
+            interval = interval if isfinite(interval) else 1.0  # the first image
+            segmentation, doubt = self._segment(image.pixels, ignored, interval)
         with self._stage("box"):
             found = replace(self._judge(segmentation, image.stamp), doubt=doubt)
         self._state.update(found, image.stamp, ignored)
         return found
 
-    def _segment(self, image: Pixels, ignored: Mask | None) -> tuple[Segmentation, str]:
+    def _segment(self, image: Pixels, ignored: Mask | None, interval: float) -> tuple[Segmentation, str]:
         """Follow the object, or start at a prompt if it is lost; also return the doubt about it."""
         state = self._state
         is_lost = state.num_lost >= PATIENCE and not state.is_at_robot
         needs_prompt = is_lost or not state.is_prompted
         if not (needs_prompt or self._segmenter.uses_motion):
-            return self._segmenter.find(image), ""
+            return self._segmenter.find(image, interval=interval), ""
         motion = self._foreground.step(image, ignored)
-        prompt = self._prompter.look(image, motion) if needs_prompt else None
+        prompt = self._prompter.look(image, motion, interval) if needs_prompt else None
         prompt = prompt if self._has_begun else None
         if prompt is not None:
             state.is_prompted, state.is_continued, state.num_lost = True, False, 0
+            if not prompt.is_guess:
+                self._set_limits(self._usual.including(prompt.box))
             motion = self._foreground.reveal(motion, prompt)
-        segmentation = self._segmenter.find(image, motion, prompt)
+        segmentation = self._segmenter.find(image, motion, prompt, interval)
         self._foreground.keep(segmentation.mask)
         return segmentation, motion.doubt if self._segmenter.uses_motion else ""
 
