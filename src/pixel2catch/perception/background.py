@@ -350,7 +350,7 @@ def _size(blob: Blob) -> Size:
 
 def _unchanged(image: Pixels, before: Pixels) -> Mask:
     """Pixels that are the same in two images, but for noise."""
-    return cv2.absdiff(image, before).max(axis=-1) <= LARGEST_NOISE
+    return cv2.inRange(cv2.absdiff(image, before), (0.0,) * 3, (LARGEST_NOISE,) * 3) > 0
 
 
 def _touches(blob: Blob, mask: Mask) -> bool:
