@@ -74,10 +74,6 @@ class Script:
         rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands_of(WORKCELL)]
         self._commands = self._tensor(rows).T
 
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        """Plan anew if all episodes begin."""
-        self._is_planned = self._is_planned and is_ended is not None
-
     def act(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The action of every agent; the script knows more than its observations."""
         env, steps = self._env, self._env.episode.record.steps
@@ -246,8 +242,7 @@ def learn(
             network.input_std.copy_(inputs.std(dim=0).clamp(min=0.02))
         for step in range(num_steps):
             batch = torch.randint(len(inputs), (batch_size,), device=inputs.device)
-            actions, _ = network(inputs[batch], inputs.new_zeros(batch_size, 0))
-            loss = torch.nn.functional.smooth_l1_loss(actions, outputs[batch], beta=HUBER)
+            loss = torch.nn.functional.smooth_l1_loss(network(inputs[batch]), outputs[batch], beta=HUBER)
             optimizer.zero_grad()
             loss.backward()
             optimizer.param_groups[0]["lr"] = 1e-3 * (1.0 - step / num_steps)

@@ -18,10 +18,8 @@ size_and_age = p2c.Method(name="size_and_age", agents=(agent,), pixel_features=(
 
 
 def main(out: Path = Path("runs/size"), transitions: int = 1_000_000, num_envs: int = 256) -> None:
-    """Train it with networks of one's own size, and a memory of their own."""
-    result = p2c.train(
-        size_and_age, out, transitions=transitions, num_envs=num_envs, hidden=(64, 64), recurrent=32
-    )
+    """Train it with networks of one's own size."""
+    result = p2c.train(size_and_age, out, transitions=transitions, num_envs=num_envs, hidden=(64, 64))
     print(result.status, p2c.load_policy(out).contract.method)
 
 

@@ -67,27 +67,6 @@ def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
     assert files == {"policy.safetensors", "policy.json"}
 
 
-def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path: Path) -> None:
-    """Where an episode ended, or everywhere; its file says that it is recurrent, other files do not."""
-    torch.manual_seed(0)
-    policy = Policy(CONTRACT, hidden=(8, 8), recurrent=4)
-    policy.save(tmp_path)
-    assert json.loads((tmp_path / "policy.json").read_text())["recurrent"] == 4
-    loaded, inputs = Policy.load(tmp_path), [observations() for _ in range(3)]
-    first, _, third = (policy.act(each)["arm"] for each in inputs)
-    loaded.act(inputs[0])
-    loaded.act(inputs[1])
-    loaded.reset(torch.tensor([True, False, False, False, True]))
-    partly = loaded.act(inputs[2])["arm"]
-    loaded.reset()
-    afresh = loaded.act(inputs[2])["arm"]
-    assert torch.equal(partly[1:4], third[1:4])
-    torch.testing.assert_close(partly[[0, 4]], afresh[[0, 4]])
-    assert (afresh - third).abs().min(dim=0).values.max() > 1e-4
-    loaded.reset()
-    assert torch.equal(loaded.act(inputs[0])["arm"], first)
-
-
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def test_contract_of_every_method(method: Method) -> None:
     contract = contract_of(method, RIGHT)
@@ -123,10 +102,11 @@ def test_a_mismatch_names_the_fields() -> None:
 
 
 def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, tmp_path: Path) -> None:
+    """Its file may also say that its networks have no recurrent unit."""
     policy.save(tmp_path)
     text = json.loads((tmp_path / "policy.json").read_text())
     assert text.pop("task") == "nominal"
-    rewrite(tmp_path, json.dumps(text))
+    rewrite(tmp_path, json.dumps(text | {"recurrent": 0}))
     assert Policy.load(tmp_path).contract == CONTRACT
 
 
@@ -137,6 +117,7 @@ def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, 
         ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
         ({"hidden": None}, "field 'hidden' is missing"),
+        ({"recurrent": 16}, r"'recurrent' is 16: .* \(GRU\) .* revision \w+ reads them"),
         ({"hidden": [8, 9]}, r"agents.arm.network.2.weight: .* torch.Size\(\[9, 8\]\)"),
     ],
 )

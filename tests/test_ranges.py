@@ -121,7 +121,6 @@ TRAIN: dict[str, tuple[float, float]] = {
     "entropy_scale": (0, 100),
     "gradient_clip": (0, 1e6),
     "hidden": (1, 65_536),
-    "recurrent": (0, 65_536),
     "initial_log_std": (-10, 3),
     "rewards": (-1e6, 1e6),
     "checkpoint_seconds": (0, 1e6),
@@ -138,7 +137,7 @@ COUPLED = (
 
 WHOLE = (
     *("hover_steps", "max_steps", "rest_steps", "width", "height", "num_envs", "seed", "transitions"),
-    *("rollout_steps", "epochs", "mini_batches", "hidden", "recurrent"),
+    *("rollout_steps", "epochs", "mini_batches", "hidden"),
 )
 """Ends of names of whole numbers."""
 

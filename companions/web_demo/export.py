@@ -71,11 +71,6 @@ def _require_own_folder(out: Path, page: Iterable[str]) -> None:
 
 def _require_runnable(policy: p2c.Policy, workcell: p2c.WorkcellSpec) -> None:
     contract = policy.contract
-    if policy.recurrent:
-        raise ValueError(
-            f"the policy has a GRU of {policy.recurrent} units, and the page runs networks without memory; "
-            "export a policy that was trained without --recurrent."
-        )
     if len(workcell.palms) != 1:
         raise ValueError(
             f"the work cell '{workcell.name}' has {len(workcell.palms)} palms, and the page runs robots with "

@@ -99,19 +99,16 @@ def test_only_packages_of_the_pinned_versions_are_bundled(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("method", "workcell", "recurrent", "message"),
+    ("method", "workcell", "message"),
     [
-        ("proposed", "ur5e_allegro", 8, "GRU of 8"),
-        ("proposed", "two_ur5e_allegro", 0, "2 palms"),
-        ("catch_teacher+age", "ur5e_allegro", 0, "object_position"),
-        ("only_center+fit", "ur5e_allegro", 0, "box_fit"),
+        ("proposed", "two_ur5e_allegro", "2 palms"),
+        ("catch_teacher+age", "ur5e_allegro", "object_position"),
+        ("only_center+fit", "ur5e_allegro", "box_fit"),
     ],
 )
-def test_what_the_page_cannot_run_is_refused(
-    tmp_path: Path, method: str, workcell: str, recurrent: int, message: str
-):
+def test_what_the_page_cannot_run_is_refused(tmp_path: Path, method: str, workcell: str, message: str):
     cell = find_workcell(workcell)
-    policy = Policy(contract_of(find_method(method, cell), cell), hidden=(8,), recurrent=recurrent)
+    policy = Policy(contract_of(find_method(method, cell), cell), hidden=(8,))
     policy.save(tmp_path / "policy")
     with pytest.raises(ValueError, match=message):
         write_web_demo(str(tmp_path / "policy"), tmp_path / "web")

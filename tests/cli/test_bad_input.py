@@ -26,6 +26,7 @@ BAD = [
     ("export --web-demo web", "companions/web_demo/export.py"),
     ("reproduce --launcher slurm", "--slurm"),
     ("stress --physics-hz=120", "--env.scene.physics-hz"),
+    ("train --recurrent 128", "a memory of boxes"),
     ("train --preset slow", "unknown preset 'slow'"),
     ("train propse", "Did you mean 'proposed'?"),
     ("train catch+fit --teacher propsed", "Did you mean 'proposed'?"),

@@ -17,7 +17,6 @@ from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import main, parse
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -130,11 +129,3 @@ def test_what_is_not_given_to_train_is_of_the_preset():
     ):
         command = parse(["train", "--device", "cpu", *args])
         assert (command.train, command.env) == (expected.train, expected.env)
-
-
-def test_evaluations_of_a_recurrent_policy_repeat():
-    policy = Policy(contract_of(PROPOSED), hidden=(16,), recurrent=8)
-    cfg = EvaluationCfg(objects=("cube_s",), num_envs=3, trials=1)
-    records = [evaluate(policy, PROPOSED, cfg).record for _ in range(2)]
-    for first, second in zip(*(vars(record).values() for record in records), strict=True):
-        assert torch.equal(first, second)

@@ -79,6 +79,14 @@ def test_a_configuration_of_the_previous_revision_is_read_and_goes_on(run: Path,
     assert (after.train, after.env) == (dataclasses.replace(new.train, transitions=32), old.env)
 
 
+def test_a_run_with_a_recurrent_unit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    old = json.loads(OLD_CONFIG.read_text())
+    train = old["train"] | {"recurrent": 16}
+    (tmp_path / "config.json").write_text(json.dumps(old | {"train": train}))
+    assert main(["train", "--resume", "--out", str(tmp_path)]) == 2
+    assert "'recurrent' is 16" in capsys.readouterr().err
+
+
 def test_a_run_goes_on_with_its_own_configuration(run: Path, capsys: pytest.CaptureFixture[str]):
     before = json.loads((run / "config.json").read_text())
     for wrong in (("--task", "nominal"), ("--workcell", "ur5e_leap"), ("--preset", "fast")):

@@ -40,13 +40,13 @@ HOME = torch.tensor([[joint.home for joint in JOINTS]])
 BOX = BoxHistory.begun(torch.tensor([[310.0, 200.0, 330.0, 225.0]]), torch.tensor([1.5]), 1)
 
 
-def policy_of(method: str, recurrent: int = 0) -> Policy:
+def policy_of(method: str) -> Policy:
     """The shipped policy of a method, or one with random networks, whose actions fill their range."""
     folder = shipped_policies().get(f"{method}-seed0")
-    if folder is not None and not recurrent:
+    if folder is not None:
         return Policy.load(folder)
     torch.manual_seed(0)
-    policy = Policy(contract_of(find_method(method)), recurrent=recurrent).eval()
+    policy = Policy(contract_of(find_method(method))).eval()
     with torch.no_grad():
         for network in (policy.network(name) for name in policy.contract.agents):
             network.get_parameter("network.6.weight").mul_(20.0)
@@ -59,18 +59,17 @@ def steps(env: CatchEnv, policy: Policy) -> Iterator[Step]:
     env.world.simulation.bind("qpos")[:, HEIGHT] = 0.1
     while True:
         step = env.step(policy.act(observation.policy))
-        policy.reset(step.terminated)
         observation = step.observation
         yield step
 
 
-def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int = 0) -> list[BoxHistory]:
+def require_parity(method: str, sensing: SensingCfg, most: float) -> list[BoxHistory]:
     """Compare whole episodes of one robot, with all sensor noise and a reset; return the boxes of all steps.
 
-    Targets may differ by `most` [rad]; `recurrent` is the size of the policy's GRU.
+    Targets may differ by `most` [rad].
     """
-    policy = policy_of(method, recurrent)
-    controller = PolicyController(policy_of(method, recurrent), UR5E_ALLEGRO)
+    policy = policy_of(method)
+    controller = PolicyController(policy_of(method), UR5E_ALLEGRO)
     cfg = CatchEnvCfg(randomization=STEADY_ACTIONS, sensing=sensing)
     env = CatchEnv(cfg, find_method(method), num_envs=1, seed=3)
     given, boxes, num_ended = None, list[BoxHistory](), 0
@@ -90,9 +89,9 @@ def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int
     return boxes
 
 
-@pytest.mark.parametrize(("method", "recurrent"), [*((name, 0) for name in WITHOUT_AGES), ("proposed", 32)])
-def test_targets_are_those_of_the_environment_bit_for_bit(method: str, recurrent: int):
-    require_parity(method, SensingCfg(), most=0.0, recurrent=recurrent)
+@pytest.mark.parametrize("method", WITHOUT_AGES)
+def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
+    require_parity(method, SensingCfg(), most=0.0)
 
 
 @pytest.mark.parametrize("method", WITH_AGES)

@@ -12,9 +12,6 @@ class Scripted:
     def __init__(self, script: Callable[[int], tuple[float, float]]) -> None:
         self._script, self._steps = script, 0
 
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        pass
-
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         self._steps += 1
         arm, hand = self._script(self._steps)

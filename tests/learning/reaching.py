@@ -185,7 +185,6 @@ class TaughtEnv(ReachingEnv):
 
 def roll_out(mappo: Mappo, env: Any) -> None:
     observation = env.reset()
-    mappo.reset_hidden()
     for _ in range(mappo.cfg.rollout_steps):
         step = env.step(mappo.act(observation))
         mappo.record(step)

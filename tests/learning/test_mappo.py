@@ -15,7 +15,6 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import preset
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
-from pixel2catch.learning.networks import gru_rollout
 from pixel2catch.mdp.tensors import assign
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import HIDDEN, Policy
@@ -140,16 +139,14 @@ def test_training_gives_the_numbers_of_skrl(
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
 
 
-@pytest.mark.parametrize("recurrent", [0, 16])
-def test_a_local_critic_sees_no_state(recurrent: int):
+def test_a_local_critic_sees_no_state():
     """What the simulator alone knows changes every value of a central critic, and none of a local one."""
-    cfg = dataclasses.replace(SMALL, recurrent=recurrent)
     for method in ("proposed", "proposed_local_critic"):
-        env, outcomes = ReachingEnv(cfg), []
+        env, outcomes = ReachingEnv(SMALL), []
         env.method, observation = METHODS[method], env.reset()
         for truth in (0.0, 7.0):
             torch.manual_seed(0)
-            mappo = Mappo(cfg, env, CONTRACT)
+            mappo = Mappo(SMALL, env, CONTRACT)
             mappo.act(dataclasses.replace(observation, state=torch.full_like(observation.state, truth)))
             outcomes.append([mappo.rollout[agent].values[0].clone() for agent in mappo.agents])
         are_equal = [torch.equal(one, other) for one, other in zip(*outcomes, strict=True)]
@@ -184,9 +181,8 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-@pytest.mark.parametrize("recurrent", [0, 16])
-def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    cfg = dataclasses.replace(SMALL, device="cuda", recurrent=recurrent)
+def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = dataclasses.replace(SMALL, device="cuda")
     outcomes = []
     for num_eager_calls in (1, 10**9):
         monkeypatch.setattr("pixel2catch.learning.mappo.NUM_EAGER_CALLS", num_eager_calls)
@@ -228,102 +224,27 @@ def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:
         mappo.act(observation)
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"num_envs": 3, "rollout_steps": 3}, "9 transitions cannot be split into 8"),
-        ({"num_envs": 6, "recurrent": 16, "mini_batches": 4}, "num_envs = 6 cannot be split into 4"),
-    ],
-)
-def test_impossible_configurations(values: dict[str, float], message: str) -> None:
-    with pytest.raises(InvalidValueError, match=message):
-        TrainCfg(**values)  # pyright: ignore[reportArgumentType]
+def test_impossible_configurations() -> None:
+    with pytest.raises(InvalidValueError, match="9 transitions cannot be split into 8"):
+        TrainCfg(num_envs=3, rollout_steps=3)
 
 
 def test_networks_have_the_sizes_of_the_policy_to_start_from() -> None:
     assert preset("cpu").train.hidden != preset("cpu", start=Path("catch+fit")).train.hidden == HIDDEN
 
 
-RECURRENT = dataclasses.replace(SMALL, recurrent=16)
-
-
-def test_a_sequence_and_its_gradients_are_those_of_a_loop_by_hand() -> None:
-    """Where an episode begins, the hidden state is 0."""
-    torch.manual_seed(0)
-    gru, inputs, state = nn.GRUCell(4, 5), torch.randn(6, 3, 4), torch.randn(1, 3, 5)
-    is_first = torch.rand(6, 3) < 0.3
-    weights = torch.randn(6, 3, 5)
-    found = gru_rollout(gru, inputs, state, is_first)
-    now, steps = state[0], []
-    for t in range(6):
-        now = gru(inputs[t], torch.where(is_first[t][:, None], torch.zeros_like(now), now))
-        steps.append(now)
-    expected = torch.stack(steps)
-    torch.testing.assert_close(found, expected)
-    gradients = [
-        torch.autograd.grad((weights * each).sum(), [*gru.parameters()]) for each in (found, expected)
-    ]
-    torch.testing.assert_close(*gradients)
-
-
-def test_learning_sees_what_acting_saw() -> None:
-    """The probabilities of a whole rollout are those of its actions, over episodes and over updates."""
-    torch.manual_seed(0)
-    mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT), ReachingEnv(RECURRENT)
-    observation = env.reset()
-    mappo.reset_hidden()
-    for number in range(3):
-        for _ in range(RECURRENT.rollout_steps):
-            step = env.step(mappo.act(observation))
-            mappo.record(step)
-            observation = step.observation
-        networks, rollout = mappo.networks["arm"], mappo.rollout["arm"]
-        is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
-        assert is_first.any()
-        assert bool(rollout.policy_hidden_state.any()) == bool(number)
-        inputs = networks.observation_scale(rollout.observations)
-        features = gru_rollout(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
-        log_prob = networks.log_prob(networks.policy(features), rollout.actions)
-        torch.testing.assert_close(log_prob, rollout.log_prob)
-        mappo.update(0.0)
-
-
-@pytest.mark.parametrize("recurrent", [0, 16])
-def test_the_exported_policy_acts_like_the_learner_and_is_adopted(recurrent: int) -> None:
+def test_the_exported_policy_acts_like_the_learner_and_is_adopted(mappo: Mappo) -> None:
     """By the mean of its actions, and where inputs are clipped, too."""
-    cfg = dataclasses.replace(SMALL, recurrent=recurrent)
-    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
-    roll_out(mappo, ReachingEnv(cfg))
+    roll_out(mappo, ReachingEnv(SMALL))
     mappo.update(0.0)
-    roll_out(mappo, ReachingEnv(cfg))
+    roll_out(mappo, ReachingEnv(SMALL))
     policy, networks = mappo.export(), mappo.networks["arm"]
-    observations = {agent: 300.0 * batch.observations for agent, batch in mappo.rollout.items()}
+    observations = {agent: 300.0 * batch.observations[0] for agent, batch in mappo.rollout.items()}
     inputs = networks.observation_scale(observations["arm"])
     assert inputs.abs().max() == 5.0
-    is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
-    features = gru_rollout(networks.policy_gru, inputs, torch.zeros(1, cfg.num_envs, recurrent), is_first)
-    for t, expected in enumerate(networks.policy(features)):
-        policy.reset(is_first[t])
-        actions = policy.act({agent: values[t] for agent, values in observations.items()})
-        torch.testing.assert_close(actions["arm"], expected.clamp(-1.0, 1.0))
-    other = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
+    expected = networks.policy(inputs).clamp(-1.0, 1.0)
+    torch.testing.assert_close(policy.act(observations)["arm"], expected)
+    other = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
     other.adopt(policy)
     for name, tensor in other.export().state_dict().items():
         torch.testing.assert_close(tensor, policy.state_dict()[name])
-    unlike = dataclasses.replace(SMALL, recurrent=8)
-    with pytest.raises(InvalidValueError, match=f"--recurrent {recurrent}"):
-        Mappo(unlike, ReachingEnv(unlike), CONTRACT).adopt(policy)
-
-
-def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
-    """The teacher actions are those of its policy, acted by itself."""
-    Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
-    cfg = dataclasses.replace(SMALL, teacher=tmp_path)
-    mappo = Mappo(cfg, TaughtEnv(cfg), CONTRACT)
-    roll_out(mappo, TaughtEnv(cfg))
-    teacher = Policy.load(tmp_path)
-    for t in range(cfg.rollout_steps):
-        actions = teacher.act({agent: batch.observations[t] for agent, batch in mappo.rollout.items()})
-        for agent, action in actions.items():
-            torch.testing.assert_close(mappo.rollout[agent].teacher_actions[t], action)
-        teacher.reset(mappo.is_done[t])

@@ -28,10 +28,7 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 
 def ordered(cfg: TrainCfg) -> torch.Tensor:
     """An order by which a mini-batch of the whole is made of one of each half."""
-    order = torch.arange(cfg.num_envs if cfg.recurrent else cfg.rollout_transitions, device=cfg.device)
-    if cfg.recurrent and len(order) == CFG.num_envs:
-        order = order.view(2, -1).T.flatten()
-    return order
+    return torch.arange(cfg.rollout_transitions, device=cfg.device)
 
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:
@@ -43,16 +40,12 @@ def give_half(whole: Mappo, half: Mappo, rank: int) -> None:
     """Put one half of the environments' transitions into the rollout of another."""
     size = half.cfg.num_envs
     mine = slice(rank * size, (rank + 1) * size)
-    half._hidden_states = {
-        agent: (states[0][mine], states[1][mine]) for agent, states in whole._hidden_states.items()
-    }
     half.is_done = whole.is_done[:, mine]
     half.next_states = {agent: states[mine] for agent, states in whole.next_states.items()}
     for agent, rollout in half.rollout.items():
         half.rewards[agent] = whole.rewards[agent][:, mine]
         for target, source in zip(rollout, whole.rollout[agent], strict=True):
-            if target is not None and source is not None:
-                target.copy_(source[:, mine])
+            target.copy_(source[:, mine])
 
 
 def all_tensors(mappo: Mappo) -> dict[str, torch.Tensor]:
@@ -63,12 +56,10 @@ def all_tensors(mappo: Mappo) -> dict[str, torch.Tensor]:
     }
 
 
-def check_halves_learn_as_the_whole(workers: Workers, recurrent: int) -> None:
+def check_halves_learn_as_the_whole(workers: Workers) -> None:
     """Fed the same transitions, two processes take the steps of one, and hold its statistics."""
-    cfg = dataclasses.replace(CFG, device=workers.device, recurrent=recurrent)
+    cfg = dataclasses.replace(CFG, device=workers.device)
     rtol, atol = TOLERANCES[torch.device(cfg.device).type]
-    if recurrent:
-        atol *= 5  # gradients are sums over steps, in another order
     whole, half = make_mappo(cfg), make_mappo(workers.share(cfg), workers)
     start, env = all_tensors(whole), ReachingEnv(cfg)
     for _ in range(NUM_UPDATES):
@@ -134,8 +125,7 @@ def train_endlessly(folder: Path, device: str) -> None:
 def update(folder: Path, device: str) -> None:
     algorithm.shuffled = ordered
     with start_workers(device) as workers:
-        check_halves_learn_as_the_whole(workers, recurrent=0)
-        check_halves_learn_as_the_whole(workers, recurrent=8)
+        check_halves_learn_as_the_whole(workers)
         check_networks_stay_the_same(workers)
         (folder / f"checked{workers.rank}").touch()
     # A thread of the group that outlives it may end the process with "terminate called".

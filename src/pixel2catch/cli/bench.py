@@ -82,7 +82,6 @@ class Bench:
             fuse=self.fuse,
             physics_stages=(),
             hidden=policy.hidden,
-            recurrent=policy.recurrent,
             initial_log_std=LOG_STD,
         )
         return replace(experiment, env=with_given(experiment.env, self.task.env, self.task.given))

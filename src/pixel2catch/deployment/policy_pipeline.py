@@ -58,7 +58,6 @@ class PolicyController:
     def reset(self, joint_pos_target: Batch | None = None) -> None:
         """Start a new throw from these joint targets [rad]; None for the measured positions."""
         self.history, self._action, self._target = None, torch.zeros_like(self._action), joint_pos_target
-        self._policy.reset()
 
     @torch.inference_mode()
     def step(self, joint_pos: Batch, boxes: BoxHistory) -> Batch:

@@ -29,7 +29,7 @@ from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, LiveState, Observation, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.control_step import JointCommand, put, take
-from pixel2catch.mdp.tensors import assign, clone, mapped, select, write
+from pixel2catch.mdp.tensors import clone, mapped, select, write
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -94,14 +94,10 @@ class EvaluationCfg:
 
 @runtime_checkable
 class Actor(Protocol):
-    """A `Policy`, or anything else with its `act` and `reset`."""
+    """A `Policy`, or anything else with its `act`."""
 
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the action of every agent in [-1, 1]."""
-        ...
-
-    def reset(self, is_ended: Tensor | None = None) -> None:
-        """Clear the memory of the environments whose episode ended, or of all."""
         ...
 
 
@@ -283,11 +279,10 @@ def run_round(
 def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
     """Yield the control steps of a round; each step overwrites what the one before yielded."""
     observation = env.reset()
-    actor.reset()
     state = _round_start(env)
     for number in range(1, ROUND_STEPS + 1):
         action = state.chosen(_policy_action(env, actor, observation), env.workcell)
-        step = _step(env, actor, action, state.is_running)
+        step = _step(env, action, state.is_running)
         state = state.advanced(step, action, number, env.workcell)
         observation = step.observation
         yield step, state
@@ -302,7 +297,7 @@ class ClosedLoopHold:
     def __init__(self, env: CatchEnv, actor: Actor) -> None:
         """Take environments and policy; the round has not begun."""
         self._env, self._actor = env, actor
-        self._kept: tuple[LiveState, dict[str, Tensor]] | None = None
+        self._kept: LiveState | None = None
         self._is_tested = torch.arange(env.num_envs, device=env.device) % CLOSED_LOOP_EVERY == 0
         self._is_held = torch.zeros_like(self._is_tested)
 
@@ -310,30 +305,23 @@ class ClosedLoopHold:
         """Copy the state of tested throws that have just become a success; call it after every step."""
         begun = self._is_tested & state.is_testing & (state.test_steps == 0)
         if begun.any():
-            live = self._env.live, self._hidden_states
-            self._kept = self._kept or clone(live)
-            write(begun, live, self._kept)
+            self._kept = self._kept or clone(self._env.live)
+            write(begun, self._env.live, self._kept)
             self._is_held |= begun
 
     def result(self) -> Int[Tensor, " num_envs"]:
         """Return whether each throw passes, -1 where it is not tested; call it after the round."""
         if self._kept is not None:
-            state, hidden_states = self._kept
-            assign(self._hidden_states, hidden_states)
-            with self._env.branched(state) as observation:
+            with self._env.branched(self._kept) as observation:
                 self._go_on(observation)
         return torch.where(self._is_tested, self._is_held.long(), -1)
-
-    @property
-    def _hidden_states(self) -> dict[str, Tensor]:
-        return getattr(self._actor, "hidden_states", {})  # of a policy with a GRU
 
     def _go_on(self, observation: Observation) -> None:
         env = self._env
         for number in range(HOLD_TEST_STEPS, HOLD_TEST_STEPS + CLOSED_LOOP_STEPS):
             steps = torch.full_like(self._is_held, number, dtype=torch.long)
             action = _policy_action(env, self._actor, observation) + _shake(steps, env.workcell)
-            step = _step(env, self._actor, action, self._is_held)
+            step = _step(env, action, self._is_held)
             observation = step.observation
             self._is_held &= ~step.terminated & (step.record.held_steps > 0)
             if number == HOLD_TEST_STEPS + CLOSED_LOOP_STEPS - 1:
@@ -369,12 +357,11 @@ def _policy_action(
     return put([(agent.joints, chosen[agent.name]) for agent in env.method.agents])
 
 
-def _step(env: CatchEnv, actor: Actor, action: Tensor, is_running: Bool[Tensor, " num_envs"]) -> Step:
+def _step(env: CatchEnv, action: Tensor, is_running: Bool[Tensor, " num_envs"]) -> Step:
     """Make a control step; on the CPU the physics of other environments stands still."""
     env.world.is_active = is_running if env.device.type == "cpu" else None
     step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
     env.world.is_active = None
-    actor.reset(step.terminated)
     return step
 
 

@@ -89,9 +89,6 @@ class TrainCfg:
     #: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E (cpu: ours). With --start: those
     #: of that policy.
     hidden: tuple[Width, ...] = (512, 256, 128)
-    #: Size of a recurrent unit (GRU) before the hidden layers of all networks, trained on whole rollouts; 0
-    #: for none. Source: ours.
-    recurrent: Annotated[int, Within(0, 65_536)] = 0
     #: Logarithm of the standard deviation of the actions at the start. Source: ours (release: 0).
     initial_log_std: Annotated[float, Within(-10.0, 3.0)] = -0.7
     #: Weights of reward terms that differ from the method's, such as arm.success 5 hand.grasp 0.3. Default:
@@ -115,11 +112,6 @@ class TrainCfg:
             raise InvalidValueError(
                 f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
-            )
-        if self.recurrent and self.num_envs % self.mini_batches:
-            raise InvalidValueError(
-                f"num_envs = {self.num_envs} cannot be split into {self.mini_batches} equal mini-batches of "
-                "whole rollouts, which recurrent networks need; change one of the two."
             )
 
     def rate_at(self, transitions: int) -> float | None:

@@ -11,6 +11,7 @@ from pixel2catch.files import decoded, read_json_object
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
+from pixel2catch.policy.policy import refuse_recurrent
 from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell, known_workcell
 
@@ -74,8 +75,7 @@ def preset(
     if workcell:
         env = env.with_workcell(find_workcell(workcell))
     if options.get("start"):
-        start = Policy.load(policy_folder(Path(options["start"])))
-        options = {"hidden": start.hidden, "recurrent": start.recurrent} | options
+        options = {"hidden": Policy.load(policy_folder(Path(options["start"]))).hidden} | options
     train = replace(PRESETS[name], **options)
     has_camera = env.sensing.camera != RELEASE_CAMERA
     if (dynamics and env.dynamics) or (camera and has_camera):
@@ -148,6 +148,7 @@ def require_run(
 def _current(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a configuration file of any revision as this one writes it."""
     train, env = dict(content["train"]), current_fields(content["env"])
+    refuse_recurrent(train.pop("recurrent", 0))
     if "physics_hz" in train:
         stages = train.pop("physics_hz")
         train["physics_stages"] = stages if len(set(stages)) > 1 else []

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from pixel2catch.learning.config import TrainCfg
-from pixel2catch.learning.networks import ActorCritic, gru_rollout
+from pixel2catch.learning.networks import ActorCritic
 
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
 
 class Batch(NamedTuple):
-    """Transitions of one agent, (num, ...), or whole rollouts, (rollout_steps, num, ...)."""
+    """Transitions of one agent, (num, ...), or (rollout_steps, num_envs, ...)."""
 
     observations: Tensor
     states: Tensor
@@ -24,9 +24,6 @@ class Batch(NamedTuple):
     returns: Tensor
     advantages: Tensor
     teacher_actions: Tensor  #: Actions of a teacher, (..., 0) without one.
-    is_first: Tensor  #: Whether an episode begins with the observation.
-    policy_hidden_state: Tensor  #: Of the GRU at the start of the rollout, (1, num, size).
-    value_hidden_state: Tensor  #: The same of the value network.
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
         """Return a batch with a function applied to every tensor."""
@@ -39,9 +36,7 @@ class GradientStep:
     def __init__(self, cfg: TrainCfg, networks: ActorCritic, rollout: Batch) -> None:
         """Prepare for one agent's networks; its rollouts always stay in the same memory."""
         self._cfg, self._networks = cfg, networks
-        # With recurrent networks the steps of an environment stay together and in order.
-        self._dim = 1 if cfg.recurrent else 0
-        self._rollout = rollout if cfg.recurrent else rollout.each(partial(torch.flatten, end_dim=1))
+        self._rollout = rollout.each(partial(torch.flatten, end_dim=1))
         self._shuffled = self._rollout
         self._losses = torch.compile(self._losses_of, dynamic=False) if cfg.fuse else self._losses_of
         self._is_cuda = cfg.device.startswith("cuda")
@@ -64,16 +59,12 @@ class GradientStep:
 
     def shuffle(self, order: Tensor) -> None:
         """Put the rollout into the order of a pass, as `shuffled` draws it."""
-        self._shuffled = self._rollout.each(partial(torch.index_select, dim=self._dim, index=order))
+        self._shuffled = self._rollout.each(partial(torch.index_select, dim=0, index=order))
 
     def batch(self, number: int) -> Batch:
-        """Return a mini-batch of the pass: transitions, or environments with recurrent networks."""
-
-        def part(tensor: Tensor) -> Tensor:
-            size = tensor.shape[self._dim] // self._cfg.mini_batches
-            return tensor.narrow(self._dim, number * size, size)
-
-        return self._shuffled.each(part)
+        """Return a mini-batch of the pass."""
+        size = self._cfg.rollout_transitions // self._cfg.mini_batches
+        return self._shuffled.each(lambda tensor: tensor.narrow(0, number * size, size))
 
     def differentiate(self, number: int) -> None:
         """Compute gradients and losses on a mini-batch, whose values and returns are standardised."""
@@ -117,10 +108,8 @@ class GradientStep:
         are imitated by its weight, and the surrogate objective by the rest.
         """
         cfg, networks = self._cfg, self._networks
-        seen, states = networks.observation_scale(batch.observations), networks.state_scale(batch.states)
-        seen = gru_rollout(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
-        states = gru_rollout(networks.value_gru, states, batch.value_hidden_state, batch.is_first)
-        mean, values = networks.policy(seen), networks.value(states)[..., 0]
+        mean = networks.policy(networks.observation_scale(batch.observations))
+        values = networks.value(networks.state_scale(batch.states))[..., 0]
         log_ratio = networks.log_prob(mean, batch.actions) - batch.log_prob
         ratio = log_ratio.exp()
         clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
@@ -150,9 +139,8 @@ def value_errors(cfg: TrainCfg, batch: Batch, values: Tensor) -> Tensor:
 
 
 def shuffled(cfg: TrainCfg) -> Tensor:
-    """Random order of the transitions of a rollout, or of the environments of recurrent networks."""
-    num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
-    return torch.randperm(num, device=cfg.device)
+    """Random order of the transitions of a rollout."""
+    return torch.randperm(cfg.rollout_transitions, device=cfg.device)
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:

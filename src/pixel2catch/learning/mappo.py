@@ -67,16 +67,13 @@ class Mappo:
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
 
-        def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
-            return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
-
-        def hidden_state() -> Tensor:
-            return buffer(cfg.recurrent, num_steps=1 if cfg.recurrent else cfg.rollout_steps, fill=0.0)
+        def buffer(*size: int, fill: float = torch.nan) -> Tensor:
+            return torch.full((cfg.rollout_steps, env.num_envs, *size), fill, device=cfg.device)
 
         seen = {agent: buffer(env.observation_sizes[agent]) for agent in self.agents}
         states = seen if self._is_local else dict.fromkeys(self.agents, buffer(env.state_size))
         self.next_states = {agent: states[agent][0].clone() for agent in self.agents}
-        self.is_done, is_first = buffer(fill=False), buffer(fill=False)
+        self.is_done = buffer(fill=False)
         self.rollout = {
             agent: Batch(
                 observations=seen[agent],
@@ -87,9 +84,6 @@ class Mappo:
                 returns=buffer(),
                 advantages=buffer(),
                 teacher_actions=buffer(num_actions if self._teacher else 0),
-                is_first=is_first,
-                policy_hidden_state=hidden_state(),
-                value_hidden_state=hidden_state(),
             )
             for agent, num_actions in env.action_sizes.items()
         }
@@ -97,10 +91,6 @@ class Mappo:
             name: GradientStep(cfg, each, self.rollout[name]) for name, each in self.networks.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
-        self._hidden_states = {
-            agent: (batch.policy_hidden_state[0].clone(), batch.value_hidden_state[0].clone())
-            for agent, batch in self.rollout.items()
-        }
         self._num_steps = 0
         stream = partial(torch.cuda.Stream, cfg.device) if cfg.device.startswith("cuda") else lambda: None
         self._streams = {agent: stream() for agent in self.agents}  #: On which each is differentiated.
@@ -129,16 +119,12 @@ class Mappo:
         actions = {}
         with _tensor_cores():
             for agent in self.agents:
-                rollout, hidden = self.rollout[agent], self._hidden_states[agent]
-                if self._num_steps == 0:
-                    rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
                 seen = {"observations": observation.policy[agent], "states": self._states(observation)[agent]}
-                drawn = self._draw[agent](*seen.values(), *hidden)
-                seen |= dict(zip(("actions", "log_prob", "values"), drawn, strict=False))
+                drawn = self._draw[agent](*seen.values())
+                seen |= dict(zip(("actions", "log_prob", "values"), drawn, strict=True))
                 actions[agent] = seen["actions"]
-                self._hidden_states[agent] = drawn[3:]
                 for name, tensor in seen.items():
-                    getattr(rollout, name)[self._num_steps] = tensor
+                    getattr(self.rollout[agent], name)[self._num_steps] = tensor
             if self._teacher is not None:
                 self._query_teacher(self._teacher, observation)
         return actions
@@ -165,19 +151,8 @@ class Mappo:
         for agent in self.agents:
             self.rewards[agent][self._num_steps] = step.rewards[agent]
         self.is_done[self._num_steps] = step.terminated | step.truncated
-        self.reset_hidden(self.is_done[self._num_steps])
         self.next_states = self._states(step.observation)
         self._num_steps += 1
-
-    def reset_hidden(self, is_ended: Tensor | None = None) -> None:
-        """Reset the hidden states where an episode ended, or everywhere."""
-        is_ended = torch.ones_like(self.is_done[0]) if is_ended is None else is_ended
-        if self._teacher is not None:
-            self._teacher.reset(is_ended)
-        if self.cfg.recurrent:
-            for agent, states in self._hidden_states.items():
-                policy_state, value_state = (state * ~is_ended[:, None] for state in states)
-                self._hidden_states[agent] = (policy_state, value_state)
 
     def discard_rollout(self) -> None:
         """Discard the transitions since the last update."""
@@ -209,7 +184,7 @@ class Mappo:
 
     def _update_agents(self) -> Tensor:
         cfg, steps = self.cfg, self.steps.values()
-        self._estimate(*self.next_states.values(), *(hidden[1] for hidden in self._hidden_states.values()))
+        self._estimate(*self.next_states.values())
         epochs = []
         for epoch in range(cfg.epochs):
             epochs.append(self._epochs[epoch == 0]().clone())
@@ -255,17 +230,11 @@ class Mappo:
         learn_together(self.workers, seen)
 
     @torch.no_grad()
-    def _estimate_advantages(self, *given: Tensor) -> None:
-        """Compute returns and advantages; standardise first the values, then the returns.
-
-        Given are the next states of all agents, then the hidden states of their value networks.
-        """
-        next_states, hidden_states = given[: len(self.agents)], given[len(self.agents) :]
+    def _estimate_advantages(self, *next_states: Tensor) -> None:
+        """Compute returns and advantages; standardise first the values, then the returns."""
         found: list[tuple[Tensor, Tensor, Tensor]] = []
-        ends = zip(self.rollout.items(), next_states, hidden_states, strict=True)
-        for (agent, rollout), states, hidden in ends:
-            rollout.is_first[1:] = self.is_done[:-1]
-            last, _ = self.networks[agent].value_of(states, hidden)
+        for (agent, rollout), states in zip(self.rollout.items(), next_states, strict=True):
+            last = self.networks[agent].value_of(states)
             returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, rollout.values, last)
             found.append((returns - rollout.values, rollout.values, returns))
         parts = [(each.mean(), each.var()) for agent in found for each in agent]
@@ -281,12 +250,10 @@ class Mappo:
     @torch.no_grad()
     def export(self) -> Policy:
         """Copy mean networks and input statistics into a `Policy` on the CPU."""
-        policy = Policy(self.contract, self.cfg.hidden, self.cfg.recurrent)
+        policy = Policy(self.contract, self.cfg.hidden)
         for agent, networks in self.networks.items():
             target = policy.network(agent)
             target.network.load_state_dict(networks.policy.state_dict())
-            if target.gru and networks.policy_gru:
-                target.gru.load_state_dict(networks.policy_gru.state_dict())
             target.input_mean.copy_(networks.observation_scale.mean)
             target.input_std.copy_(networks.observation_scale.std)
         return policy.eval()
@@ -296,23 +263,16 @@ class Mappo:
         """Take over the networks and the input statistics of a policy: the inverse of `export`.
 
         Raises:
-            InvalidValueError: Its hidden layers or its GRU have other sizes.
+            InvalidValueError: Its hidden layers have other sizes.
         """
         if policy.hidden != tuple(self.cfg.hidden):
             raise InvalidValueError(
                 f"the policy to start from has hidden layers {policy.hidden}; train with --hidden "
                 f"{' '.join(map(str, policy.hidden))}, or start from another."
             )
-        if policy.recurrent != self.cfg.recurrent:
-            raise InvalidValueError(
-                f"the policy to start from has a GRU of size {policy.recurrent}; train with --recurrent "
-                f"{policy.recurrent}, or start from another."
-            )
         for agent, networks in self.networks.items():
             source, scale = policy.network(agent), networks.observation_scale
             networks.policy.load_state_dict(source.network.state_dict())
-            if source.gru and networks.policy_gru:
-                networks.policy_gru.load_state_dict(source.gru.state_dict())
             scale.mean.copy_(source.input_mean)
             scale.variance.copy_((source.input_std.double() - EPSILON).square())
             scale.count.fill_(ADOPTED_SAMPLES)

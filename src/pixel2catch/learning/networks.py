@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.policy import build_mlp
-from pixel2catch.policy.policy import INPUT_CLIP, gru_step
+from pixel2catch.policy.policy import INPUT_CLIP
 
 EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: release (skrl).
 
@@ -69,12 +69,9 @@ class ActorCritic(nn.Module):
     def __init__(self, cfg: TrainCfg, num_observations: int, num_states: int, num_actions: int) -> None:
         """Build untrained networks; the global torch generator of the CPU decides on their weights."""
         super().__init__()
-        size = cfg.recurrent
-        self.policy_gru = nn.GRUCell(num_observations, size) if size else None
-        self.policy = build_mlp(size or num_observations, num_actions, cfg.hidden)
+        self.policy = build_mlp(num_observations, num_actions, cfg.hidden)
         self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
-        self.value_gru = nn.GRUCell(num_states, size) if size else None
-        self.value = build_mlp(size or num_states, 1, cfg.hidden)
+        self.value = build_mlp(num_states, 1, cfg.hidden)
         self.observation_scale = Standardizer(num_observations)
         self.state_scale = Standardizer(num_states)
         self.value_scale = Standardizer()
@@ -83,27 +80,17 @@ class ActorCritic(nn.Module):
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
         """Parameters of the policy and of the value network."""
-        groups = {"policy": (self.policy, self.policy_gru), "value": (self.value, self.value_gru)}
-        parts = {
-            name: [parameter for module in modules if module for parameter in module.parameters()]
-            for name, modules in groups.items()
-        }
-        return {**parts, "policy": [self.log_std, *parts["policy"]]}
+        return {"policy": [self.log_std, *self.policy.parameters()], "value": [*self.value.parameters()]}
 
-    def value_of(self, states: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the values of states, (num_envs,), and the new hidden state."""
-        features, hidden_state = gru_step(self.value_gru, self.state_scale(states), hidden_state)
-        return self.value_scale.inverse(self.value(features)[..., 0]), hidden_state
+    def value_of(self, states: Tensor) -> Tensor:
+        """Return the values of states, (num_envs,)."""
+        return self.value_scale.inverse(self.value(self.state_scale(states))[..., 0])
 
-    def act(
-        self, observations: Tensor, states: Tensor, policy_state: Tensor, value_state: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Draw actions; return them, their log probability, the values, and both new hidden states."""
-        features, policy_state = gru_step(self.policy_gru, self.observation_scale(observations), policy_state)
-        mean = self.policy(features)
+    def act(self, observations: Tensor, states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw actions; return them, their log probability, and the values."""
+        mean = self.policy(self.observation_scale(observations))
         actions = mean + self.log_std.exp() * torch.randn_like(mean)
-        values, value_state = self.value_of(states, value_state)
-        return actions, self.log_prob(mean, actions), values, policy_state, value_state
+        return actions, self.log_prob(mean, actions), self.value_of(states)
 
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Return the logarithm of the probability density of actions about a mean."""
@@ -113,21 +100,3 @@ class ActorCritic(nn.Module):
     def entropy(self) -> Tensor:
         """Return the entropy of an action."""
         return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
-
-
-def gru_rollout(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
-    """Return the inputs of the hidden layers over whole rollouts, by `gru_step` after `gru_step`.
-
-    Args:
-        gru: The unit before the hidden layers, if there is one.
-        inputs: Standardised inputs, (num_steps, num_envs, num_inputs).
-        hidden_state: State before the first step, (1, num_envs, size).
-        is_first: Where an episode begins, and the state is reset, (num_steps, num_envs).
-    """
-    if gru is None:
-        return inputs
-    features, now = [], hidden_state[0]
-    for step, begins in zip(inputs, is_first, strict=True):
-        _, now = gru_step(gru, step, now * ~begins[:, None])
-        features.append(now)
-    return torch.stack(features)

@@ -151,7 +151,6 @@ class _Training:
                 with self.workers.sync_errors():
                     if self._change_rate() or observation is None:
                         observation = self.env.reset(is_staggered=self.cfg.staggered)
-                        self.mappo.reset_hidden()
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)
                 self._log_row(log)  # of the previous update, while the device collects

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import safetensors.torch
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
@@ -18,6 +18,7 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.policy.contract import PolicyContract
 
 MOST_LAYERS, LARGEST_LAYER = 16, 8192  #: Of networks that are read. Source: ours; the paper has 3, of 512.
+LAST_RECURRENT = "0ded3ca2"  #: Revision that trains and reads networks with a recurrent unit (GRU).
 WEIGHTS_FILE = "policy.safetensors"
 CONTRACT_FILE = "policy.json"
 
@@ -39,45 +40,26 @@ def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN)
     return nn.Sequential(*layers, nn.Linear(sizes[-1], num_outputs))
 
 
-def gru_step(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the input of the hidden layers, and the new hidden state.
-
-    Args:
-        gru: A gated recurrent unit before the hidden layers; None passes the inputs on.
-        inputs: Standardised, clipped inputs, (num_envs, num_inputs).
-        hidden_state: Hidden state, (num_envs, size); zeros at the first step of an episode.
-    """
-    if gru is None:
-        return inputs, hidden_state
-    hidden_state = gru(inputs, hidden_state)
-    return hidden_state, hidden_state
-
-
 class AgentNetwork(nn.Module):
-    """Mean action of one agent: standardised, clipped inputs through a GRU, if any, and a perceptron."""
+    """Mean action of one agent: standardised, clipped inputs through a perceptron."""
 
     input_mean: Tensor
     input_std: Tensor
 
-    def __init__(
-        self, num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN, recurrent: int = 0
-    ) -> None:
+    def __init__(self, num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> None:
         """Build the network with neutral input statistics (mean 0, standard deviation 1)."""
         super().__init__()
         self.register_buffer("input_mean", torch.zeros(num_inputs))
         self.register_buffer("input_std", torch.ones(num_inputs))
-        self.gru = nn.GRUCell(num_inputs, recurrent) if recurrent else None
-        self.network = build_mlp(recurrent or num_inputs, num_outputs, hidden)
+        self.network = build_mlp(num_inputs, num_outputs, hidden)
 
-    def forward(self, observation: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the unclipped mean action and the new hidden state: see `gru_step`.
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the unclipped mean action, (num_envs, num_outputs), for (num_envs, num_inputs).
 
-        Shapes are (num_envs, num_inputs) and (num_envs, recurrent), then (num_envs, num_outputs) and
-        (num_envs, recurrent); annotations would fix num_envs when the network is exported.
+        Annotations of these shapes would fix num_envs when the network is exported.
         """
         standardised = (observation - self.input_mean) / self.input_std
-        features, hidden_state = gru_step(self.gru, standardised.clamp(-INPUT_CLIP, INPUT_CLIP), hidden_state)
-        return self.network(features), hidden_state
+        return self.network(standardised.clamp(-INPUT_CLIP, INPUT_CLIP))
 
 
 class Policy(nn.Module):
@@ -88,15 +70,13 @@ class Policy(nn.Module):
         actions = policy.act({"arm": arm_observation, "hand": hand_observation})
     """
 
-    def __init__(self, contract: PolicyContract, hidden: Sequence[int] = HIDDEN, recurrent: int = 0) -> None:
-        """Build untrained networks that fit the contract; `recurrent` is the size of a GRU, 0 for none."""
+    def __init__(self, contract: PolicyContract, hidden: Sequence[int] = HIDDEN) -> None:
+        """Build untrained networks that fit the contract."""
         super().__init__()
-        self.contract = contract
-        self.hidden, self.recurrent = tuple(hidden), recurrent
-        self.hidden_states: dict[str, Tensor] = {}  #: Hidden states of a GRU, by agent.
+        self.contract, self.hidden = contract, tuple(hidden)
         self.agents = nn.ModuleDict(
             {
-                name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden, recurrent)
+                name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden)
                 for name, agent in contract.agents.items()
             }
         )
@@ -105,22 +85,12 @@ class Policy(nn.Module):
         """Return the network of an agent."""
         return cast(AgentNetwork, self.agents[agent])
 
-    def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Reset the hidden states of a GRU where an episode ended, or everywhere."""
-        if is_ended is None:
-            self.hidden_states.clear()
-        else:
-            self.hidden_states = {
-                name: state * ~is_ended[:, None] for name, state in self.hidden_states.items()
-            }
-
     def to(self, *args: Any, **kwargs: Any) -> "Policy":  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a copy on another device, with empty hidden states.
+        """Return a copy on another device.
 
         The arguments are those of `torch.nn.Module.to`, which would move the policy itself.
         """
         copied = copy.deepcopy(self)
-        copied.reset()
         nn.Module.to(copied, *args, **kwargs)
         return copied
 
@@ -128,23 +98,13 @@ class Policy(nn.Module):
     def act(
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
-        """Return the mean action of every agent, clipped to [-1, 1]; hidden states are kept."""
-        actions = {}
-        for name in self.agents:
-            observation, state = observations[name], self.hidden_states.get(name)
-            if state is None:
-                state = observation.new_zeros(len(observation), self.recurrent)
-            mean, state = self.network(name)(observation, state)
-            actions[name] = mean.clamp(-1.0, 1.0)
-            if self.recurrent:
-                self.hidden_states[name] = state
-        return actions
+        """Return the mean action of every agent, clipped to [-1, 1]."""
+        return {name: self.network(name)(observations[name]).clamp(-1.0, 1.0) for name in self.agents}
 
     @property
     def description(self) -> str:
         """Return the contract and the sizes of the networks as JSON."""
-        sizes = {"hidden": list(self.hidden)} | ({"recurrent": self.recurrent} if self.recurrent else {})
-        return json.dumps({**sizes, **self.contract.to_dict()}, indent=2) + "\n"
+        return json.dumps({"hidden": list(self.hidden), **self.contract.to_dict()}, indent=2) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither.
@@ -174,22 +134,21 @@ class Policy(nn.Module):
         """Make a policy of its description and its weights.
 
         Raises:
-            InvalidValueError: A size is missing or out of range, or a tensor does not fit.
+            InvalidValueError: A size is missing or out of range, a tensor does not fit, or it has a GRU.
             PolicyMismatchError: Another field does not fit this code.
         """
         if "hidden" not in description:
             raise InvalidValueError("field 'hidden' is missing")
+        refuse_recurrent(description.get("recurrent", 0))
         contract = {key: value for key, value in description.items() if key not in ("hidden", "recurrent")}
         hidden = files.decoded(tuple[int, ...], description["hidden"], "hidden")
-        recurrent = files.decoded(int, description.get("recurrent", 0), "recurrent")
-        sizes = (*hidden, recurrent or 1)
-        if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in sizes):
+        if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in hidden):
             raise InvalidValueError(
-                f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be "
-                f"from 1 to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
+                f"hidden layers are of sizes {files.shown(hidden)}; they must be from 1 to {LARGEST_LAYER}, "
+                f"in {MOST_LAYERS} layers at most"
             )
         with torch.device("meta"):  # sizes are checked before memory is allocated
-            policy = cls(PolicyContract.from_dict(contract), hidden, recurrent)
+            policy = cls(PolicyContract.from_dict(contract), hidden)
         try:
             policy.load_state_dict(tensors, assign=True)
         except RuntimeError as error:
@@ -198,6 +157,15 @@ class Policy(nn.Module):
             if tensor.dtype != torch.float32 or not tensor.isfinite().all():
                 raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
         return policy
+
+
+def refuse_recurrent(size: Any) -> None:
+    """Raise InvalidValueError if `recurrent` in a file, the size of a GRU, is not 0."""
+    if size != 0:
+        raise InvalidValueError(
+            f"'recurrent' is {files.shown(size)}: the networks have a recurrent unit (GRU) of that size, and "
+            f"this revision does not support it; revision {LAST_RECURRENT} reads them"
+        )
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
