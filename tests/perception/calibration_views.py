@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -59,6 +60,29 @@ def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> n
     return np.linalg.inv(camera_pose(camera)) @ palm(joint_pos) @ BOARD
 
 
+def drawn_lens(rng: np.random.Generator) -> CameraFile:
+    """A lens near the policies': focal length 0.3 %, axis 2 px, (k1, k2, p1, p2) 0.1, 0.1, 0.0005, 0.0005."""
+    zoom, camera = 1.0 + rng.normal(0, 0.003), RGB_CAMERA
+    cx, cy = np.array((camera.cx, camera.cy)) + rng.normal(0, 2.0, 2)
+    camera = replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy, cx=float(cx), cy=float(cy))
+    return CameraFile(camera=camera, distortion=tuple(rng.normal(0, (0.1, 0.1, 5e-4, 5e-4)).tolist()))
+
+
+def near_views(rng: np.random.Generator, num: int, lens: CameraFile, tilt: float = 0.5) -> list[BoardView]:
+    """Views of a board 0.4 to 0.7 m from a camera, turned about each of its axes by up to `tilt` [rad]."""
+    views = []
+    while len(views) < num:
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3)).as_matrix()
+        middle = np.array((*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.4, 0.7)))
+        pose[:3, 3] = middle - pose[:3, :3] @ CORNERS.mean(axis=0)
+        pixels = pixels_of(pose, OUTLINE, lens)
+        if (pixels > 8).all() and (pixels < np.array((632, 472))).all():
+            seen = pixels_of(pose, CORNERS, lens) + rng.normal(0, 0.2, (len(CORNERS), 2))
+            views.append(BoardView(points=CORNERS, pixels=seen))
+    return views
+
+
 def pixels_of(pose: np.ndarray, points: np.ndarray, lens: CameraFile) -> np.ndarray:
     seen = points @ pose[:3, :3].T + pose[:3, 3]
     matrix, distortion = np.array(lens.camera.matrix), np.array(lens.distortion or np.zeros(4))
@@ -93,6 +117,7 @@ def hand_views(
     focal: float = 0.0,
     true_size: float = 1.0,
     offsets: np.ndarray | None = None,
+    true_lens: CameraFile | None = None,
 ) -> list[HandView]:
     """Corners as a laboratory has them, with standard deviations of what is wrong.
 
@@ -100,13 +125,14 @@ def hand_views(
     their constant offsets [rad]; of the squares' size and of the focal length, relative. A row of `offsets`
     has the errors of the joint positions in an image [rad].
     """
+    true_lens = true_lens or lens(distortion)
     rng = np.random.default_rng(1000 + seed)
     constant, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)
     corners = true_size * (1.0 + rng.normal(0, square)) * CORNERS
     center = np.array((RGB_CAMERA.cx, RGB_CAMERA.cy))
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
-        pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, lens(distortion)) - center)
+        pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, true_lens) - center)
         pixels += rng.normal(0, noise, pixels.shape) + rng.normal(0, shift, 2)
         said = joint_pos + constant + rng.normal(0, shaking, len(HOME))
         said = said if offsets is None else said + offsets[i]

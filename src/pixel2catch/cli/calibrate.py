@@ -221,6 +221,8 @@ def _sentences(result: "Calibration", comparison: "Comparison") -> Iterator[str]
     yield f"Reprojection error: {result.rms:.2f} px RMS, {error}."
     ratio, std = result.square_ratio
     yield f"By the arm's motion the squares are {ratio:.3f} ± {std:.3f} times as large as --square says."
+    ratio, std = result.focal_ratio
+    yield f"The focal length is {ratio:.4f} ± {std:.4f} times the lens's; the file has the result."
     if result.rms > LARGEST_RMS:
         yield "That is a lot: check --square and the lens, the board's fixing, and that the arm stood still."
     yield (

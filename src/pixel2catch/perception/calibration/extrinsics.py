@@ -6,8 +6,9 @@ distances between seen and computed pixels, of all corners at once. Images with 
 others are left out. The first guess is in closed form (A X = Z B of robotics): with B the board's pose in the
 camera, A Y = X B in every image. It tolerates some wrong images.
 
-The size of the squares and constant errors of the joints are the same in all images. They are fitted as far
-as the images determine them. What they and the lens leave uncertain is part of the stated uncertainty.
+The size of the squares, constant errors of the joints and the lens are the same in all images. They are
+fitted about their given values, as far as the images determine them. What they leave uncertain is part of the
+stated uncertainty.
 """
 
 from collections.abc import Sequence
@@ -22,11 +23,12 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration.lens import BoardView, undistorted
+from pixel2catch.perception.calibration.lens import BoardView, lens_spread, lens_values
 
 Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 Common = Float[np.ndarray, " num_common"]
-"""What all images share: relative error of the square's edge, and a constant error of each joint [rad]."""
+"""What all images share: relative error of the square's edge, a constant error of each joint [rad], and
+errors of the lens in the standard deviations of `lens_spread`."""
 
 NUM_POSES = 12  #: Parameters of the poses of camera and board.
 
@@ -46,8 +48,7 @@ JOINT_ERROR = 1e-3  #: Standard deviation of a constant error of each joint [rad
 SQUARE_ERROR = 0.005  #: Relative standard deviation of a square's edge. Source: ours, 0.3 mm of 60.
 LARGEST_SQUARE_ERROR = 0.03  #: Of a square's edge, relative. Source: ours; it moves the camera by 14 mm.
 SURE = 3.0  #: Standard deviations from which an error of the square is significant. Source: ours.
-FOCAL_ERROR = 0.002  #: Relative deviation of a focal length without one. Source: ours, of 20 images.
-LEAST_NOISE = 0.05  #: Smallest assumed error of corners [px]. Source: ours.
+FIRST_NOISE, LEAST_NOISE = 0.5, 0.05  #: Assumed and smallest error of corners [px]. Source: ours.
 ROBUST_SCALE = 1.0  #: Residuals far above this have less weight in the first fit [px].
 
 LARGEST_CONDITION = 1e3
@@ -75,6 +76,7 @@ class Calibration:
     left_out: tuple[str, ...]  #: Names of the images that the fit does not use.
     #: Edge of the squares by the arm's motion over the given edge, and its standard deviation.
     square_ratio: tuple[float, float]
+    focal_ratio: tuple[float, float]  #: Focal length over the lens's, and its relative standard deviation.
     rms: float  #: Root mean square distance of seen and computed corners in the images used [px].
 
 
@@ -83,11 +85,12 @@ class _Corners:
     """The corners of some images in one array."""
 
     points: Float[np.ndarray, "num_points 3"]  #: In the frame of the board [m].
-    pixels: Float[np.ndarray, "num_points 2"]  #: Where a pinhole would see them [px].
+    pixels: Float[np.ndarray, "num_points 2"]  #: In the images [px].
     owner: Int[np.ndarray, " num_points"]  #: Number of each corner's image.
     palms: Float[np.ndarray, "num_views 4 4"]  #: Pose of the palm in the world in every image.
     palm_rates: Float[np.ndarray, "num_views num_joints 4 4"]  #: Its derivative by each joint [1/rad].
-    matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
+    lens: Float[np.ndarray, " num_values"]  #: Its given values, as of `lens_values`.
+    spread: Float[np.ndarray, "num_values num_errors"]  #: Changes of these by one deviation of each error.
 
     def of(self, is_used: np.ndarray) -> "_Corners":
         """Return the corners of some of the images."""
@@ -98,14 +101,24 @@ class _Corners:
         self, camera: Pose, board: Pose, common: Common | None = None
     ) -> Float[np.ndarray, "num_points 2"]:
         """Return computed minus seen pixels [px]."""
-        common = np.zeros(1 + self.palm_rates.shape[1]) if common is None else common
-        palms = self.palms + np.einsum("j,njkl->nkl", common[1:], self.palm_rates)
-        palms = palms[self.owner]
+        common = np.zeros(len(self.stds)) if common is None else common
+        num_joints = self.palm_rates.shape[1]
+        joints, lens = common[1 : 1 + num_joints], common[1 + num_joints :]
+        palms = (self.palms + np.einsum("j,njkl->nkl", joints, self.palm_rates))[self.owner]
         in_hand = (1.0 + common[0]) * self.points @ board[:3, :3].T + board[:3, 3]
         in_world = np.einsum("nij,nj->ni", palms[:, :3, :3], in_hand) + palms[:, :3, 3]
         seen = (in_world - camera[:3, 3]) @ camera[:3, :3]
-        rays = seen[:, :2] / np.maximum(seen[:, 2:], LEAST_DEPTH)
-        return rays * self.matrix.diagonal()[:2] + self.matrix[:2, 2] - self.pixels
+        seen[:, 2] = np.maximum(seen[:, 2], LEAST_DEPTH)
+        values, still = self.lens + self.spread @ lens, np.zeros(3)
+        fx, fy, cx, cy = values[:4]
+        matrix = np.array(((fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)))
+        return cv2.projectPoints(seen, still, still, matrix, values[4:])[0][:, 0] - self.pixels
+
+    @property
+    def stds(self) -> Common:
+        """Standard deviations of the common parameters without the images."""
+        joints, lens = (JOINT_ERROR,) * self.palm_rates.shape[1], (1.0,) * self.spread.shape[1]
+        return np.array([SQUARE_ERROR, *joints, *lens])
 
     def rms(self, camera: Pose, board: Pose, common: Common | None = None) -> Float[np.ndarray, " num_views"]:
         """Return the root mean square distance of seen and computed corners in each image [px]."""
@@ -139,37 +152,50 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     _require_enough(len(views), "images show the board in the hand")
     corners = _Corners(
         points=np.concatenate([view.view.points for view in views]),
-        pixels=undistorted(lens, np.concatenate([view.view.pixels for view in views])),
+        pixels=np.concatenate([view.view.pixels for view in views]),
         owner=np.repeat(np.arange(len(views)), [len(view.view.points) for view in views]),
         palms=np.stack([view.palm for view in views]),
         palm_rates=np.stack([view.palm_rates for view in views]),
-        matrix=np.array(lens.camera.matrix),
+        lens=lens_values(lens),
+        spread=lens_spread(lens),
     )
-    rough = _fit(corners, *_first_guess(corners), loss="cauchy")
-    rms = corners.rms(rough.camera, rough.board)
+    weights = FIRST_NOISE / corners.stds
+    rough = _fit(corners, *_first_guess(corners, lens), 0.0 * weights, weights, loss="cauchy")
+    rms = corners.rms(rough.camera, rough.board, rough.common)
     is_used = rms <= np.clip(OUTLIER_FACTOR * np.median(rms), ERRORS_USED, ERRORS_WRONG)
     _require_enough(
         int(is_used.sum()), "images agree with each other (are the rows of the table those of the images?)"
     )
     used = corners.of(is_used)
-    poses = _fit(used, rough.camera, rough.board)
-    if np.linalg.cond(poses.jacobian / np.linalg.norm(poses.jacobian, axis=0)) > LARGEST_CONDITION:
+    poses = _fit(used, rough.camera, rough.board, rough.common, weights)
+    moves = poses.jacobian[:, :NUM_POSES]
+    if np.linalg.cond(moves / np.linalg.norm(moves, axis=0)) > LARGEST_CONDITION:
         raise PerceptionError(
             "the images do not tell where the camera stands, because the hand turned about one axis only; "
             "add images with the wrist turned about others."
         )
     square_ratio = _square_ratio(used, poses)
-    fit = _fit_with_common(used, poses, SQUARE_ERROR)
+    fit = _fit_with_common(used, poses, used.stds)
     errors = used.errors(fit.camera, fit.board, fit.common)
     every, names = corners.rms(fit.camera, fit.board, fit.common), [view.name for view in views]
     quat = Rotation.from_matrix(fit.camera[:3, :3]).as_quat(canonical=True, scalar_first=True)
-    camera = replace(lens.camera, pos=tuple(fit.camera[:3, 3].tolist()), quat=tuple(quat.tolist()))
-    covariance = tuple(map(tuple, _covariance(fit, used, lens).tolist()))
+    covariance, num_errors = _covariance(fit, used), used.spread.shape[1]
+    values = used.lens + used.spread @ fit.common[-num_errors:]
+    fx, fy, cx, cy, *distortion = values.tolist()
+    focal = used.spread[0] / fx
+    focal_std = float(np.sqrt(focal @ covariance[-num_errors:, -num_errors:] @ focal))
+    pose = {"pos": tuple(fit.camera[:3, 3].tolist()), "quat": tuple(quat.tolist())}
     return Calibration(
-        file=replace(lens, camera=camera, pose_covariance=covariance),
+        file=CameraFile(
+            camera=replace(lens.camera, fx=fx, fy=fy, cx=cx, cy=cy, **pose),
+            distortion=tuple(distortion) if lens.distortion else (),
+            pose_covariance=tuple(map(tuple, covariance[:6, :6].tolist())),
+            focal_std=focal_std,
+        ),
         errors=dict(zip(names, every.tolist(), strict=True)),
         left_out=tuple(name for name, used in zip(names, is_used, strict=True) if not used),
         square_ratio=square_ratio,
+        focal_ratio=(fx / lens.camera.fx, focal_std),
         rms=float(np.sqrt((errors**2).sum(-1).mean())),
     )
 
@@ -188,13 +214,13 @@ def _require_enough(number: int, what: str) -> None:
         )
 
 
-def _first_guess(corners: _Corners) -> tuple[Pose, Pose]:
+def _first_guess(corners: _Corners, lens: CameraFile) -> tuple[Pose, Pose]:
     """Camera in the world, board in the hand: of guesses from three images, that with the least median."""
     boards: dict[int, Pose] = {}
     for i in range(len(corners.palms)):
         points, pixels = (each[corners.owner == i] for each in (corners.points, corners.pixels))
-        lens = (corners.matrix, np.zeros(4))
-        is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], *lens, flags=cv2.SOLVEPNP_IPPE)
+        given = (np.array(lens.camera.matrix), corners.lens[4:])
+        is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], *given, flags=cv2.SOLVEPNP_IPPE)
         if is_found:
             boards[i] = _pose(cv2.Rodrigues(turn)[0], pos.ravel())
     if len(boards) < NUM_DRAWN:
@@ -229,17 +255,16 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose]) -> tuple[Pose, Pose]:
 
 
 def _fit(
-    corners: _Corners, camera: Pose, board: Pose, weights: Common | None = None, loss: str = "linear"
+    corners: _Corners, camera: Pose, board: Pose, common: Common, weights: Common, loss: str = "linear"
 ) -> _Fit:
-    """Minimise the errors, from approximate poses; with weights [px/unit] also the common parameters."""
-    weights = np.zeros(0) if weights is None else weights
+    """Minimise the errors and the weighted [px/unit] common parameters, from approximate values."""
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        common = step[NUM_POSES:] if len(weights) else None
-        errors = corners.errors(_moved(camera, step[:6]), _moved(board, step[6:NUM_POSES]), common)
+        moved = _moved(camera, step[:6]), _moved(board, step[6:NUM_POSES])
+        errors = corners.errors(*moved, step[NUM_POSES:])
         return np.concatenate((errors.ravel(), weights * step[NUM_POSES:]))
 
-    start = np.zeros(NUM_POSES + len(weights))
+    start = np.concatenate((np.zeros(NUM_POSES), common))
     best = least_squares(residuals, start, loss=loss, f_scale=ROBUST_SCALE, x_scale="jac")
     return _Fit(
         camera=_moved(camera, best.x[:6]),
@@ -250,20 +275,19 @@ def _fit(
     )
 
 
-def _fit_with_common(corners: _Corners, poses: _Fit, square_error: float) -> _Fit:
-    """Fit the poses again, and with them the squares' edge and offsets of the joints.
+def _fit_with_common(corners: _Corners, poses: _Fit, stds: Common) -> _Fit:
+    """Fit again, with common parameters of these standard deviations and the noise of the first fit.
 
-    The given edge has a relative standard deviation of `square_error`; it is infinite if no edge is given.
     Errors of the corners of one image are correlated, so the noise is larger by the ratio of the jackknife's
     scatter to that of independent corners.
     """
-    spare = max(len(poses.residuals) - NUM_POSES, 1)
-    noise = max(float(np.linalg.norm(poses.residuals)) / np.sqrt(spare), LEAST_NOISE)
-    alone = noise**2 * np.diagonal(np.linalg.inv(poses.jacobian.T @ poses.jacobian))
-    scatter = np.diagonal(_jackknife(poses, corners.owner))
+    num_seen = 2 * len(corners.owner)
+    spare = max(num_seen - NUM_POSES - len(stds), 1)
+    noise = max(float(np.linalg.norm(poses.residuals[:num_seen])) / np.sqrt(spare), LEAST_NOISE)
+    alone = noise**2 * (np.linalg.pinv(poses.jacobian)[:NUM_POSES, :num_seen] ** 2).sum(axis=1)
+    scatter = np.diagonal(_jackknife(poses, corners.owner))[:NUM_POSES]
     noise *= max(np.sqrt(float(np.median(scatter / alone))), 1.0)
-    stds = np.array([square_error, *(JOINT_ERROR,) * corners.palm_rates.shape[1]])
-    return _fit(corners, poses.camera, poses.board, noise / stds)
+    return _fit(corners, poses.camera, poses.board, poses.common, noise / stds)
 
 
 def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
@@ -272,7 +296,7 @@ def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
     Raises:
         PerceptionError: The given edge is significantly wrong.
     """
-    fit = _fit_with_common(corners, poses, np.inf)
+    fit = _fit_with_common(corners, poses, np.concatenate(([np.inf], corners.stds[1:])))
     variance = _jackknife(fit, corners.owner)[NUM_POSES, NUM_POSES]
     error, std = float(fit.common[0]), float(np.sqrt(variance))
     if abs(error) > max(LARGEST_SQUARE_ERROR, SURE * std):
@@ -289,17 +313,12 @@ def _moved(pose: Pose, step: np.ndarray) -> Pose:
     return _pose(Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + step[:3])
 
 
-def _covariance(fit: _Fit, corners: _Corners, lens: CameraFile) -> np.ndarray:
-    """Covariance (6, 6) of the camera's pose: of the images, of the common parameters, of the lens."""
-    gain = np.linalg.pinv(fit.jacobian)
-    num_common = len(fit.common)
+def _covariance(fit: _Fit, corners: _Corners) -> np.ndarray:
+    """Covariance of all parameters: of the images, and of the given values of the common ones."""
+    gain, num_common = np.linalg.pinv(fit.jacobian), len(fit.common)
     weights = np.diagonal(fit.jacobian[-num_common:, -num_common:])
-    expected = gain[:, -num_common:] * weights * np.array([SQUARE_ERROR, *(JOINT_ERROR,) * (num_common - 1)])
-    seen = corners.errors(fit.camera, fit.board, fit.common) + corners.pixels
-    zoom = np.concatenate(((seen - corners.matrix[:2, 2]).ravel(), np.zeros(num_common)))
-    focal = gain @ zoom * (lens.focal_std or FOCAL_ERROR)
-    total = _jackknife(fit, corners.owner) + expected @ expected.T + np.outer(focal, focal)
-    return total[:6, :6]
+    expected = gain[:, -num_common:] * weights * corners.stds
+    return _jackknife(fit, corners.owner) + expected @ expected.T
 
 
 def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
