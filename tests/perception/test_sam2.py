@@ -1,5 +1,6 @@
 """SAM 2 as a segmenter, and checkpoints and installations that cannot be used."""
 
+import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -11,10 +12,12 @@ import torch
 from safetensors.torch import load_file, save_file
 from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam2
 
+from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, PerceptionError
 from pixel2catch.perception import sam2
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation
+from pixel2catch.perception.self_test import KINDS, LEAST_RIGHT, NUM_EMPTY, painted_throw
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
 OTHER = BoxPrompt(box=(45.0, 15.0, 55.0, 25.0))
@@ -95,6 +98,27 @@ def test_compiled_modules_give_the_same_masks(folder: Path, device: str) -> None
         assert expected.mask is not None
         assert (result.mask != expected.mask).mean() < 0.001
         assert result.score == pytest.approx(expected.score, abs=1e-5)
+
+
+def test_random_weights_do_not_pass_the_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Background subtraction, which stands beside, would."""
+    assert main(["track", "self-test", "--segmenter", "sam2", "--checkpoint", str(folder)]) == 2
+    printed = capsys.readouterr()
+    for kind, line in zip(KINDS, printed.out.splitlines(), strict=True):
+        share, background = map(float, re.findall(r"(\d+) %", line))
+        assert line.startswith(f"{kind}: right boxes in ")
+        assert share < 50.0 < 100.0 * LEAST_RIGHT < background
+    assert "sam2 does not agree with the truth" in printed.err
+
+
+def test_a_painted_ball_lies_in_its_box() -> None:
+    """Within a pixel; before the throw there is none."""
+    images = list(painted_throw("plain"))
+    assert not any(box for _, box in images[:NUM_EMPTY])
+    image, box = images[-1]
+    red, green, _ = np.moveaxis(image.pixels.astype(int), -1, 0)
+    rows, columns = np.nonzero(red - green > 80)
+    assert (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) == pytest.approx(box, abs=1.0)
 
 
 def test_prompts_reach_the_encoder_in_its_coordinates(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,7 +42,7 @@ class Track:
     """
 
     #: A video file, a folder of images, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or
-    #: /dev/videoN.
+    #: /dev/videoN. self-test: painted throws with known boxes; prints how many boxes are right.
     source: Positional[str]
     out: NewFolder = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
     at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
@@ -62,6 +62,12 @@ class Track:
             from pixel2catch.perception.labels import load_labels
             from pixel2catch.ros2.bags import is_bag
 
+        if self.source == "self-test":
+            from pixel2catch.perception.self_test import agreement
+
+            for line in agreement(self.perception.make_segmenter(), self.perception.segmenter):
+                print(line)
+            return
         if self.topic and not is_bag(Path(self.source)):
             raise InvalidValueError(f"--topic needs a rosbag, but '{self.source}' is none; leave it out.")
         labels = self.truth and load_labels(self.truth, Path(self.source))

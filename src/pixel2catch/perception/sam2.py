@@ -1,11 +1,7 @@
 """SAM 2.1, an image segmenter with a memory, for a stream of images.
 
-    segmenter = Sam2Segmenter(Path("sam2.1-hiera-tiny"), "cuda")
-    segmenter.find(image, prompt=BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
-    segmentation = segmenter.find(next_image)
-
-It has only run with random weights here. It needs transformers, the extra `sam2`, and a checkpoint in a local
-folder. It never uses the network.
+It has never run with real weights here: begin with `pixel2catch track self-test`. It needs transformers, the
+extra `sam2`, and a checkpoint in a local folder. It never uses the network.
 """
 
 import shutil
