@@ -1,11 +1,13 @@
-"""The servo with the twin's driver of an arm, which loses cycles and ignores large steps."""
+"""The servo with drivers that lose cycles, ignore large steps, or hold commands."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from servo_rows import HOME, Lab
+from servo_rows import HOME, LIMITS, Lab, given
 
+from paper_robot import JOINTS
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Fault, Mode
 from pixel2catch.twin.drivers import ArmDriver
@@ -36,3 +38,25 @@ def test_commands_survive_missed_cycles_and_a_driver_that_ignores_them_is_named(
     assert (driver.num_ignored > 0) == (num_missed > 3)
     expected = (Mode.RUN, 0) if num_missed == 3 else (Mode.STOPPED, Fault.COMMANDS_IGNORED)
     assert (output["mode"][0], output["stopped_by"][0]) == expected
+
+
+@pytest.mark.parametrize("phase", [0, 2, 4])
+def test_fingers_are_as_fast_as_in_training_behind_a_driver_that_holds_commands(phase: int):
+    """At 100 Hz: a command holds for five ticks, a position is up to four old when it is used."""
+    profile = Profile.load("ur5e_allegro_v4")
+    joints, fingers = JointLimits.of(UR5E_ALLEGRO, parts=profile.robots), slice(7, 15, 3)
+    lab = Lab(limits=replace(LIMITS, joints=joints)).started()
+    lab.target[0, fingers] = 1.6
+    held, seen, stamp, positions = lab.joint_pos, lab.joint_pos, lab.time, [lab.joint_pos[0, fingers].copy()]
+    for tick in range(75):
+        if tick % 5 == 0:
+            seen, stamp = lab.joint_pos.copy(), lab.time + LIMITS.dt
+        before = lab.joint_pos.copy()
+        sent = lab.tick(given(joint_pos=seen, joint_stamp=np.full((1, len(JOINTS)), stamp)))["sent"]
+        held = sent if tick % 5 == phase else held
+        lab.joint_pos = before
+        lab.follow(held)
+        positions.append(lab.joint_pos[0, fingers].copy())
+    limits = np.array([each.velocity_limit for each in JOINTS])[fingers]
+    speed = (positions[75] - positions[50]) / (25 * LIMITS.dt)
+    np.testing.assert_allclose(speed, 0.9 * limits, rtol=0.03)

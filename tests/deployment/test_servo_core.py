@@ -10,7 +10,6 @@ from servo_rows import HOME, LIMITS, MISHAPS, Lab, all_at_once, given, noisy
 
 from paper_robot import JOINTS
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
 from pixel2catch.servo.link import Clamp, Fault, Mode, flag_names
@@ -140,27 +139,6 @@ def test_a_command_stays_near_its_joint():
     assert any(output["clamped"] & Clamp.LEAD for output in lab.outputs)
     assert max(leads) <= LIMITS.joints.lead[0] + 1e-9
     assert 2.3 < max(speeds) < JOINTS[0].velocity_limit
-
-
-@pytest.mark.parametrize("phase", [0, 2, 4])
-def test_fingers_are_as_fast_as_in_training_behind_a_driver_that_holds_commands(phase: int):
-    """At 100 Hz: a command holds for five ticks, a position is up to four old when it is used."""
-    profile = Profile.load("ur5e_allegro_v4")
-    joints, fingers = JointLimits.of(UR5E_ALLEGRO, parts=profile.robots), slice(7, 15, 3)
-    lab = Lab(limits=replace(LIMITS, joints=joints)).started()
-    lab.target[0, fingers] = 1.6
-    held, seen, stamp, positions = lab.joint_pos, lab.joint_pos, lab.time, [lab.joint_pos[0, fingers].copy()]
-    for tick in range(75):
-        if tick % 5 == 0:
-            seen, stamp = lab.joint_pos.copy(), lab.time + LIMITS.dt
-        before = lab.joint_pos.copy()
-        sent = lab.tick(given(joint_pos=seen, joint_stamp=np.full((1, len(JOINTS)), stamp)))["sent"]
-        held = sent if tick % 5 == phase else held
-        lab.joint_pos = before
-        lab.follow(held)
-        positions.append(lab.joint_pos[0, fingers].copy())
-    speed = (positions[75] - positions[50]) / (25 * LIMITS.dt)
-    np.testing.assert_allclose(speed, 0.9 * SPEED_LIMITS[fingers], rtol=0.03)
 
 
 def test_the_table_limits_only_joints_that_move_towards_it():

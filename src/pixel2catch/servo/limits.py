@@ -125,8 +125,7 @@ class JointLimits:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
         each = partial(np.where, [group.role == "arm" for group in workcell.groups for _ in group.joints])
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
-        full_speed = np.array([joint.velocity_limit for joint in workcell.joints])
-        most = _allowed(workcell, parts)
+        most, full_speed = _allowed(workcell, parts), np.array([j.velocity_limit for j in workcell.joints])
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed
         arm_acceleration, arm_jerk = (1000.0, 200e3) if is_identified else (300.0, 60e3)
