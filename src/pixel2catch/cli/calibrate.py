@@ -212,8 +212,8 @@ def _sentences(result: "Calibration", comparison: "Comparison") -> Iterator[str]
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos
-    dx, dy, dz = (100 * std for std in result.file.pose_std[:3])
-    turns = " ".join(f"±{degrees(std):.2f}°" for std in result.file.pose_std[3:])
+    dx, dy, dz = (100 * std for std in result.pose_std[:3])
+    turns = " ".join(f"±{degrees(std):.2f}°" for std in result.pose_std[3:])
     yield f"Camera at x {x:.3f} m ±{dx:.2f} cm, y {y:.3f} m ±{dy:.2f} cm, z {z:.3f} m ±{dz:.2f} cm"
     yield f"and turned with {turns} about x, y, z (one standard deviation)."
     worst = max(result.errors.keys() - result.left_out, key=lambda name: result.errors[name])

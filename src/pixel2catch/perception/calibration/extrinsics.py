@@ -71,7 +71,10 @@ class HandView:
 class Calibration:
     """A camera and the evidence for it."""
 
-    file: CameraFile  #: The camera and its uncertainty.
+    #: The camera and its uncertainty. The covariance of the pose is that for its optical axis and distortion,
+    #: because a shift of the axis and a turn of the camera cancel in the image.
+    file: CameraFile
+    pose_std: tuple[float, ...]  #: Of position [m] and turn [rad] along the world's axes, for any lens.
     errors: dict[str, float]  #: Root mean square distance of seen and computed corners in each image [px].
     left_out: tuple[str, ...]  #: Names of the images that the fit does not use.
     #: Edge of the squares by the arm's motion over the given edge, and its standard deviation.
@@ -182,16 +185,17 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     covariance, num_errors = _covariance(fit, used), used.spread.shape[1]
     values = used.lens + used.spread @ fit.common[-num_errors:]
     fx, fy, cx, cy, *distortion = values.tolist()
-    focal = used.spread[0] / fx
+    focal, pose_std = used.spread[0] / fx, np.sqrt(covariance.diagonal()[:6])
     focal_std = float(np.sqrt(focal @ covariance[-num_errors:, -num_errors:] @ focal))
     pose = {"pos": tuple(fit.camera[:3, 3].tolist()), "quat": tuple(quat.tolist())}
     return Calibration(
         file=CameraFile(
             camera=replace(lens.camera, fx=fx, fy=fy, cx=cx, cy=cy, **pose),
             distortion=tuple(distortion) if lens.distortion else (),
-            pose_covariance=tuple(map(tuple, covariance[:6, :6].tolist())),
+            pose_covariance=tuple(map(tuple, given_last(covariance, num_errors - 1)[:6, :6].tolist())),
             focal_std=focal_std,
         ),
+        pose_std=tuple(pose_std.tolist()),
         errors=dict(zip(names, every.tolist(), strict=True)),
         left_out=tuple(name for name, used in zip(names, is_used, strict=True) if not used),
         square_ratio=square_ratio,
@@ -319,6 +323,12 @@ def _covariance(fit: _Fit, corners: _Corners) -> np.ndarray:
     weights = np.diagonal(fit.jacobian[-num_common:, -num_common:])
     expected = gain[:, -num_common:] * weights * corners.stds
     return _jackknife(fit, corners.owner) + expected @ expected.T
+
+
+def given_last(covariance: np.ndarray, num: int) -> np.ndarray:
+    """Return the covariance of all parameters but the last ones, if these are known."""
+    shared = covariance[:-num, -num:]
+    return covariance[:-num, :-num] - shared @ np.linalg.pinv(covariance[-num:, -num:]) @ shared.T
 
 
 def _jackknife(fit: _Fit, owner: np.ndarray) -> np.ndarray:
