@@ -29,6 +29,7 @@ from pixel2catch.perception.segmenter import (
 )
 
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5  #: Largest and smallest area of the object over before. Source: ours.
+BOX_ERROR = 2.0  #: By which each edge of a person's box may be too far inside [px]. Source: ours.
 LEAST_KNOWN = 0.2  #: Least share of a region with the object's colours, the rest being unseen. Source: ours.
 LEAST_OWN = 0.5  #: Share of own colours from which a thing without them is another one. Source: ours.
 LARGEST_RATIO = 4.0  #: Of the areas of a lost object and of a flight that is taken for it. Source: ours.
@@ -36,10 +37,7 @@ LARGEST_RATIO = 4.0  #: Of the areas of a lost object and of a flight that is ta
 #: Largest weight of the earlier width, height and area of the object, in every image. Source: ours.
 SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
 
-AREA_WEIGHT = 0.6
-"""Weight of a change of the area, relative to a change of a side. Source: ours; the area is less certain
-where the object is as bright as the background."""
-
+AREA_WEIGHT = 0.6  #: Of a change of the area over that of a side, which is more certain. Source: ours.
 NEAR = 10.0  #: Distance up to which still things are learned as other things [px]. Source: ours.
 THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
 
@@ -180,12 +178,13 @@ class BackgroundSubtraction(Segmenter):
         everywhere = slice(0, shape[0]), slice(0, shape[1])
         choices = ((alone, whole, alike), window), ((surely,), window), ((motion.moving,), everywhere)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
+        error = BOX_ERROR if track.num_seen == 1 else 0.0
         for least, (masks, place) in product(leasts, choices):
             found = []
             for mask in masks:
                 blobs = regions(mask if within is None else mask & within[place], place, shape)
                 candidates = [blob for blob in track.candidates(blobs) if is_turned or track.passes(blob)]
-                fitting = [blob for blob in candidates if self._fits(blob, motion, least)]
+                fitting = [blob for blob in candidates if self._fits(blob, motion, least, error)]
                 blob = self._first(track, fitting, is_alike=place is window, is_turned=is_turned)
                 found += [(blobs, blob)] if blob else []
             if found:
@@ -202,12 +201,12 @@ class BackgroundSubtraction(Segmenter):
         is_only = len(blobs) == 1 and not blobs[0].is_cut
         return next((blob for blob in blobs if is_likely or is_only or track.leads_to(blob)), None)
 
-    def _fits(self, blob: Blob, motion: ImageMotion, least: float) -> bool:
+    def _fits(self, blob: Blob, motion: ImageMotion, least: float, error: float) -> bool:
         """Whether a region has the object's size, and was not there when the object was elsewhere."""
-        share = 1.0 if self._size is None else blob.area / float(self._size[2])
-        is_whole = share >= least or blob.is_cut or _touches(blob, motion.unknown)
-        is_sized = share <= LARGEST_GROWTH and is_whole
-        return is_sized and self._still(motion.image, blob, apart=True) < LEAST_STILL
+        width, height, area = (_size(blob) if self._size is None else self._size).tolist()
+        is_whole = blob.area >= least * area or blob.is_cut or _touches(blob, motion.unknown)
+        largest = LARGEST_GROWTH * area * (1.0 + 2.0 * error / width) * (1.0 + 2.0 * error / height)
+        return blob.area <= largest and is_whole and self._still(motion.image, blob, apart=True) < LEAST_STILL
 
     def _rests(self, track: ImageTrack, blob: Blob, image: Pixels) -> bool:
         """Whether a region stands still where the object was seen in flight."""
