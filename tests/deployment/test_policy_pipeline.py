@@ -58,16 +58,13 @@ def test_there_are_no_targets_before_the_prompt_and_without_all_joints():
     decide(pipeline, image(1.09), HOME, 1.10)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"), [("two_ur5e_allegro", Verdict.SEEN), ("proposed", Verdict.NOT_FOUND)]
-)
-def test_an_object_of_the_training_is_never_too_large(name: str, expected: Verdict):
-    """A box of 28 cm where it is caught, which no object of the paper has."""
-    policy, large = load_policy(Path(name))[0], (300.0, 200.0, 460.0, 360.0)
+def test_an_object_of_the_training_is_never_too_large():
+    """A box of 28 cm where it is caught."""
+    policy, large = load_policy(Path("two_ur5e_allegro"))[0], (300.0, 200.0, 460.0, 360.0)
     controller = PolicyController(policy, find_workcell(policy.contract.workcell))
     pipeline = new_pipeline(controller=controller)
     pipeline.point(BoxPrompt(box=large))
-    assert see(pipeline, Image(pixels=picture(large), stamp=1.0), 1.01).verdict is expected
+    assert see(pipeline, Image(pixels=picture(large), stamp=1.0), 1.01).verdict is Verdict.SEEN
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin import TaskArgs
 
-TWO = ("--policies", "proposed", "catch_alone+fit", "--objects", "cube", "--throws", "1", "--seed", "2")
+TWO = ("--policies", "proposed", "catch_alone+fit", "--objects", "cube", "--throws", "1", "--seed", "3")
 IN_TWIN = (*TWO, "--rehearse=--lockstep --plain")
 
 

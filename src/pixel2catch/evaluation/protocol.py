@@ -60,7 +60,7 @@ CAUGHT, LOST = "caught", "lost"
 OUTCOMES = {
     CAUGHT: "caught, and held when shaken",
     LOST: "caught, but lost in the test of the hold",
-    "never_reached": "missed: no palm came near, no hand touched it",
+    "never_reached": "missed: the hand never came near",
     "bounced_off": "missed: bounced off the hand",
     "dropped": "missed: touched, then dropped",
     "not_held": "missed: not held near the palm in time",

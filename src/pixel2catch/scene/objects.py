@@ -169,7 +169,7 @@ _GROUPS: dict[str, tuple[ObjectSpec, ...]] = {
     # Long and irregular things for one hand. Source: ours: an empty bottle of 0.5 l whose drag is that of the
     # recorded flights of one, a wooden rod, a foam bar, an elbow.
     "long": (
-        make_object("bottle", shapes.cylinder(0.032, 0.2), mass=0.032),
+        make_object("empty_bottle", shapes.cylinder(0.032, 0.2), mass=0.032),
         make_object("rod_16", shapes.cylinder(0.012, 0.16), mass=0.05),
         make_object("bar_18", shapes.box(0.03, 0.03, 0.18), mass=0.03),
         _bent("elbow_14", length=0.1, width=0.03, angle=radians(90.0), mass=0.04),
