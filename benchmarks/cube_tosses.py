@@ -4,7 +4,7 @@ The 570 recordings are of ContactNets (Pfrommer, Halm, Posa, CoRL 2020; BSD-3), 
 repository: a hollow acrylic cube falls on a board; pose and speed at 148 Hz, lengths in half widths.
 Position, angle: mean errors over a toss, in % of the width and in degrees; "at": of the position, after the
 first touch. Rebound: rising over falling speed of the corner that touches first. Bounce: largest height of
-the lowest corner after the touch; slide: way of the centre since then [mm].
+the lowest corner after the touch; slide: way of the centre after the touch [mm].
 
 Every third toss is held out for the table; a random search fits on the others, `--every` on fewer of each.
 Lengths are scaled to the cube's height at rest; `--raw` leaves them as in published comparisons.

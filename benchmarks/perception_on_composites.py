@@ -82,7 +82,7 @@ def bouncing(flight: Flight, *, kept: tuple[float, float] = (0.8, -0.7)) -> Flig
 
 
 def fast(flight: Flight, speed: float = 45.0) -> Flight:
-    """A flight of so many pixels across in a control step."""
+    """A flight with this motion across in a control step [px]."""
     side = np.sign(flight.velocity[0])
     start, velocity = (320.0 - 290.0 * side, 300.0), (speed * side, -0.35 * speed)
     return replace(flight, start=start, velocity=velocity, gravity=2.0, num_held=6, num_flying=15)

@@ -34,7 +34,7 @@ from pixel2catch.scene.objects import SEEN
 from pixel2catch.workcells import find_workcell
 
 RELEASE_HEIGHT, CATCH_HEIGHT = 1.0, 1.0  #: Heights of the release and of the aim [m].
-STEP = 10  #: Every so many samples of 1 ms are fitted.
+STEP = 10  #: Every tenth sample of 1 ms is fitted.
 
 
 def motion(_: float, state: np.ndarray, drag: float, side: float) -> np.ndarray:

@@ -43,8 +43,8 @@ class Train:
     #: values. Evaluations take it by their own --dynamics only. Default: the nominal robot.
     dynamics: DynamicsPath | None = None
     #: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps its values. Every
-    #: episode draws pose and focal length within what the file leaves open. Its images must be rectified.
-    #: Default: the release's camera, known exactly.
+    #: episode draws pose and focal length within what the file leaves open. Its images must be rectified. A
+    #: task that draws cameras has this one instead. Default: the release's camera, known exactly.
     camera: CameraPath | None = None
     out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     resume: bool = False  #: Go on from the last checkpoint in that folder, with its configuration.

@@ -4,7 +4,7 @@ Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z u
 the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from pixel2catch.checks import CAMERA_NAMES, UNIT_LENGTH, Within
@@ -76,9 +76,8 @@ RGB_CAMERA = CameraSpec(
 )
 """The RGB camera behind and above the robot. Source: release (there with x forward and z up)."""
 
-PEOPLE_CAMERA = CameraSpec(
-    width=640,
-    height=480,
+PEOPLE_CAMERA = replace(
+    RGB_CAMERA,
     fx=417.03,
     fy=417.03,
     cx=320.0,
