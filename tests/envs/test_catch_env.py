@@ -61,6 +61,28 @@ def test_a_drop_ends_and_resets_only_its_environment():
     assert not later.terminated.any()
 
 
+def test_a_diverged_environment_starts_again_and_leaves_no_nan_behind(monkeypatch):
+    env = make(3, throws=HOVERING)
+    list(rollout(env, 3))
+    step = env.world.simulation.step
+
+    def diverge(mask=None) -> None:
+        step(mask)
+        for field in ("qvel", "site_xpos", "sensordata", "actuator_force"):
+            env.world.simulation.bind(field)[1] = torch.nan
+
+    monkeypatch.setattr(env.world.simulation, "step", diverge)
+    diverged = next(rollout(env, 1))
+    assert diverged.terminated.tolist() == [False, True, False]
+    assert diverged.record.is_dropped.tolist() == [False, True, False]
+    monkeypatch.undo()
+    later = next(rollout(env, 1))
+    for each in (diverged, later):
+        parts = [*each.observation.policy.values(), each.observation.state, *each.rewards.values()]
+        assert all(part.isfinite().all() for part in parts)
+    assert env.statistics.pop()["diverged"] == 1.0
+
+
 def test_what_a_reset_environment_sees_is_new():
     """Both frames of the first observation are equal; differences and last actions are zero."""
     env = make(2, throws=HOVERING, episode=EpisodeCfg(max_steps=5))

@@ -55,8 +55,8 @@ def record() -> EpisodeRecord:
 
 def test_a_case_by_hand():
     sums = statistics()
-    sums.add(yes(1, 1, 1), record(), VALUES)
-    sums.add(yes(0, 0, 0), record(), VALUES)
+    sums.add(yes(1, 1, 1), record(), VALUES, yes(0, 0, 0))
+    sums.add(yes(0, 0, 0), record(), VALUES, yes(0, 0, 0))
     result = sums.pop()
     expected = {
         "episodes": 3.0,
@@ -86,7 +86,7 @@ def test_statistics_of_several_processes():
     """Three processes with the same sums: counts are threefold, rates the same; the largest is another's."""
     alone, one = statistics(), statistics()
     for sums in (alone, one):
-        sums.add(yes(1, 1, 1), record(), VALUES)
+        sums.add(yes(1, 1, 1), record(), VALUES, yes(0, 0, 0))
     expected = alone.pop() | {"episodes": 9.0, "max_joint_speed": 3.0}
     result = one.pop(lambda sums: 3.0 * sums, lambda maxima: maxima.clamp(min=3.0))
     assert result["max_torque_share"] == 3.0

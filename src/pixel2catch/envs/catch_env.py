@@ -248,12 +248,14 @@ class CatchEnv:
         commands = self._commands.pushed(target)
         late = commands.interpolated(self.episode.command_delay)
         log = self.world.run(late, self.episode.drag, self.episode.side_force)
+        is_diverged = self.world.is_diverged()
+        log = log.cleared(is_diverged)
         command = (action, target)
-        transition = self._transition(command, log)
+        transition = self._transition(command, log, is_diverged)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
         record = self.episode.record.advanced(transition, log, self.world.arms, self.world.palms)
-        self.statistics.add(terminated, record, terms)
+        self.statistics.add(terminated, record, terms, is_diverged)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))
         self._sense(terminated, command, log)
@@ -289,10 +291,15 @@ class CatchEnv:
         """Return the delayed targets at the beginning of an episode: the joint positions."""
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
-    def _transition(self, command: LastAction, log: StepExtremes) -> Transition:
-        now, record = self.world.privileged(log), self.episode.record
+    def _transition(
+        self, command: LastAction, log: StepExtremes, is_diverged: Bool[Tensor, " num_envs"]
+    ) -> Transition:
+        """Return the last control step; where the simulation diverged, the object counts as fallen."""
+        before, record = self._sensors.now, self.episode.record
+        fallen = replace(before, object_pos=torch.zeros_like(before.object_pos))
+        now = select(is_diverged, fallen, self.world.privileged(log))
         return Transition(
-            before=self._sensors.now,
+            before=before,
             now=now,
             action=command[0],
             joint_pos_target=command[1],

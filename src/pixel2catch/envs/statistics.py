@@ -36,15 +36,16 @@ class EpisodeStatistics:
         num_columns = 1 + len(SHARES) + len(SUMS) + len(SUCCESS_SUMS) + len(FAILURES)
         self._by_object = torch.zeros(len(object_names), num_columns, device=device)
         self._maxima = torch.zeros(len(MAXIMA), device=device)
-        self._rewards = torch.zeros(1 + sum(map(len, reward_names.values())), device=device)
+        self._rewards = torch.zeros(2 + sum(map(len, reward_names.values())), device=device)
 
     def add(
         self,
         ended: Bool[Tensor, " num_envs"],
         record: EpisodeRecord,
         reward_terms: Mapping[str, Float[Tensor, "num_envs _"]],
+        is_diverged: Bool[Tensor, " num_envs"],
     ) -> None:
-        """Add the reward terms of a control step, and the records of episodes that it ended."""
+        """Add the reward terms of a control step, the records of episodes that it ended, and divergences."""
         columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
         columns += [torch.where(record.is_success, getattr(record, name), 0.0) for name in SUCCESS_SUMS]
         modes = (failure(record)[:, None] == self._modes) & ~record.is_success[:, None]
@@ -54,7 +55,7 @@ class EpisodeStatistics:
         maxima = torch.stack([getattr(record, name) for name in MAXIMA], dim=-1)
         torch.maximum(self._maxima, torch.where(ended[:, None], maxima, 0.0).amax(dim=0), out=self._maxima)
         means = torch.cat([values.mean(dim=0) for values in reward_terms.values()])
-        self._rewards += torch.cat((torch.ones_like(means[:1]), means))
+        self._rewards += torch.cat((torch.ones_like(means[:1]), is_diverged.sum()[None], means))
 
     def pop(
         self,
@@ -75,14 +76,14 @@ class EpisodeStatistics:
         for buffer in buffers:
             buffer.zero_()
         result = _means([sum(column) for column in zip(*objects, strict=True)])
-        result |= dict(zip(MAXIMA, maxima, strict=True))
+        result |= dict(zip(MAXIMA, maxima, strict=True)) | {"diverged": rewards[1]}
         result |= {
             f"success_rate/{n}": _means(row)["success_rate"]
             for n, row in zip(self._object_names, objects, strict=True)
         }
         names = [f"reward_term/{name}" for names in self._reward_names.values() for name in names]
         return result | {
-            name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[1:], strict=True)
+            name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[2:], strict=True)
         }
 
 

@@ -112,13 +112,14 @@ Source: tennis balls (0.75), servoj's look-ahead time of up to 0.1 s, fits to th
 
 LIGHT = replace(AIR, side_force=(0.0, 0.015))  #: Air with that sideways force.
 ANY_OUTSIDE = replace(OUTSIDE_CAMERA, any_camera=True, clock_error=(0.0, 0.05))
-ANY_GOOD, ANY_EXACT = replace(GOOD_CAMERA, any_camera=True), SensingCfg(any_camera=True)
+ANY_GOOD = replace(GOOD_CAMERA, any_camera=True)
+ANY_RELEASE = SensingCfg(any_camera=True, noise_scale=(0.0, 1.0))  #: Errors of boxes from 0 to 5 px.
 
 PEOPLE = replace(
     WIDE,
     name="people",
     objects=SEEN + LONG,
-    sensing=ANY_EXACT,
+    sensing=ANY_RELEASE,
     variants=(
         TaskVariant(share=0.1, throws=PRACTISED_THROWS, randomization=LATE_ROBOT, sensing=ANY_OUTSIDE),
         TaskVariant(share=0.15, throws=HUMAN_THROWS, randomization=PEOPLE_ROBOT, sensing=ANY_OUTSIDE),

@@ -40,6 +40,9 @@ MASS_POWER = {
 
 OCCLUDER_MARGIN = 1e-3  #: Added to the size of every occluder [m]. Source: ours; float32 errs by less.
 
+DIVERGED_SPEED = 1e4
+"""Speed of a joint or object beyond which the simulation counts as diverged [rad/s, m/s]. Source: ours."""
+
 FIELDS = (
     *("qpos", "qvel", "qacc_warmstart", "xfrc_applied", "qfrc_applied", "qfrc_constraint"),
     *("actuator_force", "sensordata", "site_xpos", "site_xmat", "geom_xpos"),
@@ -162,6 +165,10 @@ class CatchWorld:
         fields = self._fields
         state = (fields.qpos, fields.qvel, fields.qacc_warmstart, fields.xfrc_applied)
         return (*state, *self._actuators.live)
+
+    def is_diverged(self) -> Bool[Tensor, " num_envs"]:
+        """Return where a speed is not a number, or beyond `DIVERGED_SPEED`."""
+        return ~(self._fields.qvel.abs() < DIVERGED_SPEED).all(dim=-1)
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Set the masked robots to their start, with new dynamics and a new hovering object."""
