@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SOURCE = ROOT / "src" / "pixel2catch"
 NOTEBOOK = DOCS / "catching.ipynb"
-REFERENCE = "API reference"  #: Entry of the navigation that gets a page for each part of the package.
+REFERENCE = "Reference"  #: Entry of the navigation that gets a page for each part of the package.
 OVERVIEW = """# API reference
 
 Made from the docstrings of the package. Units are in brackets, shapes in the annotations. What most programs
