@@ -15,6 +15,8 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from pixel2catch.behaviour import HASHES
+
 PACKAGES = ("pixel2catch", "torch", "mujoco", "mujoco-warp", "warp-lang", "numpy")
 """Packages whose versions a result can depend on."""
 
@@ -70,19 +72,29 @@ def _columns(rows: Sequence[Cells]) -> dict[str, bool]:
 
 
 def circumstances() -> dict[str, Any]:
-    """Return the time, command, versions and machine of this process."""
+    """Return the time, command, versions and machine of this process, and the hashes of behaviour."""
     import torch  # takes seconds
 
     return {
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "command": shlex.join(["pixel2catch", *sys.argv[1:]]),
         "git_revision": _git_revision(),
+        "behaviour": HASHES,
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES},
         "platform": platform.platform(),
         "cpu": _cpu_name(),
         "cpu_cores": os.cpu_count(),
         "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
+    }
+
+
+def provenance(found: Mapping[str, Any], workcell: str) -> dict[str, str | None]:
+    """Return what a row of a result records of its circumstances."""
+    return {
+        "revision": found.get("git_revision"),
+        "hardware": ", ".join(found.get("gpus", ())) or found.get("cpu"),
+        "behaviour": found.get("behaviour", {}).get(workcell),
     }
 
 

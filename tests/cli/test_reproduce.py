@@ -12,8 +12,10 @@ import pytest
 import torch
 
 from domains import PATIENCE
+from pixel2catch.behaviour import HASHES
 from pixel2catch.cli.main import main
 from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
+from pixel2catch.evaluation.comparison import EVALUATION_SEED
 from pixel2catch.methods import METHODS
 
 TINY = shlex.split(
@@ -86,7 +88,10 @@ def test_only_what_is_missing_is_computed(study: Path):
     assert main(["reproduce", *TINY, "--device", "cuda", "--out", str(study)]) == 0
     after = times(study)
     assert {name for name in after if after[name] != before[name]} == {deleted, "study.json"}
-    assert read(study / deleted) | {"seconds": 0} == result | {"seconds": 0}
+    new = {"seconds": 0, "circumstances": {}}
+    assert read(study / deleted) | new == result | new
+    assert result["circumstances"]["behaviour"] == HASHES
+    assert result["seed"] == EVALUATION_SEED
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")

@@ -11,6 +11,7 @@ from pixel2catch.checks import Count, Device, OutputFile, Seed
 from pixel2catch.cli.console import prepare, progress_bar, results_console
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.files import json_text
+from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath
 
 
@@ -73,7 +74,8 @@ class Evaluate:
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
         }
         with progress_bar(" ".join(self.objects)) as bar:
-            return source | assess(policy, method, cfg, on_round, on_share)
+            metrics = assess(policy, method, cfg, on_round, on_share)
+        return source | metrics | {"circumstances": circumstances()}
 
 
 def print_tables(results: dict[str, dict[str, Any]], method: str) -> None:

@@ -13,6 +13,7 @@ from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
+from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin import RehearsalCfg
 
@@ -69,6 +70,7 @@ class Rehearse:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             profile = twin_profile(known_workcell(policy.contract.workcell))
             report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
+        report["circumstances"] = circumstances()
         print("\n".join(_lines(report)), flush=True)
         write_atomically({self.out / REPORT: json_text(report).encode()})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")

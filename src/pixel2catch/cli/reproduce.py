@@ -116,7 +116,7 @@ class Reproduce:
 
     def _plan(self, command: Train) -> "Plan":
         """Return methods and seeds, with everything that changes results."""
-        from pixel2catch.evaluation.comparison import Plan
+        from pixel2catch.evaluation.comparison import EVALUATION_SEED, Plan
         from pixel2catch.evaluation.loading import PHYSICS_HZ
         from pixel2catch.methods import find_method
 
@@ -134,6 +134,7 @@ class Reproduce:
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,
+            "seed": EVALUATION_SEED,
             "device": " ".join(sorted({device.split(":")[0] for device in self.evaluation_device})),
             "physics_hz": PHYSICS_HZ,
         }
@@ -146,7 +147,7 @@ class Reproduce:
 
     def _cells(self, folder: "ComparisonFolder", run: "Training", train: Train) -> "Iterator[StudyCell]":
         """Yield the training of a run, and the evaluations of its policy."""
-        from pixel2catch.evaluation.comparison import GROUPS
+        from pixel2catch.evaluation.comparison import EVALUATION_SEED, GROUPS
         from pixel2catch.evaluation.grid import StudyCell
 
         cfg = replace(train.train, seed=run.seed)
@@ -157,7 +158,8 @@ class Reproduce:
             work=partial(train_run, train, folder.run(run)),
             is_done=lambda: folder.summary(run) is not None,
         )
-        evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials, seed=run.seed)
+        evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials)
+        evaluate = replace(evaluate, seed=EVALUATION_SEED + run.seed)
         for group in GROUPS:
             of_group = replace(evaluate, objects=(group,), out=folder.evaluation(run, group))
             yield StudyCell(

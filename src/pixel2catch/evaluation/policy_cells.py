@@ -25,6 +25,7 @@ from pixel2catch.evaluation.stress import Axis, Level, Setting, part, together
 from pixel2catch.files import as_json, json_text
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
+from pixel2catch.reports import circumstances, provenance
 from pixel2catch.shipped import shipped_policies
 from pixel2catch.sim.factory import INELASTIC
 from pixel2catch.workcells import find_workcell
@@ -147,7 +148,10 @@ def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file
     workcell = find_workcell(cfg.task.scene.workcell)
     happened = vars(trials.record) | vars(trials)
     throws = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
-    content = origin | {"metrics": metrics(trials, workcell) | {"throws": throws}}  # texts of 0 and 1
+    of_row = {"seed": cfg.seed, **provenance(circumstances(), workcell.name)}
+    content = origin | {
+        "metrics": metrics(trials, workcell) | {"throws": throws} | of_row
+    }  # texts of 0 and 1
     write_files(file.parent, {file.name: json_text(content)})
 
 
