@@ -82,14 +82,6 @@ def test_the_file_is_taken_in_place_of_a_folder(file: Path, capsys: pytest.Captu
     assert json.loads(capsys.readouterr().out)["policy_sha256"] == sha256(file)
 
 
-@pytest.mark.slow
-def test_a_rehearsal_with_the_file(file: Path, tmp_path: Path) -> None:
-    args = ["--lockstep", "--plain", "--throws", "1", "--seed", "3", "--out", str(tmp_path / "report")]
-    assert main(["rehearse", str(file), *args]) == 0
-    report = json.loads((tmp_path / "report/report.json").read_text())
-    assert (report["success_rate"], report["problems"]) == (1.0, 0)
-
-
 def altered(file: Path, out: Path, **description: object) -> Path:
     """The file, with another contract."""
     model = onnx.load(file)

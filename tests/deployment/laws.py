@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from pixel2catch.servo.laws import entry
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import Fault, Mode
 from pixel2catch.servo.state import ServoInputs
 from pixel2catch.servo.tick import ServoState
-from pixel2catch.servo.workspace import Space, Workspace, is_inside
+from pixel2catch.servo.workspace import Workspace, note_inside
 
 ROUNDING = 1e-9
 ALLOWED = {
@@ -167,12 +166,6 @@ def widened(workspace: Workspace) -> Workspace:
 
 def contains(workspace: Workspace, arm_pos: np.ndarray) -> np.ndarray:
     """Return which rows of joints that carry palms [rad] are inside."""
-    return rows_inside(workspace.space, np.ascontiguousarray(arm_pos))
-
-
-@entry
-def rows_inside(space: Space, joint_pos: np.ndarray) -> np.ndarray:
-    found = np.empty(len(joint_pos), np.bool_)
-    for row in range(len(joint_pos)):
-        found[row] = is_inside(space, joint_pos[row])
+    found = np.empty(len(arm_pos), np.bool_)
+    note_inside(workspace.space, np.ascontiguousarray(arm_pos), found)
     return found

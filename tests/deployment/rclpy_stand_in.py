@@ -4,14 +4,12 @@ This file stands for each module of rclpy.
 """
 
 import inspect
-import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
 from functools import partialmethod
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -29,9 +27,7 @@ SignalHandlerOptions = Enum("SignalHandlerOptions", ["NO"])
 
 
 class Network:
-    """The nodes of one test, the delay of their messages [ns], and the newest security enclave."""
-
-    enclave: Path | None = None
+    """The nodes of one test, and the delay of their messages [ns]."""
 
     def __init__(self) -> None:
         self.broker, self.delay = Broker(), 0
@@ -148,14 +144,6 @@ class SingleThreadedExecutor:
 def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
     assert args == [], "else rclpy reads the command line"
     assert signal_handler_options is SignalHandlerOptions["NO"], "commands have their own handlers"
-    # The folder of keys that security takes from the environment. Source: ros2/rcl at 4396ba31,
-    # rcl/src/rcl/security.c, rcl_get_security_options_from_environment.
-    said = {name: os.environ.get(f"ROS_SECURITY_{name}") or "" for name in ("ENABLE", "STRATEGY", "KEYSTORE")}
-    name = os.environ.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or "/"
-    folder = Path(said["KEYSTORE"] or "/none", "enclaves", name[1:])
-    if said["ENABLE"] == "true" and said["STRATEGY"] == "Enforce" and not folder.is_dir():
-        raise RuntimeError(f"SECURITY ERROR: directory '{folder}' does not exist.")
-    context.network.enclave = folder if said["ENABLE"] == "true" and folder.is_dir() else None
 
 
 def try_shutdown(*, context: Context) -> None:

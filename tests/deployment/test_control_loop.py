@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import chain, repeat
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -139,15 +138,6 @@ def film(bench: LoopBench, num_images: int) -> Iterator[float]:
             around.show(picture(), age=0.015)
         bench.loop.poll()
         yield around.clock.now()
-
-
-def test_a_result_that_is_a_little_late_is_waited_for(around: Surroundings):
-    """All but one take 10 ms; that one 3 ms more, where the decision would have been made without it."""
-    took = chain(repeat(0.01, 40), (0.013,), repeat(0.01))
-    bench = LoopBench(around, lambda: next(took), remembering())
-    missed = [bench.loop.statistics.num_missed for _ in film(bench, 45)]
-    assert missed[-1] == missed[len(missed) // 2]
-    assert bench.loop.statistics.num_steps > 40
 
 
 def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings):

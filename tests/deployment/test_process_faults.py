@@ -57,15 +57,6 @@ def film() -> None:
             CLOCK.sleep_until(CLOCK.now() + CONTROL_DT)
 
 
-def simulate() -> None:
-    """A second laboratory: another twin, or one in the next room with the same ROS_DOMAIN_ID."""
-    with join("second laboratory", CLOCK) as transport:
-        lab = WireLab(transport, None, PROFILE, CLOCK)
-        while True:
-            lab.step()
-            CLOCK.sleep_until(CLOCK.now() + LIMITS.dt)
-
-
 class Site:
     """A laboratory in this process, with the processes around it."""
 
@@ -157,17 +148,9 @@ def without_camera(site: Site) -> Iterator[None]:
     site.start(film)
 
 
-@contextmanager
-def two_laboratories(site: Site) -> Iterator[None]:
-    site.start(simulate)
-    yield
-    site.kill(simulate)
-
-
 FAULTS = {
     without_camera: {"image stale"},
     suspended: {"policy late", "image stale"},
-    two_laboratories: {"status unknown", "other subscriber", "joints implausible", "other operator"},
     starved: {"clock", "joints stale", "policy late", "image stale", "dead man"},
 }
 """Faults, and the reasons for which the robot may be stopped; several come at the same time."""

@@ -229,15 +229,7 @@ def test_an_error_of_rclpy_is_reported(network: Network, monkeypatch):
             join("node", ROS, RealClock())
 
 
-def test_a_node_starts_in_the_security_enclave_of_the_environment(network: Network, monkeypatch, tmp_path):
-    for name, value in (("ENABLE", "true"), ("STRATEGY", "Enforce"), ("KEYSTORE", str(tmp_path))):
-        monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
-    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/pixel2catch")
-    with pytest.raises(DeploymentError, match=r"enclaves/pixel2catch.*ROS_SECURITY_ENCLAVE_OVERRIDE"):
-        join("node", ROS, RealClock())
-    enclave = tmp_path / "enclaves" / "pixel2catch"
-    enclave.mkdir(parents=True)
-    with join("node", ROS, RealClock()):
-        assert network.enclave == enclave
+def test_with_security_other_networks_are_refused(monkeypatch):
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     with pytest.raises(DeploymentError, match="neither signed nor encrypted: give --network ros"):
         join("node", ANY, RealClock())

@@ -1,6 +1,5 @@
 """Where the robot may be, against MuJoCo's own kinematics and collisions."""
 
-from dataclasses import replace
 from math import pi
 
 import mujoco
@@ -8,14 +7,11 @@ import numpy as np
 import pytest
 import torch
 from laws import contains
-from scipy.optimize import linprog
-from scipy.spatial.transform import Rotation
 
 from paper_robot import ARM_JOINTS, JOINTS
-from pixel2catch.robots.allegro import PALM
-from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
+from pixel2catch.robots.geometry import first_chain
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, are_apart, distance, link_frames
+from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, link_frames
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -105,20 +101,6 @@ def test_no_pose_inside_has_the_hand_near_its_own_arm(name: str):
     assert is_inside[400:][is_free[400:]].mean() > (0.98 if len(workcell.palms[0].spec.hand) == 1 else 0.9)
 
 
-def test_the_distance_of_a_segment_from_a_box():
-    """At most that of the nearest of 4,000 points, and at least 0.1 % of the length less."""
-    random = np.random.default_rng(8)
-    start, end = random.uniform(-1.0, 1.0, (2, 3, 200))
-    upper = random.uniform(0.05, 0.4, (3, 200))
-    points = start + np.linspace(0.0, 1.0, 4001)[:, None, None] * (end - start)
-    true = np.linalg.norm((np.abs(points) - upper).clip(0.0), axis=1).min(axis=0)
-    length = np.linalg.norm(end - start, axis=0)
-    ways = zip(np.stack((start, end)).transpose(2, 0, 1), upper.T, strict=True)
-    found = np.array([distance(ends, 0.0, 1.0, np.stack((-half, half))) for ends, half in ways])
-    assert (found <= true + 1e-12).all()
-    assert (found >= true - 2e-3 * length).all()
-
-
 def own_distance(model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray) -> float:
     """Distance between hand or last link, and forearm or upper arm [m]."""
     put(model, data, pose)
@@ -156,34 +138,3 @@ def test_walls_by_hand():
             workspace = Workspace(workcell=UR5E_ALLEGRO, lower=tuple(walls[0]), upper=tuple(walls[1]))
             assert contains(workspace, HOME).all() != is_moved
             walls[side, axis] = (0.434, 0.133, 1.391)[axis]
-
-
-def test_hand_and_table_are_apart_if_no_point_is_in_both():
-    """By a linear program: a point inside the six planes of table and box."""
-    workspace, random = Workspace(workcell=UR5E_ALLEGRO), np.random.default_rng(5)
-    middle = random.uniform((-0.7, -0.7, 0.6), (0.7, 0.7, 1.2), (300, 3))
-    rotation = Rotation.random(300, rng=random).as_matrix()
-    sides, hand_half = workspace.space.table, workspace.space.hands[0, 1]
-    poses = zip(middle, rotation, strict=True)
-    found = np.array([are_apart(sides, place, turn, hand_half) for place, turn in poses])
-    half = (np.array(PALM.upper) - np.array(PALM.lower)) / 2.0
-    for place, turn, is_clear in zip(middle, rotation, found, strict=True):
-        planes, at = np.vstack((turn.T, -turn.T)), turn.T @ place
-        table = sides.T.tolist()
-        answer = linprog(np.zeros(3), planes, np.concatenate((at + half, half - at)), bounds=table)
-        assert is_clear == (answer.status == 2)
-    assert 50 < found.sum() < 250
-
-
-def test_the_penalty_of_training_agrees_with_the_workspace():
-    """Training checks points and corners only: it finds most intrusions, and no others."""
-    random = np.random.default_rng(4)
-    arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
-    joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()
-    depth = WorkcellGeometry(UR5E_ALLEGRO).depth_in_table(joint_pos)[:, 0].numpy()
-    workspace = Workspace(workcell=UR5E_ALLEGRO, **ANYWHERE)
-    is_clear = contains(replace(workspace, clearance=TABLE_CLEARANCE), arm_pos)
-    is_low = ~is_clear & contains(workspace, arm_pos)  # not for the hand at its own arm
-    assert not (depth[is_clear] > 0.0).any()
-    assert is_low.sum() > 500
-    assert (depth[is_low] > 0.0).mean() > 0.9

@@ -15,7 +15,6 @@ from pixel2catch.identification.simulation import (
     step_commands,
 )
 from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics
-from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import TWO_UR5E_ALLEGRO, UR5E_ALLEGRO
 
 DT = 1.0 / 240.0
@@ -37,49 +36,6 @@ def held_steps(joints: tuple[str, ...], seconds: float = 0.8, size: float = 0.07
 
 def simulated(recording: Recording, dynamics: JointDynamics, dt: float = DT) -> np.ndarray:
     return RecordedMotion([recording], dt).simulate([dynamics])[0]
-
-
-def test_without_latency_and_filter_it_is_the_scene():
-    """The same commands in the whole scene, with the object far away, in steps of a sixteenth."""
-    recording, fine = held_steps(ALL), 16
-    model = build_model(SceneCfg(physics_hz=240))
-    model.opt.timestep = DT / fine
-    loss = model.dof_frictionloss[:19].copy()
-    model.dof_frictionloss[:19] = 0.0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
-    model.actuator_ctrllimited[:] = 0
-    data = mujoco.MjData(model)
-    data.qpos[:19] = HOME
-    friction = DryFriction(loss, model.dof_armature[:19], data.qpos[:19], model.opt.timestep)
-    path = [HOME]
-    for _ in range(fine * (len(recording.t_meas) - 1)):
-        data.ctrl[:] = recording.held(np.array([data.time]))[0]
-        data.qfrc_applied[:19] = friction.torque(data.qpos[:19])
-        mujoco.mj_step(model, data)
-        path.append(data.qpos[:19].copy())
-    result = simulated(recording, JointDynamics.nominal(ALL))
-    expected = np.array(path[::fine])[-len(result) :]
-    assert np.ptp(result, axis=0).min() > 0.01
-    assert np.sqrt(np.mean((result - expected) ** 2, axis=0)).max() < 5e-4
-
-
-def test_a_torque_limit_bounds_the_acceleration():
-    """A step of 3 rad of the elbow: 150 N·m on an inertia of at least its own armature."""
-    elbow = JointDynamics.nominal(["elbow_joint"]).with_values(damping=1e-3, armature=50.0, frictionloss=0.0)
-    t_meas = np.arange(0.0, 0.71, DT)
-    t_cmd = np.array((0.0, 0.1))
-    recording = Recording(
-        joints=("elbow_joint",),
-        t_cmd=t_cmd,
-        q_cmd=np.array(((2.0,), (5.0,))),
-        t_meas=t_meas,
-        q=np.full((len(t_meas), 1), 2.0),
-    )
-    time = t_meas[-len(simulated(recording, elbow)) :] - 0.1
-    moved = simulated(recording, elbow)[:, 0] - 2.0
-    free = 0.5 * 150.0 / 50.0 * time**2
-    assert (moved < free).all()
-    np.testing.assert_allclose(moved, free, rtol=0.1)
 
 
 def test_the_time_step_hardly_matters():
