@@ -21,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
 
 $(READY): $(PINS)
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make setup PYTHON=python3.12")'
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "Python 3.11 to 3.13 is needed: make setup PYTHON=python3.12")'
 	@echo "Setting up $(VENV) from the pinned versions, PyTorch: $(TORCH) (one to three minutes) ..."
 	@$(PYTHON) -m venv --clear $(VENV)
 ifneq ($(TORCH),default)

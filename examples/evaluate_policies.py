@@ -1,4 +1,4 @@
-"""Evaluate a policy in Python, and under a disturbance of one's own.
+"""Evaluate a policy in Python, and under a disturbance of your own.
 
 python examples/evaluate_policies.py
 pixel2catch stress --axes nominal heavy --import examples/evaluate_policies.py

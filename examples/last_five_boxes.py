@@ -1,4 +1,4 @@
-"""The last five boxes as an observation, by a term of one's own.
+"""The last five boxes as an observation, by a term of your own.
 
     python examples/last_five_boxes.py
     pixel2catch evaluate runs/five_boxes --import examples/last_five_boxes.py

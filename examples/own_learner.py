@@ -1,4 +1,4 @@
-"""A network and a learner of one's own, with the Gymnasium view: policy gradients by hand.
+"""A network and a learner of your own, with the Gymnasium view: policy gradients by hand.
 
 python examples/own_learner.py
 """

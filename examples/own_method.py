@@ -1,7 +1,7 @@
-"""A method of one's own: a single agent that sees the box's size and the age of the image, no centre.
+"""A method of your own: a single agent that sees the box's size and the age of the image, no centre.
 
 pixel2catch train size_and_age --import examples/own_method.py --out runs/size
-pixel2catch evaluate runs/size      # all of its terms are the package's: no file is needed any more
+pixel2catch evaluate runs/size      # all of its terms are the package's: no file is needed
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ size_and_age = p2c.Method(name="size_and_age", agents=(agent,), pixel_features=(
 
 
 def main(out: Path = Path("runs/size"), transitions: int = 1_000_000, num_envs: int = 256) -> None:
-    """Train it with networks of one's own size."""
+    """Train it with networks of your own size."""
     result = p2c.train(size_and_age, out, transitions=transitions, num_envs=num_envs, hidden=(64, 64))
     print(result.status, p2c.load_policy(out).contract.method)
 

@@ -1,4 +1,4 @@
-"""Objects of one's own: a bottle of two shapes, and a cup from a mesh file that this script writes.
+"""Objects of your own: a bottle of two shapes, and a cup from a mesh file that this script writes.
 
 python examples/own_object.py
 pixel2catch evaluate --objects bottle --import examples/own_object.py

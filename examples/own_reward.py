@@ -1,4 +1,4 @@
-"""A reward term of one's own: the faster a held object still moves, the more it costs.
+"""A reward term of your own: the faster a held object still moves, the more it costs.
 
 python examples/own_reward.py
 pixel2catch train gentle --import examples/own_reward.py    # the same, with all options of the command

@@ -1,4 +1,4 @@
-"""A robot of one's own: the paper's arm and hand, 10 cm nearer to the thrower.
+"""A robot of your own: the paper's arm and hand, 10 cm nearer to the thrower.
 
     pixel2catch train catch_teacher --workcell examples/own_robot.py --out runs/nearer
     pixel2catch evaluate runs/nearer --import examples/own_robot.py

@@ -1,4 +1,4 @@
-"""From an MJCF of one's own to a policy: its joints, its palm, a place, a training (docs/extending/robot.md).
+"""From an MJCF of your own to a policy: its joints, its palm, a place, a training (docs/extending/robot.md).
 
 pixel2catch train catch_teacher --workcell examples/robot_from_mjcf.py --out runs/scoop
 pixel2catch play runs/scoop --import examples/robot_from_mjcf.py
