@@ -29,7 +29,9 @@ LINK = re.compile(r"\[([^\[\]]*)\]\(([^)#:\s]+)(#[^)]*)?\)")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the pages of the reference into the navigation."""
+    """Put the pages of the reference into the navigation, and a menu of versions if mike builds the site."""
+    if "MIKE_DOCS_VERSION" in os.environ:
+        config.extra["version"] = {"provider": "mike"}
     for entry in config.nav or []:
         if REFERENCE in entry:
             entry[REFERENCE] += [{name: f"reference/{name}.md"} for name in parts()]
@@ -54,7 +56,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside docs/ lead to their copies; folders are named without a link."""
+    """Let links to files outside docs/ lead to their copies; folders are named without a link.
+
+    Search finds pages for readers before the reference and those copies.
+    """
+    if page.file.src_uri.startswith(("reference/", f"{OUTSIDE}/")):
+        page.meta["search"] = {"boost": 0.001}
     if not page.file.abs_src_path:
         return markdown
     folder = Path(page.file.abs_src_path).parent

@@ -131,7 +131,7 @@ LEAST_FALL = 0.05  #: Least height at the aim of the straight line of an elevati
 def peak_of_elevation(
     pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], elevation: float
 ) -> Float[Tensor, " num_envs"]:
-    """Return the peak height of the path from `pos` to `aim` that begins at an elevation [rad] [m]."""
+    """Return the peak height [m] of the path from `pos` to `aim` that begins at an elevation [rad]."""
     rise = torch.linalg.vector_norm(aim[:, :2] - pos[:, :2], dim=-1) * tan(elevation)
     fall = (rise + pos[:, 2] - aim[:, 2]).clamp(min=LEAST_FALL)
     return pos[:, 2] + rise.square() / (4.0 * fall)
