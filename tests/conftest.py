@@ -82,7 +82,6 @@ def counted(function: Callable[..., Any], most: int) -> Callable[..., Any]:
 
 
 def pytest_runtest_setup() -> None:
-    """Check shapes anew."""
     config.update("jaxtyping_disable", False)
     CALLS.clear()
 

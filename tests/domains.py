@@ -48,7 +48,6 @@ def _is_quiet(domain: int) -> bool:
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return free.getsockname()[1]

@@ -23,7 +23,6 @@ class FileCounter:
     """
 
     def __init__(self) -> None:
-        """Start with no file, switched off."""
         self._codes: dict[CodeType, bool] = {}
 
     @contextmanager

@@ -31,30 +31,6 @@ def observations(scale: float = 1.0) -> dict[str, torch.Tensor]:
     return {name: scale * torch.randn(5, agent.num_inputs) for name, agent in CONTRACT.agents.items()}
 
 
-def test_action_by_hand() -> None:
-    """One input 7 with mean 3 and deviation 2 is 2; ELU(0.5 * 2 - 3) = e^-2 - 1; times -0.5 plus 0.25."""
-    contract = dataclasses.replace(
-        CONTRACT,
-        agents={
-            "arm": dataclasses.replace(
-                CONTRACT.agents["arm"], observation=(("x", 1),), joints=("elbow_joint",)
-            )
-        },
-    )
-    policy = Policy(contract, hidden=(1,))
-    network = policy.network("arm")
-    network.input_mean.fill_(3.0)
-    network.input_std.fill_(2.0)
-    for parameter, value in zip(network.parameters(), (0.5, -3.0, -0.5, 0.25), strict=True):
-        torch.nn.init.constant_(parameter, value)
-    act = policy.act({"arm": torch.tensor([[7.0], [1e9], [-1e9]])})["arm"][:, 0]
-    clipped = [0.5 * 5 - 3, 0.5 * -5 - 3]
-    expected = [-0.5 * (torch.tensor(x).exp() - 1) + 0.25 for x in (-2.0, *clipped)]
-    torch.testing.assert_close(act, torch.tensor(expected))
-    torch.nn.init.constant_(list(network.parameters())[-1], 10.0)
-    assert policy.act({"arm": torch.zeros(2, 1)})["arm"].tolist() == [[1.0], [1.0]]
-
-
 def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
     policy.save(tmp_path / "run/policy")
     loaded = Policy.load(tmp_path / "run/policy")

@@ -102,16 +102,6 @@ def test_a_camera_that_turns_to_the_left_moves_everything_right():
     assert abs(moved[1]) < 0.02
 
 
-def test_turning_about_the_optical_axis_keeps_its_point_and_turns_the_others():
-    """A turn there and back is none."""
-    turn = 0.02 * FORWARD[None]
-    camera, beside = NOMINAL.turned(turn), ahead(2.0) + 0.5 * RIGHT
-    assert shift(camera, ahead(2.0)) == pytest.approx([0.0, 0.0], abs=1e-4)
-    expected = RGB_CAMERA.fy * 0.5 / 2.0 * -torch.sin(torch.tensor(0.02)).item()
-    assert shift(camera, beside)[1] == pytest.approx(expected, rel=1e-3)
-    torch.testing.assert_close(camera.turned(-turn).matrix[0], NOMINAL.matrix)
-
-
 def test_a_longer_focal_length_scales_about_the_principal_point():
     point = ahead(2.0) + 0.3 * RIGHT + torch.tensor([0.0, 0.0, 0.2])
     zoomed = NOMINAL.zoomed(torch.tensor([1.05], dtype=torch.float64), RGB_CAMERA).moved(torch.zeros(1, 3))

@@ -38,7 +38,6 @@ class CameraLab(WireLab):
         self.mend()
 
     def mend(self) -> None:
-        """End all faults."""
         self.silent, self.is_held, self.is_object_there, self.jump = set(), True, True, 0.0
         self.frozen: np.ndarray | None = None
         self.send_status()
@@ -47,7 +46,6 @@ class CameraLab(WireLab):
         self._prompts.publish(messages.text(json.dumps({"box": BOX})))
 
     def step(self) -> None:
-        """See `WireLab.step`."""
         super().step()
         if self._num_steps % IMAGE_TICKS == 0 and "camera" not in self.silent:
             self._stamp = max(self._stamp + 1e-3, self.clock.stamp() - AGE)

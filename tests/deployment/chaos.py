@@ -39,7 +39,6 @@ class Chaos:
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
     def inputs(self) -> ServoInputs:
-        """Return the inputs of the next tick."""
         self.time = self.time + self.limits.dt * self.random.uniform(0.5, 1.5, self.rows)
         self._decide()
         self._send()

@@ -45,7 +45,6 @@ class Laws:
         self.reached: dict[str, float] = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
 
     def check(self, inputs: ServoInputs, output: ServoState) -> None:
-        """Check a tick."""
         with np.errstate(invalid="ignore", over="ignore"):
             self._check_modes(inputs, output)
             self._check_faults(inputs, output)
@@ -74,7 +73,6 @@ class Laws:
         np.testing.assert_array_equal(output["stopped_by"] != 0, output["mode"] == Mode.STOPPED)
 
     def _check_faults(self, inputs: ServoInputs, output: ServoState) -> None:
-        """Check that no active row has a fault."""
         limits, now = self.limits, inputs.now
         joint_age = now[:, None] - inputs.joint_stamp
         is_well = (
@@ -154,7 +152,6 @@ class Laws:
 
 
 def widened(workspace: Workspace) -> Workspace:
-    """Return the workspace with a margin for rounding."""
     lower, upper = np.array(workspace.lower) - ROUNDING, np.array(workspace.upper) + ROUNDING
     return Workspace(
         workcell=workspace.workcell,
@@ -165,7 +162,6 @@ def widened(workspace: Workspace) -> Workspace:
 
 
 def contains(workspace: Workspace, arm_pos: np.ndarray) -> np.ndarray:
-    """Return which rows of joints that carry palms [rad] are inside."""
     found = np.empty(len(arm_pos), np.bool_)
     note_inside(workspace.space, np.ascontiguousarray(arm_pos), found)
     return found

@@ -47,8 +47,6 @@ def picture(box: Edges | None = BOX) -> np.ndarray:
 
 
 class EverythingRed(ColorThreshold):
-    """Finds everything that is red."""
-
     def find(
         self, image: Pixels, motion: Any = None, prompt: Any = None, interval: float = 1.0
     ) -> Segmentation:

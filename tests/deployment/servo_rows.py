@@ -29,12 +29,10 @@ FALSE = (
 
 
 def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
-    """Return a fault: some inputs are replaced."""
     return lambda good: replace(good, **change)
 
 
 def noisy(good: ServoInputs) -> ServoInputs:
-    """Add the noise of encoders."""
     noise = 1e-5 * np.random.default_rng(int(1e4 * good.now[0])).standard_normal(good.joint_pos.shape)
     return replace(good, joint_pos=good.joint_pos + noise)
 
@@ -94,7 +92,6 @@ class Lab:
         self.joint_pos += np.where(self.is_held_fast, 0.0, share * (command - self.joint_pos))
 
     def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> ServoState:
-        """Tick for a time [s]."""
         for _ in range(round(seconds / self.limits.dt) - 1):
             self.tick(distort)
         return self.tick(distort)
@@ -105,7 +102,6 @@ class Lab:
         return self.request_arm()
 
     def request_arm(self) -> ServoState:
-        """Press the switch, and tick with a request to arm."""
         self.pressed = self.time
         return self.tick(lambda good: replace(good, arm_stamp=good.now))
 
@@ -128,22 +124,18 @@ ELBOW = np.arange(len(JOINTS)) == 2
 
 
 def aged(seconds: float) -> Callable[[ServoInputs], np.ndarray]:
-    """Return an older stamp."""
     return lambda good: good.now - seconds
 
 
 def elbow(value: float, field: str) -> Callable[[ServoInputs], np.ndarray]:
-    """Return a value for the elbow only."""
     return lambda good: np.where(ELBOW, value, getattr(good, field))
 
 
 def finger(value: float) -> Callable[[ServoInputs], np.ndarray]:
-    """Return a position for one finger joint."""
     return lambda good: np.where(np.arange(len(JOINTS)) == 8, value, good.joint_pos)
 
 
 def always(value: float | bool) -> Callable[[ServoInputs], np.ndarray]:
-    """One value in every row."""
     return lambda good: np.full(len(good.now), value)
 
 

@@ -19,7 +19,6 @@ from pixel2catch.workcells import find_workcell
 
 
 def interpreted(limits: Limits, *arrays: np.ndarray) -> None:
-    """Run `tick_all` in Python."""
     own_limits = Limits(limits.robot.view(np.recarray), limits.joints.view(np.recarray), limits.space)
     with np.errstate(all="ignore"):
         tick_all.python(
@@ -66,7 +65,6 @@ def law(value): return factor() * value
 
 
 def write_law(folder: Path, factor: float) -> None:
-    """Write a law that calls a function of another file."""
     (folder / "callee.py").write_text(f"def factor(): return {factor}\n")
     (folder / "law.py").write_text(LAW)
 

@@ -52,7 +52,6 @@ class LoopBench:
         self._prompts.publish(messages.text(text))
 
     def step(self) -> dict[str, Any]:
-        """Run until the next status."""
         statuses = list[dict[str, Any]]()
         self.loop.run(lambda: bool(statuses), statuses.append)
         return statuses[0]

@@ -46,7 +46,6 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
 
 
 def shipped() -> Any:
-    """The content of a shipped profile."""
     return yaml.safe_load((PROFILES / "ur5e_allegro_v4.yaml").read_text(encoding="utf-8"))
 
 

@@ -267,7 +267,6 @@ Distort = Callable[[ServoInputs], ServoInputs]
 
 
 def measured(change: Callable[[np.ndarray], np.ndarray]) -> Distort:
-    """Return a fault: the measured positions (rows, joints) are changed."""
     return lambda good: replace(good, joint_pos=change(good.joint_pos))
 
 

@@ -23,18 +23,14 @@ def silence(*names: str) -> Callable[[Stage], None]:
 
 
 def sets(name: str, value: Any) -> Callable[[Stage], None]:
-    """Return a fault: the laboratory has another value."""
     return lambda stage: setattr(stage.lab, name, value)
 
 
 def joints(change: Callable[[messages.JointReading], messages.JointReading]) -> Callable[[Stage], None]:
-    """Return a fault: joint states are changed."""
     return sets("change", change)
 
 
 def sends(name: str, data: bytes) -> Callable[[Stage], None]:
-    """Return a fault: driver or operator send a message."""
-
     def say(stage: Stage) -> None:
         profile = stage.lab.profile
         owner = profile.operator if hasattr(profile.operator, name) else profile.status
@@ -68,7 +64,6 @@ def without_elbow(reading: messages.JointReading) -> messages.JointReading:
 
 
 def with_2000_joints(reading: messages.JointReading) -> messages.JointReading:
-    """Return a joint state with 2,000 more joints."""
     others = tuple(f"joint_{i}" for i in range(2000))
     position = np.concatenate((reading.position, np.zeros(len(others))))
     return replace(reading, names=(*reading.names, *others), position=position)

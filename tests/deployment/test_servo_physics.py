@@ -21,8 +21,6 @@ SWING = np.array([0.5, 0.3, 0.3, 0.5, 0.5])
 
 
 class PhysicalLab(Lab):
-    """A lab whose robot is simulated."""
-
     def __init__(self, robot: SimulatedLab) -> None:
         super().__init__(limits=replace(LIMITS, dt=1.0 / PHYSICS_HZ))
         self._robot = robot

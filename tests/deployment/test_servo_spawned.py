@@ -43,8 +43,6 @@ def join(name: str, clock: RealClock) -> Transport:
 
 @dataclass
 class Running:
-    """A laboratory with a servo process."""
-
     lab: WireLab
     loop: LoopEnd
     clock: RealClock

@@ -50,7 +50,6 @@ class WireLab:
         self.send(self.profile.operator.arm, messages.boolean(True))
 
     def send_status(self) -> None:
-        """Send the status of a robot that runs its program."""
         status = self.profile.status
         self.send(status.safety_mode, messages.safety_mode(1))
         self.send(status.robot_mode, messages.robot_mode(7))
@@ -100,7 +99,6 @@ class WireLab:
 
 
 def taken(reading: messages.JointReading, places: list[int]) -> messages.JointReading:
-    """Return these places of a reading."""
     names = tuple(reading.names[place] for place in places)
     return replace(reading, names=names, position=reading.position[places])
 
@@ -139,7 +137,6 @@ class Stage:
 
     @property
     def modes(self) -> list[int]:
-        """Return the modes in order."""
         return [mode for mode, _ in groupby(command.mode for command in self.lab.ticks)]
 
     @property

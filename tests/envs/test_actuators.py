@@ -219,12 +219,6 @@ def test_what_arrives_is_the_mean_of_the_delayed_ramp_over_the_step(latency):
         np.testing.assert_allclose(arrived[:, j], mean, atol=1e-6)
 
 
-def test_a_command_by_hand():
-    """It rises from 0 to 1 in the third step: its mean over the step about that one's beginning is 1/8."""
-    rise = np.repeat(np.array((0.0, 0.0, 0.0, 1.0, 1.0, 1.0))[:, None], 2, axis=1)
-    np.testing.assert_allclose(passed(DIRECT, rise)[:, 0], (0.0, 0.0, 0.125, 0.875, 1.0))
-
-
 def test_step_response_of_the_filter_is_the_analytic_one():
     """A damped oscillator, ω² = gain and 2ζω = gain · lookahead, from rest to 1."""
     transition = torch.tensor(filter_transition(FILTERED, DT))

@@ -9,8 +9,6 @@ from torch import Tensor
 
 from paper_robot import JOINTS
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg
-from pixel2catch.mdp.control_step import History
-from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
@@ -159,24 +157,6 @@ def test_snapshots_do_not_follow_the_simulation():
     list(rollout(env, 8, action=-1.0))
     env.reset()
     assert all(torch.equal(value, copy) for value, copy in zip(snapshots, copies, strict=True))
-
-
-@pytest.mark.parametrize("name", ["journal", "catch+fit", "without_pf+age"])
-def test_recorded_measurements_give_the_observations_again(name):
-    """What a deployment needs: measurements of the robot alone determine what the policy sees."""
-    method = find_method(name)
-    env = CatchEnv(replace(CatchEnvCfg(), episode=EpisodeCfg(max_steps=7)), method, num_envs=2, seed=5)
-    history = None
-    for step in rollout(env, 21, action=0.2):
-        now = clone(step.measurement)
-        if step.terminated.all():
-            history = History(now, now, now)
-        elif history is not None:
-            history = History(history.before, history.now, now)
-        if history is not None:
-            for agent, again in observe(method.layouts, history).items():
-                assert torch.equal(again, step.observation.policy[agent])
-    assert history is not None
 
 
 def test_every_object_is_thrown_without_nan():

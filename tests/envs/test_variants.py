@@ -88,20 +88,6 @@ def test_impossible_variants_are_refused():
         replace(PLAIN, variants=(replace(FAR, sensing=replace(FAR.sensing, corner_noise=4.0)),))
 
 
-def test_a_task_without_variants_draws_what_it_drew_for_published_results():
-    """Seed 0 of the task of the paper."""
-    episode = draw(PLAIN, 6)
-    assert (episode.camera_errors, episode.drag) == (None, None)
-    assert not episode.command_delay.any()
-    assert episode.parameters.object_id.tolist() == [2, 3, 2, 5, 5, 2]
-    assert episode.parameters.latency.tolist() == [2.0, 1.0, 2.0, 1.0, 1.0, 1.0]
-    assert episode.throw.hover_steps.tolist() == [19, 16, 14, 5, 14, 13]
-    masses = torch.tensor([0.9963, 0.6320, 0.9901, 1.1323, 0.5223, 1.0185])
-    torch.testing.assert_close(episode.parameters.mass_scale, masses, atol=1e-4, rtol=0)
-    velocity = torch.tensor([-2.5220227, -0.2103456, 4.0070186])
-    torch.testing.assert_close(episode.throw.lin_vel[0], velocity, atol=1e-6, rtol=0)
-
-
 def test_episodes_that_are_of_no_variant_are_those_of_the_task_alone():
     cfg = TASKS["wide"]
     plain, mixed = draw(PLAIN, 200), draw(cfg, 200)

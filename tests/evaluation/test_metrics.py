@@ -49,13 +49,6 @@ def five_trials() -> Trials:
     )
 
 
-def test_wilson_interval_by_hand():
-    """8 of 10: (0.8 + 3.8415 / 20) / 1.38415 = 0.71674, plus or minus 1.96 sqrt(0.016 + 0.0096) / 1.38415."""
-    low, high = wilson_interval(8, 10)
-    assert low == pytest.approx(0.4902, abs=1e-4)
-    assert high == pytest.approx(0.9433, abs=1e-4)
-
-
 def test_intervals_and_p_values_are_those_of_scipy():
     for trials in (1, 2, 7, 100, 4096):
         for successes in {0, 1, trials // 3, trials // 2, trials - 1, trials}:

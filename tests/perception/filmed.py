@@ -101,12 +101,10 @@ CAMERA = replace(RGB_CAMERA, width=WIDTH, height=HEIGHT, cx=WIDTH / 2, cy=HEIGHT
 
 
 def save_labels(path: Path, labels: Labels) -> None:
-    """Write a label file of this package's own format."""
     path.write_text(json_text({"format_version": FORMAT_VERSION, **asdict(labels)}))
 
 
 def throw() -> Iterator[Pixels]:
-    """The throw, image by image."""
     return images((DISC,), len(PATH))
 
 

@@ -67,6 +67,5 @@ def tiny_config() -> Sam2VideoConfig:
 
 
 def random_images(count: int, seed: int = 0) -> list[np.ndarray]:
-    """Images of noise."""
     generator = np.random.default_rng(seed)
     return list(generator.integers(0, 256, (count, HEIGHT, WIDTH, 3), dtype=np.uint8))

@@ -24,7 +24,6 @@ DH = (
 
 
 def rotation(axis: str, angle: float) -> np.ndarray:
-    """Homogeneous rotation about a coordinate axis."""
     c, s = cos(angle), sin(angle)
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(4)
@@ -33,7 +32,6 @@ def rotation(axis: str, angle: float) -> np.ndarray:
 
 
 def translation(x: float, y: float, z: float) -> np.ndarray:
-    """Homogeneous translation."""
     matrix = np.eye(4)
     matrix[:3, 3] = (x, y, z)
     return matrix
@@ -80,12 +78,10 @@ def random_positions() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    """The scene with the left hand."""
     return build_model(SceneCfg())
 
 
 def place(model: mujoco.MjModel, joint_pos: np.ndarray) -> mujoco.MjData:
-    """Data with the robot in this position."""
     data = mujoco.MjData(model)
     data.qpos[:19] = joint_pos
     mujoco.mj_kinematics(model, data)
@@ -93,7 +89,6 @@ def place(model: mujoco.MjModel, joint_pos: np.ndarray) -> mujoco.MjData:
 
 
 def site_pose(data: mujoco.MjData, name: str) -> np.ndarray:
-    """Homogeneous pose of a site."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = data.site(name).xmat.reshape(3, 3), data.site(name).xpos
     return pose

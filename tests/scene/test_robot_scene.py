@@ -18,7 +18,6 @@ LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint 
 
 @pytest.fixture(scope="module", params=["ur5e_allegro", "ur5e_allegro_right"])
 def model(request) -> mujoco.MjModel:
-    """The scene with either hand."""
     return build_model(SceneCfg(workcell=request.param))
 
 

@@ -47,8 +47,9 @@ class Double:
             for name, joints in topics.items()
         ]
         if self.kind == messages.FLOAT_ARRAY and distribution != "humble":
-            self._activity = self.publisher(f"{self.manager}/activity", messages.ACTIVITY, is_latched=True)
-            self.activate("joint_state_broadcaster", *(name.split("/")[1] for name in topics))
+            activity = self.publisher(f"{self.manager}/activity", messages.ACTIVITY, is_latched=True)
+            active = ("joint_state_broadcaster", *(name.split("/")[1] for name in topics))
+            activity.publish(messages.activity(dict.fromkeys(active, messages.ACTIVE), 0.0))
 
     def commands(self, side: str) -> dict[str, list[str]]:
         """The joints of a command by its topic."""
@@ -56,9 +57,6 @@ class Double:
 
     def publisher(self, name: str, kind: str, *, is_latched: bool = False) -> Publisher:
         return self.node.publisher(Topic(name=name, type=kind, is_latched=is_latched))
-
-    def activate(self, *controllers: str) -> None:
-        self._activity.publish(messages.activity(dict.fromkeys(controllers, messages.ACTIVE), 0.0))
 
     def step(self) -> None:
         """Run a cycle, if one is due."""
@@ -200,28 +198,25 @@ class Fr3(Double):
 class RealSense:
     """The colour stream: rgb8 at 30 Hz, reliable and volatile; image, then lens, with one stamp.
 
-    The stamp is the frame's time in the clock of this machine (global time), or its arrival without kernel
-    metadata: both are `late` after the middle of the exposure. Each topic is sent only to subscribers.
+    Each topic is sent only to subscribers.
     """
 
-    period, transfer = 1.0 / 30.0, 0.02  #: The image is sent so long after the middle of its exposure [s].
+    period, age = 1.0 / 30.0, 0.008  #: Time between images, and their age by their stamps [s].
 
-    def __init__(self, broker: Broker, clock: Clock, late: float = 0.012) -> None:
-        """Start with noise that differs from image to image; stamps are `late` [s]."""
-        node, self.clock, self.late = broker.node(clock), clock, late
+    def __init__(self, broker: Broker, clock: Clock) -> None:
+        node, self.clock = broker.node(clock), clock
         self._image, self._info = (
             node.publisher(Topic(name=f"/camera/camera/color/{name}", type=kind))
             for name, kind in (("image_raw", messages.IMAGE), ("camera_info", messages.CAMERA_INFO))
         )
-        self.exposure = clock.now()  #: Middle of the newest exposure that was sent [s].
+        self._due = clock.now()
         self._rng, self._shape = np.random.default_rng(0), (RGB_CAMERA.height, RGB_CAMERA.width, 3)
 
     def step(self) -> None:
         """Send the image that is due."""
-        if self.clock.now() < self.exposure + self.period + self.transfer - 1e-9:
+        if self.clock.now() < self._due - 1e-9:
             return
-        self.exposure += self.period
-        stamp = self.clock.stamp() - (self.clock.now() - self.exposure) + self.late
+        self._due, stamp = self._due + self.period, self.clock.stamp() - self.age
         if self._image.num_subscribers():
             pixels = np.full(self._shape, self._rng.integers(256), dtype=np.uint8)
             self._image.publish(messages.image(pixels, stamp))

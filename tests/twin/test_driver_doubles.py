@@ -12,11 +12,9 @@ from driver_doubles import AllegroV4, Double, Fr3, RealSense, UrArms
 
 from pixel2catch.deployment.control_loop import StepClock, SteppedServo
 from pixel2catch.deployment.laboratory import Survey, commands, images, joint_states
-from pixel2catch.deployment.perception import ImageSubscriber
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Command, Fault, JointTargets, Mode
 from pixel2catch.servo.process import ServoSetup
@@ -152,30 +150,6 @@ def test_the_survey_finds_the_drivers_as_the_profile_says(cell: Cell):
         assert "Hz" in joint_states(survey, part, age)
         assert "one driver" in commands(survey, part)
     assert images(survey, cell.profile, cell.limits.image_age).startswith("640 x 480 rgb8, 30.0 Hz")
-
-
-@pytest.mark.parametrize("late", [0.004, 0.015])
-def test_the_stated_offset_of_a_cameras_stamps_gives_the_middle_of_the_exposure(late: float):
-    clock, broker, profile = StepClock(lambda _: None), Broker(), Profile.load("ur5e_allegro_v4").camera
-    clock.time, camera = 1000.0, RealSense(broker, clock, late)
-    right, uncorrected = (
-        ImageSubscriber(broker.node(clock), replace(profile, stamp_offset=offset), RGB_CAMERA, clock)
-        for offset in (late, 0.0)
-    )
-    for _ in range(5):
-        clock.time += camera.period
-        camera.step()
-        assert (right.newest() is None, right.problem) == (False, "")
-        assert uncorrected.newest()
-        assert right.stamp == pytest.approx(camera.exposure, abs=1e-6)
-        assert uncorrected.stamp == pytest.approx(camera.exposure + late, abs=1e-6)
-
-
-@of("jazzy", "two")
-def test_an_inactive_controller_of_a_hand_stops_the_robot(cell: Cell):
-    cell.arm()
-    cell.hand.activate()
-    assert Fault(cell.run(0.3).stopped_by) == Fault.CONTROLLER
 
 
 @of("fr3")

@@ -70,8 +70,6 @@ def test_a_halted_arm_slows_down_by_4_rad_per_second_squared_until_it_is_reset(a
 
 
 class SlowCamera(CameraDriver):
-    """Draws images on request."""
-
     def __init__(self, clock_error: float = 0.0) -> None:
         super().__init__(self._begin, clock_error)
         self.begun: list[Future[Pixels]] = []

@@ -25,15 +25,12 @@ CUBE = ThrowOrder(policy="catch_alone+fit", objects="cube_s")
 
 
 class Visited:
-    """A page that runs."""
-
     def __init__(self, pool: ThreadPoolExecutor) -> None:
         self.page = PlayPage(PageCfg(address=f"127.0.0.1:{free_port()}"), ThrowPlayer(), CUBE, seed=3)
         self.page.playback.set(speed=100.0)  # as fast as it goes
         self.playing: Future[None] = pool.submit(self.page.run)
 
     def wait_for(self, is_true: Callable[[], Any]) -> None:
-        """Wait until something is true, while the page plays."""
         end = time.monotonic() + PATIENCE
         while not is_true():
             assert not self.playing.done(), self.playing.exception()
