@@ -96,7 +96,6 @@ def test_another_contract_is_refused_by_its_field(file: Path, tmp_path: Path) ->
     for change, message in (
         ({"format_version": 99}, "'format_version' is 99"),
         ({"colour": "red"}, "colour"),
-        ({"recurrent": 7}, "GRU"),
         ({"agents": agents}, "agents.robot"),
     ):
         with pytest.raises(PolicyMismatchError, match=message):

@@ -62,15 +62,6 @@ def test_a_mismatch_names_the_fields() -> None:
         assert word not in str(error.value)
 
 
-def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, tmp_path: Path) -> None:
-    """Its file may also say that its networks have no recurrent unit."""
-    policy.save(tmp_path)
-    text = json.loads((tmp_path / "policy.json").read_text())
-    assert text.pop("task") == "nominal"
-    rewrite(tmp_path, json.dumps(text | {"recurrent": 0}))
-    assert Policy.load(tmp_path).contract == CONTRACT
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -78,7 +69,6 @@ def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, 
         ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
         ({"hidden": None}, "field 'hidden' is missing"),
-        ({"recurrent": 16}, r"'recurrent' is 16: .* \(GRU\) .* revision \w+ reads them"),
         ({"hidden": [8, 9]}, r"agents.arm.network.2.weight: .* torch.Size\(\[9, 8\]\)"),
     ],
 )

@@ -1,15 +1,11 @@
-"""Checks of an installation or a laboratory, and install commands by the way this package was installed."""
+"""Checks of an installation or a laboratory, and install commands."""
 
 import importlib.metadata
 import importlib.util
-import json
-import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from urllib.parse import unquote, urlparse
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -20,26 +16,9 @@ PACKAGE = "pixel2catch"
 
 
 def install_command(extra: str = "") -> str:
-    """Return the command that installs this package with an extra from its origin.
-
-    The origin is a folder, a wheel, a repository or the package index.
-    """
+    """Return the command that installs this package, or the packages of an extra."""
     program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
-    try:
-        text = importlib.metadata.distribution(PACKAGE).read_text("direct_url.json")
-    except importlib.metadata.PackageNotFoundError:  # this source on the path
-        text = json.dumps({"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}})
-    return f"{program} {requirement(json.loads(text or '{}'), extra)}"
-
-
-def requirement(origin: dict, extra: str) -> str:
-    """Return the requirement for an origin in PEP 610 form (empty: the index), quoted for a shell."""
-    extras, url = f"[{extra}]" if extra else "", origin.get("url", "")
-    if origin.get("dir_info", {}).get("editable"):
-        return f"-e {shlex.quote(unquote(urlparse(url).path) + extras)}"
-    if "vcs_info" in origin:
-        url = f"{origin['vcs_info']['vcs']}+{url}"
-    return shlex.quote(f"{PACKAGE}{extras}{f' @ {url}' if url else ''}")
+    return f"{program} '{PACKAGE}[{extra}]'" if extra else f"{program} {PACKAGE}"
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import torch
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.console import prepare
 from pixel2catch.cli.fields import HIDDEN
-from pixel2catch.cli.main import main, parse
+from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.learning.config import TrainCfg
@@ -104,17 +104,34 @@ def test_bench_splits_a_training_into_its_parts(tmp_path: Path):
     assert row["rss_bytes"] > 1e8 > row["device_bytes"]
 
 
+def help_of(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    with pytest.raises(SystemExit) as ending:
+        main([*args])
+    assert ending.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_help_is_short(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    lines = help_of(capsys, "--help").splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("  ")] == [*COMMANDS]
+    assert max(len(line) for line in lines if line.startswith("  ")) <= 80
+    brief, whole = (help_of(capsys, "train", f"--help{more}") for more in ("", "-all"))
+    assert len(brief.splitlines()) <= 80
+    groups = re.findall(r"(?m)^\W{1,3}(\w+)(?: options| arguments)?\W*$", brief)
+    assert groups == ["positional", "options", "task", "learner", "imitation", "machine"]
+    for name in HIDDEN:
+        option = f"--{name.replace('_', '-')} "
+        assert (option in brief, option in whole) == (False, True), name
+
+
 def test_train_has_and_explains_every_option_of_its_configuration(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("COLUMNS", "100")
-    with pytest.raises(SystemExit):
-        main(["train", "--help"])
-    text = " ".join(capsys.readouterr().out.replace("│", "").split())
+    text = " ".join(help_of(capsys, "train", "--help-all").replace("│", "").split())
     assert "None" not in text
     for field in dataclasses.fields(TrainCfg):
-        if field.name in HIDDEN:
-            continue
         flag = f"--{field.name.replace('_', '-')}" + ("" if field.default is False else r" [A-Z{\[]\S*")
         said = re.search(rf"{flag} .*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
         assert said, field.name

@@ -121,7 +121,7 @@ def test_own_methods_are_trained_and_evaluated(
     results = []
     for more in ((), ("--import", "my_methods.py")):
         assert run("evaluate", "size_alone", *THROWS, "--json", *more) == 0
-        results.append(json.loads(capsys.readouterr().out) | {"seconds": 0})
+        results.append(json.loads(capsys.readouterr().out) | {"seconds": 0, "circumstances": None})
     assert results[0] == results[1]
     assert run("evaluate", "with_height", *THROWS) == 2
     assert re.search(r"unknown method 'with_height'.*--import FILE\.py", capsys.readouterr().err)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from pixel2catch.cli.main import main, parse
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.learning.experiment import read_run
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy
 from pixel2catch.scene.constants import OBJECT_RADIUS
@@ -21,7 +19,6 @@ from pixel2catch.shipped import policy_folder
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8")
 LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
-OLD_CONFIG = Path(__file__).parents[1] / "learning" / "old_runs" / "config.json"
 
 
 def test_what_is_set_reaches_the_environment():
@@ -56,35 +53,11 @@ def test_contacts_of_training_are_those_of_the_preset():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run for the wide task, with a latency and weights of its own, started as the old one was."""
+    """A run for the wide task, with a latency and weights of its own."""
     out = tmp_path_factory.mktemp("own") / "run"
     own = ("--task", "wide", "--preset", "cpu", "--physics-stages", "30", "60")
     assert main([*TRAIN, *LATE, *own, "--out", str(out)]) == 0
     return out
-
-
-def test_a_configuration_of_the_previous_revision_is_read_and_goes_on(run: Path, tmp_path: Path):
-    (tmp_path / "old").mkdir()
-    shutil.copy(OLD_CONFIG, tmp_path / "old")
-    old, new = (read_run(folder).experiment for folder in (tmp_path / "old", run))
-    scene = dataclasses.replace(new.env.scene, physics_hz=30.0)  # the rate of the first stage
-    assert old.train == new.train
-    assert old.env == dataclasses.replace(new.env, scene=scene)
-    out = tmp_path / "run"
-    shutil.copytree(run, out)
-    shutil.copy(OLD_CONFIG, out)
-    assert main(["train", "--resume", "--transitions", "32", "--out", str(out)]) == 0
-    assert json.loads((out / "summary.json").read_text())["transitions"] == 32
-    after = read_run(out).experiment
-    assert (after.train, after.env) == (dataclasses.replace(new.train, transitions=32), old.env)
-
-
-def test_a_run_with_a_recurrent_unit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    old = json.loads(OLD_CONFIG.read_text())
-    train = old["train"] | {"recurrent": 16}
-    (tmp_path / "config.json").write_text(json.dumps(old | {"train": train}))
-    assert main(["train", "--resume", "--out", str(tmp_path)]) == 2
-    assert "'recurrent' is 16" in capsys.readouterr().err
 
 
 def test_a_run_goes_on_with_its_own_configuration(run: Path, capsys: pytest.CaptureFixture[str]):

@@ -30,9 +30,10 @@ WARM_UPDATES = 2  #: Updates before the measurement, in which libraries initiali
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Measure a training that goes on from a trained policy, with the policy's throws.
+    """Measure what a training costs on this machine.
 
-    Rates are summed over the environments. Microseconds are for a control step of one of them.
+    It goes on from a trained policy, with the policy's throws. Rates are summed over the environments.
+    Microseconds are for a control step of one of them.
     """
 
     device: tuple[Device, ...] = ("cpu",)  #: Where to simulate and learn: cpu, cuda, cuda:1, ..., or several.

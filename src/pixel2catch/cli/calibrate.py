@@ -41,7 +41,7 @@ tenths of a pixel, and errors of 1 mrad in each of the arm's joints make another
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
-    """Find the camera's pose from images of a printed board in the hand, and compare it with the policies'.
+    """Find the camera's pose from images of a board in the hand.
 
     First print the board (--print-marker) and fix it rigidly to the hand, anywhere. Then move the arm to 15
     poses: near and far, in all parts of the image, tilted in all directions, with the hand turned about two

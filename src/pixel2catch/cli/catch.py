@@ -13,7 +13,7 @@ from pixel2catch.shipped import DEFAULT_POLICY
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
-    """Evaluate the default policy on seen and unseen objects, and write a short film."""
+    """Evaluate the default policy, and write a short film."""
 
     throws: Count = 300  #: Number of throws of seen objects, and of unseen objects.
     video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.

@@ -55,7 +55,7 @@ def make_pipeline(
 
 @dataclass(frozen=True, kw_only=True)
 class Deploy:
-    """Catch with a robot: camera images and joint states in, joint commands out. See docs/deployment.md.
+    """Catch with a robot. See docs/deployment.md.
 
     The robot stays where it is until an operator arms it on /pixel2catch/arm and holds the dead-man's switch
     on /pixel2catch/dead_man; any fault stops it until it is armed again. It runs until Ctrl-C, and prints

@@ -112,7 +112,7 @@ def dds() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Check this machine: packages, policy, physics, OpenGL, GPU, network; and a laboratory.
+    """Check this machine, or a laboratory.
 
     The exit status is 0 if `catch` and `evaluate` work, and with --robot the laboratory is ready.
     """

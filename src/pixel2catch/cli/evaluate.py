@@ -17,7 +17,7 @@ from pixel2catch.shipped import PolicyPath
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
-    """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold."""
+    """Evaluate a policy: rounds of throws, and a test of every hold."""
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Excite:
-    """Draw motion that shows the joints' dynamics, try it in simulation, and write it as joint targets.
+    """Write a trajectory that shows the dynamics of the joints.
 
     It begins and ends at rest in the start pose. It is only written if a simulated robot follows it within
     all limits and keeps its distance from the table and from itself. Nothing is overwritten.

@@ -13,9 +13,10 @@ from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a policy as one ONNX file: networks, input statistics and the whole contract.
+    """Write a policy as one ONNX file.
 
-    Other commands take it in the place of a policy's folder.
+    It has networks, input statistics and the whole contract. Other commands take it in the place of a
+    policy's folder.
     """
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.

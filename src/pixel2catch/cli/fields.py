@@ -1,6 +1,7 @@
 """How the fields of commands become options; those of the task, `--env.sensing.latency-steps 1 3`, too."""
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from dataclasses import is_dataclass, replace
 from functools import partial
@@ -23,21 +24,38 @@ TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pix
 
 HIDDEN = (
     *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip", "value_loss"),
-    *("value_loss_scale", "entropy_scale", "gradient_clip", "report_seconds"),
+    *("value_loss_scale", "entropy_scale", "gradient_clip", "report_seconds", "start_transitions"),
+    *("teacher_share", "final_teacher_weight", "final_learning_rate", "staggered", "checkpoint_seconds"),
 )
-"""Fields of `TrainCfg` that are no options of `train`; Python and `reproduce --training` set them."""
+"""Options of `train` that --help leaves out and --help-all has."""
+
+GROUPS = {
+    "task": ("task", "workcell", "dynamics", "camera", "rewards", "physics_stages"),
+    "learner": (
+        *("rollout_steps", "epochs", "mini_batches", "staggered", "learning_rate", "final_learning_rate"),
+        *("hidden", "initial_log_std", "start", "start_transitions", *HIDDEN[:10]),
+    ),
+    "imitation": ("teacher", "teacher_share", "final_teacher_weight"),
+    "machine": ("device", "num_envs", "fuse", "wandb", "checkpoint_seconds", "report_seconds"),
+}
+"""Options of `train` by the group in which its help has them; the others come first."""
+
+GROUPED = ("Train", "TrainCfg")  #: Names of the classes whose options have these groups.
 
 
-def option_rules() -> ConstructorRegistry:
-    """Return tyro's rules with ours: short names, no default where there is none, plain flags.
+def option_rules(*, is_brief: bool = True) -> ConstructorRegistry:
+    """Return tyro's rules with ours: short names, no default where there is none, plain flags, groups.
 
     Fields of nested option classes have no prefix, except those of the task. A flag that is off has no
-    counterpart; one that is on has its negation beside it.
+    counterpart; one that is on has its negation beside it. With brief rules, `train` has no `HIDDEN` options,
+    and of the help of the others only the first sentence and the default.
     """
-    registry, entered = ConstructorRegistry(), list[Any]()
+    registry, entered, groups = ConstructorRegistry(), list[Any](), dict[Any, StructConstructorSpec]()
 
     @registry.struct_rule
     def rule(info: StructTypeInfo) -> StructConstructorSpec | None:
+        if info.type in groups:
+            return groups[info.type]
         if not is_dataclass(info.type) or info.type in entered:
             return None
         entered.append(info.type)
@@ -48,7 +66,11 @@ def option_rules() -> ConstructorRegistry:
         if not isinstance(spec, StructConstructorSpec):
             return None
         is_task = info.type.__module__.startswith(TASK_MODULES)
-        return replace(spec, fields=tuple(_option(field, is_task) for field in spec.fields))
+        fields = tuple(_option(field, is_task) for field in spec.fields)
+        if info.type.__name__ not in GROUPED:
+            return replace(spec, fields=fields)
+        fields = tuple(map(_brief, fields)) if is_brief else fields
+        return _grouped(replace(spec, fields=fields), groups)
 
     return registry
 
@@ -62,17 +84,43 @@ def _option(field: StructFieldSpec, is_task: bool) -> StructFieldSpec:
     is_nested = is_dataclass(field.default) or is_dataclass(declared)
     if is_nested and field.name != "env" and not is_task:
         return replace(field, type=Annotated[kind, tyro.conf.arg(name="")])
-    if field.name in HIDDEN:
-        kind = tyro.conf.Suppress[kind]
     if field.default is False:
         kind = tyro.conf.FlagCreatePairsOff[kind]
-    if field.default in (None, (), {}) or field.default is False:
-        kind = Annotated[kind, tyro.conf.arg(help_behavior_hint="")]
+    hint = "" if field.default in (None, (), {}) or field.default is False else None
+    kind = Annotated[kind, tyro.conf.arg(help_behavior_hint=hint, prefix_name=is_task)]
     return replace(field, type=kind)
 
 
+def _brief(field: StructFieldSpec) -> StructFieldSpec:
+    """Return an option with the first sentence of its help and the default; hide those of `HIDDEN`."""
+    kind: Any = tyro.conf.Suppress[field.type] if field.name in HIDDEN else field.type
+    text = field.helptext() if callable(field.helptext) else field.helptext
+    first, *others = re.split(r"(?<=\.)\s+(?=[A-Z])", text or "")
+    shown = [first, *(each for each in others if each.startswith("Default:"))]
+    return replace(field, type=kind, helptext=" ".join(shown))
+
+
+def _grouped(spec: StructConstructorSpec, groups: dict[Any, StructConstructorSpec]) -> StructConstructorSpec:
+    """Return a specification whose fields are in classes of their own, by `GROUPS`, added to `groups`."""
+    title_of = {name: title for title, names in GROUPS.items() for name in names}
+    parts: dict[str, list[StructFieldSpec]] = {}
+    for field in spec.fields:
+        parts.setdefault(title_of.get(field.name, ""), []).append(field)
+    fields = []
+    for title in (each for each in GROUPS if each in parts):
+        kind: Any = type(title, (), {})
+        groups[kind] = StructConstructorSpec(instantiate=dict, fields=tuple(parts[title]))
+        kind = Annotated[kind, tyro.conf.arg(name=title, prefix_name=False)]
+        fields.append(StructFieldSpec(name=f"{title} options", type=kind, default=tyro.MISSING, helptext=""))
+
+    def instantiate(**values: Any) -> Any:
+        inner = [values.pop(name) for name in [*values] if name.endswith(" options")]
+        return spec.instantiate(**values, **{key: each for part in inner for key, each in part.items()})
+
+    return StructConstructorSpec(instantiate=instantiate, fields=(*fields, *parts[""]))
+
+
 PREFIX = "--env."  #: What options that are fields of the task begin with.
-HELP = "--env.help"  #: Like --help, with all fields of the task.
 
 OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
 

@@ -15,11 +15,11 @@ QUARTER, EVEN = 0.25, 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Home:
-    """Move the robot to its start pose, at a quarter of a catch's speed at most, and open the hand there.
+    """Move the robot slowly to its start pose, and open the hand.
 
-    Before anything moves, a path is found that keeps its distance from the table, the robot itself and other
-    arms; without one the command ends with the reason. As with `deploy`, an operator arms and holds the
-    dead-man's switch, and the same servo guards the robot.
+    The speed is at most a quarter of a catch's. Before anything moves, a path is found that keeps its
+    distance from the table, the robot itself and other arms; without one the command ends with the reason.
+    As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
     """
 
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.

@@ -24,7 +24,7 @@ EXIT_UNFIT = 1  #: Exit status of --check if a recording cannot be fitted.
 
 @dataclass(frozen=True, kw_only=True)
 class Identify:
-    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
+    """Fit the simulated joints to recorded motion.
 
     A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
     commands, an .npz file with the arrays joints (names), t_cmd, q_cmd (a row per command), t_meas and q (a

@@ -6,37 +6,42 @@ import io
 import os
 import shutil
 import sys
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
-from importlib.resources import files
+from inspect import cleandoc
 from typing import Annotated, Any, Union
 
 import tyro
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say
-from pixel2catch.cli.fields import HELP, HIDDEN, default_of, option_rules
+from pixel2catch.cli.fields import default_of, option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
-COMMANDS = (
-    *("train", "evaluate", "stress", "reproduce", "play", "catch"),
-    *("excite", "record", "identify", "calibrate", "track"),
-    *("deploy", "home", "release", "operate", "trials", "twin", "rehearse", "replay"),
-    *("export", "scene", "bench", "doctor"),
-)
-"""Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
+GROUPS = {
+    "Learning and simulation": ("train", "evaluate", "stress", "reproduce", "play", "catch"),
+    "Models of a laboratory": ("excite", "record", "identify", "calibrate", "track"),
+    "Robot and twin": ("deploy", "home", "release", "operate", "trials", "twin", "rehearse", "replay"),
+    "Tools": ("export", "scene", "bench", "doctor"),
+}
+"""Commands. Each is a module beside this one with a class of its name, loaded where it is needed."""
 
-REMOVED = "removed.toml"
-"""Names of commands and options that are gone, and what to do instead. See docs/changes.md."""
+COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
-'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
-'pixel2catch --import FILE.py COMMAND ...' knows the methods, objects, robots and disturbances that a Python
-file of yours defines."""
+usage: pixel2catch [--import FILE.py] COMMAND [OPTIONS]
+{commands}
+pixel2catch COMMAND --help     explains a command.
+pixel2catch --version          prints the version.
+pixel2catch --import FILE.py   adds the methods, objects, robots and disturbances of a Python file of yours.
+pixel2catch --tyro-print-completion bash   prints a script that completes commands and options (zsh, too).
+"""
+
+HELP, HELP_ALL = ("-h", "--help"), ("--help-all", "--env.help")
+"""Options that print help; the latter print all options of a command, and all fields of the task."""
 
 EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
 EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
@@ -112,43 +117,38 @@ def parse(args: Sequence[str]):
 
     Raises:
         UnknownNameError: There is no such command.
-        InvalidValueError: The command or an option was removed; the message names the new way.
         Pixel2CatchError: What the options' defaults come from cannot be read, such as a run to resume.
     """
-    if args and not args[0].startswith("-"):
-        _require_present(*args)
+    if not args or args[0] in HELP:
+        print(DESCRIPTION.format(commands="".join(_listing())), end="", file=None if args else sys.stderr)
+        raise SystemExit(0 if args else EXIT_ERROR)
+    if not args[0].startswith("-"):
+        if args[0] not in COMMANDS:
+            raise UnknownNameError("command", args[0], COMMANDS)
         return parse_options(args[0], args[1:])
     kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
-    return _parsed(Union[*kinds], "pixel2catch", args, description=DESCRIPTION)
+    return _parsed(Union[*kinds], "pixel2catch", args)
+
+
+def _listing() -> Iterator[str]:
+    """Yield a line for each command: its name and the first line of its description."""
+    for title, names in GROUPS.items():
+        yield f"\n{title}:\n"
+        yield from (f"  {name:10} {load_command(name).__doc__.splitlines()[0]}\n" for name in names)
 
 
 def parse_options(name: str, args: Sequence[str]) -> Any:
-    """Return a command with its options, also with those that only `reproduce --training` sets."""
+    """Return a command with its options."""
     kind = load_command(name)
-    asked = ["--help"] if HELP in args else args
-    return _parsed(kind, f"pixel2catch {name}", asked, default=default_of(kind, args))
+    options = {"default": default_of(kind, args), "description": cleandoc(kind.__doc__)}
+    is_brief = bool({*HELP} & {*args})
+    args = HELP[:1] if {*HELP_ALL} & {*args} else args
+    return _parsed(kind, f"pixel2catch {name}", args, is_brief=is_brief, **options)
 
 
-def _parsed(kind: Any, prog: str, args: Sequence[str], **options: Any) -> Any:
-    rules, config = option_rules(), (tyro.conf.DisallowNone,)
+def _parsed(kind: Any, prog: str, args: Sequence[str], *, is_brief: bool = True, **options: Any) -> Any:
+    rules, config = option_rules(is_brief=is_brief), (tyro.conf.DisallowNone,)
     return tyro.cli(kind, prog=prog, args=args, config=config, registry=rules, **options)
-
-
-def _require_present(command: str, *args: str) -> None:
-    """Raise the error of a command that is gone or unknown, or of an option that is gone."""
-    removed = tomllib.loads(files("pixel2catch.cli").joinpath(REMOVED).read_text("utf-8"))
-    if fix := removed["commands"].get(command):
-        raise InvalidValueError(f"there is no command '{command}'; {fix}.")
-    if command not in COMMANDS:
-        raise UnknownNameError("command", command, COMMANDS)
-    hidden = " ".join(f"--{name.replace('_', '-')}" for name in HIDDEN)
-    given = {arg.partition("=")[0] for arg in args}
-    for commands, options, fix in (
-        *removed["options"],
-        ("train", hidden, "set it by 'reproduce --training'"),
-    ):
-        if command in commands.split() and (found := given & {*options.split()}):
-            raise InvalidValueError(f"there is no '{command} {min(found)}'; {fix}.")
 
 
 def load_command(name: str) -> Any:

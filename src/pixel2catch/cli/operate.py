@@ -28,12 +28,13 @@ KEYS = (35, 288, 304), (30, 296, 315), (*STOP_KEYS, 289, 305)
 
 @dataclass(frozen=True, kw_only=True)
 class Operate:
-    """Hold the dead-man's switch, arm and stop with a pedal, a gamepad or a keyboard (Linux), or on a page.
+    """Hold the dead-man's switch, arm and stop the robot.
 
-    The robot may move while the first of the --keys is pressed. It stops when the key is released, the
-    device is unplugged, or this command ends. The code of each pressed key is printed. The page shows the
-    camera's image, takes prompts, and stops the robot. Without a device, a button of the page is the switch,
-    released when its browser loses the focus or the connection. The page is no safety device.
+    The device is a pedal, a gamepad or a keyboard (Linux), or a page. The robot may move while the first of
+    the --keys is pressed. It stops when the key is released, the device is unplugged, or this command ends.
+    The code of each pressed key is printed. The page shows the camera's image, takes prompts, and stops the
+    robot. Without a device, a button of the page is the switch, released when its browser loses the focus
+    or the connection. The page is no safety device.
     """
 
     #: Input device, such as /dev/input/by-id/usb-...-event-kbd; not needed with --web.

@@ -16,7 +16,7 @@ from pixel2catch.viewer import PageCfg
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Write a film of throws, with the catch in slow motion and the robot's view in a corner."""
+    """Write a film of throws, or serve a page to play with."""
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None

@@ -26,7 +26,7 @@ PATIENCE = 10.0  #: Time for arming a twin in this process, on top of the trajec
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """Let a robot, or its twin, follow a trajectory that `excite` wrote; the recording is for `identify`.
+    """Let a robot, or its twin, follow a trajectory, and record it.
 
     As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
     Put the robot near the start pose first; it moves there within the first second. The exit status is 0 if

@@ -26,7 +26,7 @@ LOCKSTEP_ONLY = ("perception_ms", "perception_jitter_ms", "clock_error_ms", "pla
 
 @dataclass(frozen=True, kw_only=True)
 class Rehearse:
-    """Start the twin and `deploy`, arm, throw, and report how many objects were caught, and all times.
+    """Let `deploy` catch in the twin; report catches and times.
 
     Both are processes on DDS, on this machine only, in the domain ROS_DOMAIN_ID (default 77). Images are
     rendered; two cores need a slower clock for that, such as --clock 0.5. With --lockstep there is one

@@ -10,7 +10,7 @@ from pixel2catch.cli.link import Link
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """Open the hand slowly, where it is or over a place of the profile; the arm stays there.
+    """Open the hand slowly, where it is or over a place.
 
     On the way to a place the fingers keep their hold. Path, speed and operator are as with `home`.
     """

@@ -20,7 +20,7 @@ REPORT = "report.json"  #: File in the output folder with the comparison and all
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Let a policy and a perception decide on a recorded deployment, step by step.
+    """Decide again on a recorded deployment, step by step.
 
     Images, joint states and operator are recorded; nothing is sent to a robot. With the recorded policy and
     perception the targets are the recorded ones, except for the effects of JPEG and of perception times.

@@ -31,7 +31,7 @@ TRAINING, EVALUATION = "training", "evaluation"
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduce:
-    """Train and evaluate all methods with several seeds, and write a report: tables, curves, pictures.
+    """Train and evaluate methods with several seeds; write a report.
 
     Finished parts are not computed again, and interrupted trainings continue: give the same command. Methods
     and seeds may be added later.

@@ -12,7 +12,7 @@ from pixel2catch.errors import InvalidValueError
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Write the MuJoCo model of robot, table, camera and object, or a chart of the throws a camera sees."""
+    """Write the MuJoCo model, or a chart of the throws a camera sees."""
 
     #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary; with --camera FILE.png.
     file: Positional[Annotated[Path, OutputFile((".xml", ".mjb", ".png"))]]

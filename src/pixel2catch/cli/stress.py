@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Stress:
-    """Evaluate policies under disturbances, the same throws for all. The same command continues.
+    """Evaluate policies under disturbances, or in several engines.
 
-    With --engines the policies are evaluated in several physics engines instead, and each engine is compared
-    with the first one.
+    All have the same throws. With --engines each physics engine is compared with the first one, without
+    disturbances. The same command continues.
     """
 
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: all shipped.

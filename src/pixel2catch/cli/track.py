@@ -35,7 +35,7 @@ REPORT_SECONDS = 5.0  #: Time between two lines of progress [s].
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """Show and record what perception finds: annotated video, features as CSV, duration of every stage.
+    """Show and record what perception finds in images.
 
     The object is pointed out by --box or by --color, or, without both and after a loss, by its flight. A
     camera is followed until Ctrl-C or --seconds.

@@ -19,9 +19,10 @@ METHOD = "proposed"  #: What is trained where no method is named.
 
 @dataclass(frozen=True, kw_only=True)
 class Train:
-    """Train a policy. Options that are not given are those of the preset, or of the run that goes on.
+    """Train a policy.
 
-    The defaults below are those of the preset fast; add --preset NAME to see those of another one.
+    Options that are not given are those of the preset, or of the run that goes on. The defaults below are
+    those of the preset fast; add --preset NAME to see those of another one. --help-all has all options.
     """
 
     #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent,
@@ -63,7 +64,7 @@ class Train:
             UnknownNameError: There is no such preset, task, work cell or policy to start from.
         """
         given = _scanned(args)
-        if "--help" in args or "-h" in args:  # at once, without the task
+        if {"--help", "-h", "--help-all"} & {*args}:  # at once, without the task
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
         import torch
 

@@ -13,7 +13,7 @@ from pixel2catch.shipped import PolicyPath
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """Lead through a randomised, blinded series of throws, record each, and write the table of real throws.
+    """Lead through a randomised, blinded series of real throws.
 
     Each throw is one run of `deploy --after-catch`; no output names its policy. From what the robot measured,
     an outcome is proposed: caught; reached, if the hand touched the object; or dropped. Enter confirms it; a

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Twin:
-    """Simulate robot, hand, camera and thrower on this machine's DDS network, until interrupted.
+    """Simulate robot, camera and thrower on this machine's network.
 
     For `deploy` it is like the laboratory; its topics are those of the profile ur5e_allegro_v4, in the domain
     ROS_DOMAIN_ID. Requests for throws go to /twin/command, the true state comes on /twin/state. See

@@ -137,18 +137,3 @@ class CatchEnvCfg:
         workcell = find_workcell(self.scene.workcell)
         task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics, workcell))
         return task if camera is None else task.with_camera(CameraFile.load(camera))
-
-
-def current_fields(task: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON fields of a task of an earlier revision with their present names.
-
-    An empty `robot_model` and what belongs to it are left out; with a file in it, it remains and is refused.
-    """
-    scene = {name: value for name, value in task.get("scene", {}).items() if name != "object_solimp"}
-    if not scene.get("robot_model"):
-        scene = {name: value for name, value in scene.items() if not name.startswith("robot_")}
-    task = task | {"scene": scene}
-    before = {"name": "nominal", "value_sees_parameters": task.get("is_value_told", False)}
-    is_shaken = task.get("shake", {}).get("amplitude")  # such a task cannot be read
-    gone = ("is_value_told",) if is_shaken else ("is_value_told", "shake")
-    return before | {name: value for name, value in task.items() if name not in gone}

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import torch
 
-from pixel2catch.envs.cfg import current_fields
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, StudyCell, differences, read_row
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
@@ -181,9 +180,7 @@ def _require_same(file: Path, origin: Json) -> None:
     """Refuse a result that was obtained otherwise."""
     if (found := read_row(file)) is None:
         return
-    evaluation = {"task": {}} | found.get("evaluation", {})
-    evaluation["task"] = current_fields(evaluation["task"])
-    before = dict(leaves(found | {"evaluation": evaluation, "metrics": None}))
+    before = dict(leaves(found | {"metrics": None}))
     if changes := differences(before, dict(leaves(origin | {"metrics": None})), "there"):
         raise StudyError(
             f"'{file}' was obtained otherwise ({changes}); give its values, or name another --out."

@@ -35,7 +35,7 @@ CONTACT_RATES = {
     "verified hold": "verified_hold_rate",
     "closed-loop hold": "closed_loop_hold_rate",
 }
-"""Rates that need contact; the paper has none of them. Objects and older files lack the last one."""
+"""Rates that need contact; the paper has none of them. Objects lack the last one."""
 
 RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics that they show.
 
@@ -119,7 +119,7 @@ def _cells(rates: Metrics) -> dict[str, str]:
 
 def _quality(result: Metrics) -> dict[str, str]:
     def scaled(name: str, factor: float, unit: str, digits: int = 1) -> str:
-        if result.get(name) is None:  # no such event, or the file is older than the metric
+        if result.get(name) is None:  # no such event
             return "-"
         return f"{round(factor * result[name], digits) + 0.0:.{digits}f} {unit}"  # + 0.0: no -0.0
 

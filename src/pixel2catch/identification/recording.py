@@ -292,7 +292,7 @@ class Trajectory:
 
     @staticmethod
     def load(path: Path) -> "Trajectory":
-        """Read a file with all checks; without a work cell in it, it is the paper's.
+        """Read a file with all checks.
 
         Raises:
             InvalidValueError: The file is not a trajectory, or a robot should not follow it.
@@ -304,7 +304,7 @@ class Trajectory:
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
             return Trajectory(
-                workcell=known_workcell(header.pop("workcell", UR5E_ALLEGRO.name)),
+                workcell=known_workcell(header.pop("workcell")),
                 joints=_texts(arrays["joints"]),
                 times=_numbers(arrays["times"]),
                 positions=_numbers(arrays["positions"]),

@@ -31,7 +31,7 @@ class TrainCfg:
     device: Device = "cuda"
     #: Seed of networks, exploration and environments.
     seed: Seed = 0
-    #: Physics steps per second, one rate after the other in equal shares of the training: coarse first (120:
+    #: Physics steps per second, one rate after the other in equal shares of the training. Coarse first (120:
     #: paper), then finer, so that the policy does not exploit coarse impacts (ours). Empty:
     #: env.scene.physics_hz throughout, as with --env.scene.physics-hz.
     physics_stages: tuple[PhysicsRate, ...] = (120.0, 120.0, 120.0, 120.0, 120.0, 240.0)
@@ -42,8 +42,9 @@ class TrainCfg:
     #: Transitions after such a start in which only the value networks learn; over as many again the learning
     #: rate rises. Source: ours.
     start_transitions: Transitions = 2_000_000
-    #: Policy whose actions are imitated at first, in the states that the trained policy reaches; named as
-    #: --start. It may be of another method, such as one that observes the object's position. Default: none.
+    #: Policy whose actions are imitated at first, in the states that the trained policy reaches; its name is
+    #: as that of --start. It may be of another method, such as one that observes the object's position.
+    #: Default: none.
     teacher: Path | None = None
     #: Share of the training over which the weight of imitation falls from 1 to its final value, and that of
     #: the rewards rises from 0 to the rest. Source: ours.
@@ -94,11 +95,11 @@ class TrainCfg:
     #: Weights of reward terms that differ from the method's, such as arm.success 5 hand.grasp 0.3. Default:
     #: the method's.
     rewards: dict[str, Annotated[float, Within(-1e6, 1e6)]] = dataclasses.field(default_factory=dict)
-    #: Project of Weights & Biases that also gets configuration and curves; its environment variables, such as
+    #: Project of Weights & Biases that also gets configuration and curves. Its environment variables, such as
     #: WANDB_MODE=offline, hold. Default: none.
     wandb: str | None = None
-    #: Fuse the kernels of a control step and of a gradient step by torch.compile: faster steps, but up to a
-    #: minute more at the start and at each change of the physics rate. A CPU needs a C++ compiler.
+    #: Fuse the kernels of a control step and of a gradient step by torch.compile. Steps are faster; the start
+    #: and each change of the physics rate take up to a minute more. A CPU needs a C++ compiler.
     fuse: bool = False
     #: Time between two checkpoints [s].
     checkpoint_seconds: Annotated[float, Within(0.0, 1e6)] = 60.0

@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.envs.cfg import CatchEnvCfg, current_fields
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
 from pixel2catch.files import decoded, read_json_object
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
-from pixel2catch.policy.policy import refuse_recurrent
 from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell, known_workcell
 
@@ -34,7 +33,7 @@ class RunRecord:
 
     experiment: Experiment
     method: str  #: Name of the method.
-    preset: str | None  #: Name of the preset; None in runs of earlier revisions.
+    preset: str | None  #: Name of the preset; None where Python gave the experiment itself.
 
 
 def preset(
@@ -95,12 +94,10 @@ def read_run(folder: Path) -> RunRecord:
     """
     file = folder / CONFIG_FILE
     try:
-        content = _current(read_json_object(file))
+        content = read_json_object(file)
         experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
         known_workcell(experiment.env.scene.workcell)  # a run folder does not choose what Python imports
-        return RunRecord(
-            experiment=experiment, method=content["policy"]["method"], preset=content.get("preset")
-        )
+        return RunRecord(experiment=experiment, method=content["policy"]["method"], preset=content["preset"])
     except (ValueError, LookupError, TypeError) as error:
         raise CheckpointError(
             f"'{file}' is no configuration that this code reads ({error}); resume with the version that "
@@ -130,7 +127,7 @@ def require_run(
     for name, value in given.items():
         if value not in (None, found[name]):
             before = (
-                f"is a run of the {name} '{found[name]}'" if found[name] else f"does not record its {name}"
+                f"is a run of the {name} '{found[name]}'" if found[name] else f"is a run without a {name}"
             )
             raise CheckpointError(
                 f"'{folder}' {before}, and '{value}' is given; leave out the {name}, or name another folder."
@@ -143,16 +140,3 @@ def require_run(
                 "folder."
             )
     return run
-
-
-def _current(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a configuration file of any revision as this one writes it."""
-    train, env = dict(content["train"]), current_fields(content["env"])
-    refuse_recurrent(train.pop("recurrent", 0))
-    if "physics_hz" in train:
-        stages = train.pop("physics_hz")
-        train["physics_stages"] = stages if len(set(stages)) > 1 else []
-        env = env | {"name": train["task"], "scene": env["scene"] | {"physics_hz": stages[0]}}
-        moved = ("method", "task", "dynamics", "camera", "latency_steps", "cone", "multiccd")
-        train = {name: value for name, value in train.items() if name not in moved}
-    return content | {"train": {"value_loss": "clipped"} | train, "env": env}

@@ -77,7 +77,6 @@ class PolicyContract:
         Raises:
             PolicyMismatchError: A field is missing, unknown or of another version.
         """
-        data = _of_version_1(data) if data.get("format_version") == 1 else data
         version = data.get("format_version")
         if version != FORMAT_VERSION:
             raise PolicyMismatchError(
@@ -108,14 +107,6 @@ class PolicyContract:
         if fields:
             lines = (f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields)
             raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines)[:LONGEST_MESSAGE])
-
-
-def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert version 1, which had one robot with a left or a right hand, to version 2."""
-    content = {**data, "format_version": FORMAT_VERSION}
-    hand = content.pop("handedness", "left")
-    name = UR5E_ALLEGRO.name
-    return content | {"workcell": name if hand == "left" else f"{name}_{hand}"}
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

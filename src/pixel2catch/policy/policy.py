@@ -18,7 +18,6 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.policy.contract import PolicyContract
 
 MOST_LAYERS, LARGEST_LAYER = 16, 8192  #: Of networks that are read. Source: ours; the paper has 3, of 512.
-LAST_RECURRENT = "0ded3ca2"  #: Revision that trains and reads networks with a recurrent unit (GRU).
 WEIGHTS_FILE = "policy.safetensors"
 CONTRACT_FILE = "policy.json"
 
@@ -134,13 +133,12 @@ class Policy(nn.Module):
         """Make a policy of its description and its weights.
 
         Raises:
-            InvalidValueError: A size is missing or out of range, a tensor does not fit, or it has a GRU.
+            InvalidValueError: A size is missing or out of range, or a tensor does not fit.
             PolicyMismatchError: Another field does not fit this code.
         """
         if "hidden" not in description:
             raise InvalidValueError("field 'hidden' is missing")
-        refuse_recurrent(description.get("recurrent", 0))
-        contract = {key: value for key, value in description.items() if key not in ("hidden", "recurrent")}
+        contract = {key: value for key, value in description.items() if key != "hidden"}
         hidden = files.decoded(tuple[int, ...], description["hidden"], "hidden")
         if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in hidden):
             raise InvalidValueError(
@@ -157,15 +155,6 @@ class Policy(nn.Module):
             if tensor.dtype != torch.float32 or not tensor.isfinite().all():
                 raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
         return policy
-
-
-def refuse_recurrent(size: Any) -> None:
-    """Raise InvalidValueError if `recurrent` in a file, the size of a GRU, is not 0."""
-    if size != 0:
-        raise InvalidValueError(
-            f"'recurrent' is {files.shown(size)}: the networks have a recurrent unit (GRU) of that size, and "
-            f"this revision does not support it; revision {LAST_RECURRENT} reads them"
-        )
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
