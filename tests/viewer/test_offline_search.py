@@ -14,7 +14,7 @@ def test_a_worker_answers_in_a_page_that_is_a_file(browser_page: Any, tmp_path: 
     answer = browser_page.evaluate("""() => new Promise(done => {
         window.page = 1;
         const worker = new Worker("worker.js");
-        worker.addEventListener("message", event => done(event.data));
+        for (const kind of ["message", "error"]) worker.addEventListener(kind, event => done(event.data));
         worker.postMessage({"query": "latency"});
     })""")
     assert answer == [{"query": "latency"}, "number"]
