@@ -209,14 +209,6 @@ def test_targets_and_commands_arrive_unchanged(ends: tuple[LoopEnd, ServoEnd]):
     assert not servo.is_closed
 
 
-def test_targets_of_old_recordings_are_read_without_the_field_of_planned_motions():
-    for row in (np.array([1.0, 0.5, box, False, True, *NUMBERS]) for box in (0.4, 1.0)):
-        targets = JointTargets.recorded(row, len(NUMBERS))
-        assert (targets.is_stop_requested, targets.is_planned) == (True, row[2] == 1.0)
-        assert targets.joint_pos_target == pytest.approx(NUMBERS)
-        assert JointTargets.recorded(targets.row, len(NUMBERS)).row == pytest.approx(targets.row)
-
-
 def test_packets_that_do_not_fit_are_dropped_and_counted(ends: tuple[LoopEnd, ServoEnd]):
     """At least 0.3 s of ticks fit; newer packets are lost."""
     loop, servo = ends

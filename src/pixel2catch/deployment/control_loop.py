@@ -74,7 +74,6 @@ class DecisionTimer:
     """
 
     def __init__(self, begin: float) -> None:
-        """Set the first decision to a time [s]."""
         self.due = begin  #: Time of the next decision [s].
         self._ages: deque[float] = deque(maxlen=NUM_AGES)
         self._age, self._moment = 0.0, begin
@@ -153,9 +152,7 @@ class ControlLoop:
     def poll(self) -> dict[str, Any] | None:
         """Receive, process images and, when it is time, decide; return the status of a control step.
 
-        Raises:
-            DeploymentError: The servo process has ended.
-            PerceptionError: The first image has the wrong size.
+        Raises DeploymentError if the servo process has ended, PerceptionError for a wrong size of images.
         """
         self._receive()
         image = self._images.newest()
@@ -176,7 +173,6 @@ class ControlLoop:
         return self._finish_step(targets, complaint, now)
 
     def _receive(self) -> None:
-        """Receive the servo's commands and the operator's prompts."""
         for command in self._connection.receive():
             self.statistics.note_command(command)
             self._images.add_joints(command.time, command.joint_pos)
@@ -217,7 +213,6 @@ class ControlLoop:
         return self._images.problem or self._pipeline.sight.problem
 
     def _finish_step(self, targets: JointTargets | None, complaint: str, now: float) -> dict[str, Any]:
-        """Send the targets; publish and record the control step."""
         if targets and self._mode in ACTIVE:
             self._connection.servo.send(targets)
             self._sent = targets

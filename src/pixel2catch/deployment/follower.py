@@ -35,9 +35,7 @@ def follow(
     It is planned again if somebody moves the robot before. In the servo's ramp, the robot moves to the first
     targets. Operator and servo guard it. A status is published with every target; its "done" is the share of
     the motion that was sent. Returns whether the motion was followed to its end, not ended by `is_over`.
-
-    Raises:
-        DeploymentError: There is no such motion, the servo process has ended, or it has stopped the robot.
+    Raises DeploymentError if there is no such motion, or servo or robot have stopped.
     """
     statistics, clock = RunStatistics(), connection.clock
     publisher = connection.transport.publisher(topic)

@@ -30,7 +30,6 @@ class JointCheck:
     """Plans the motion, keeps the servo's commands, and finds the joints that do not fit the profile."""
 
     def __init__(self, limits: ServoLimits) -> None:
-        """Start without a command, for the work cell of these limits."""
         workcell, self._limits = limits.workspace.workcell, limits
         self._names = workcell.joint_names
         self._roles = [group.role for group in workcell.groups for _ in group.joints]
@@ -87,8 +86,7 @@ def check_joints(
 ) -> None:
     """Let each joint move by some degrees, and write the record of today; for the arguments see `follow`.
 
-    Raises:
-        DeploymentError: A joint does not fit the profile, or not all were moved.
+    Raises DeploymentError if a joint does not fit the profile, or not all were moved.
     """
     check, topic, reason = JointCheck(limits), profile.operator.status, "it was ended"
     try:

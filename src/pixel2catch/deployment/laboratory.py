@@ -41,7 +41,6 @@ class Survey:
     """Programs on the network, and the messages of each topic that a robot publishes."""
 
     def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
-        """Subscribe to the topics of a profile."""
         self._transport, self._clock, self._profile = transport, clock, profile
         readers = {
             "safety_mode": messages.read_safety_mode,

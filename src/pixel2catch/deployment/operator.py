@@ -211,7 +211,6 @@ class Switches(AbstractContextManager["Switches"]):
             yield kind, code, value
 
     def __exit__(self, *exception: object) -> None:
-        """Close the device."""
         os.close(self._file)
 
 

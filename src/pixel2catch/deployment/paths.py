@@ -86,11 +86,7 @@ class PathFinder:
         return Motion.along(np.array([*poses, opened]), self._speed)
 
     def path(self, start: Joints, goal: Joints) -> Poses:
-        """Return the poses of a path [rad]: straight, else over as few poses as possible.
-
-        Raises:
-            DeploymentError: A pose is not allowed, or no path was found; nothing may move.
-        """
+        """Return the poses of a path [rad], straight or over few poses; raise DeploymentError without one."""
         for name, pose in (("the robot's pose", start), ("the goal", goal)):
             if reason := self.refusal(pose):
                 raise DeploymentError(

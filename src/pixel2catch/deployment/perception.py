@@ -115,7 +115,6 @@ class ImageSubscriber:
                 self._wrong_lens = str(error)
 
     def _count_cameras(self) -> None:
-        """Look every `POLL_TIME` whether several programs publish images."""
         if (now := self._clock.now()) < self._next_poll:
             return
         self._next_poll = now + POLL_TIME

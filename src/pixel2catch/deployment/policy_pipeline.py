@@ -112,7 +112,6 @@ class ObjectSight:
     """When and where the object was seen in this throw, and whether its boxes can be one object's."""
 
     def __init__(self) -> None:
-        """Start before the throw."""
         self.box_stamp = -inf  #: Exposure time of the newest image with the object [s].
         self.center, self._moved = np.full(2, inf), -inf  # centre of the box [px], to `MOTION`
         self._jumps: deque[bool] = deque(maxlen=NUM_IMAGES)
@@ -226,15 +225,13 @@ class PolicyPipeline:
         """Return the joint targets for the boxes so far; None before the first box or without all joints.
 
         After `LONGEST_GAP` without a box the arm comes to rest and the hand holds, until the object is seen
-        again. While it has been still for `STILL_TIME`, the targets stay.
+        again. While it has been still for `STILL_TIME`, the targets stay. Raises DeploymentError if the
+        newest processed image is older than `LONGEST_PERCEPTION`.
 
         Args:
             joint_pos: Newest measured joint positions in joint order [rad]; not finite where unknown. As in
                 training they are measured at the time of the decision, not of the image.
             now: The time [s].
-
-        Raises:
-            DeploymentError: The newest processed image is older than `LONGEST_PERCEPTION`.
         """
         if not (self._boxes and np.isfinite(joint_pos).all()):
             return None

@@ -54,11 +54,8 @@ def replay(
 ) -> RunStatistics:
     """Decide again on a recording of a deployment with this profile and camera; return what happened.
 
-    The decisions are recorded into a new folder, without images.
-
-    Raises:
-        PerceptionError: The recording cannot be read, or is too long.
-        DeploymentError: It has no images of the profile's camera, or `out` exists.
+    The decisions are recorded into the new folder `out`, without images. Raises PerceptionError for a
+    recording that cannot be read, DeploymentError for one without images of the profile's camera.
     """
     clock, broker = StepClock(lambda _: None), Broker()
     clock.time = _begin(recording, profile)
@@ -113,16 +110,15 @@ def _begin(recording: Path, profile: Profile) -> float:
 
 def recorded_targets(recording: Path) -> list[JointTargets]:
     """Return the first targets for every image of a recording; `image_stamp` is since the epoch [s]."""
-    first, offset, num_joints = dict[float, JointTargets](), 0.0, 0
+    first, offset = dict[float, JointTargets](), 0.0
     with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic in (TARGETS.name, SERVO.name)]
         for connection, time, data in reader.messages(wanted):
             row = messages.read_float_array(data)
             if connection.topic == SERVO.name:
-                command = Command.of(row)
-                offset, num_joints = 1e-9 * time - command.time, len(command.joint_pos)
+                offset = 1e-9 * time - Command.of(row).time
             else:
-                targets = JointTargets.recorded(row, num_joints)
+                targets = JointTargets.of(row)
                 stamp = targets.image_stamp
                 first.setdefault(stamp, replace(targets, image_stamp=stamp + offset))
     return list(first.values())

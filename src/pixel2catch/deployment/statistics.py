@@ -25,7 +25,6 @@ class Histogram:
     """Counts any number of durations; a percentile is the mean of its bin."""
 
     def __init__(self) -> None:
-        """Start empty."""
         self._counts = np.zeros(round(LONGEST / BIN) + 1, dtype=np.int64)
         self._sums, self._longest = np.zeros(len(self._counts)), 0.0
 

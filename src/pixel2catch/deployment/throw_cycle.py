@@ -46,13 +46,9 @@ class ThrowCycle:
         *,
         is_stepped: bool = False,
     ) -> None:
-        """Find a path to a place.
+        """Find a path to a place, in a thread of its own, in stepped time at once; it may take a second.
 
-        A search may take a second. It runs in a thread of its own; in stepped time at once.
-
-        Raises:
-            UnknownNameError: There is no such place.
-            DeploymentError: No path leads there.
+        Raises UnknownNameError for an unknown place, DeploymentError if no path leads there.
         """
         self.phase: Literal["wait", "throw", "move"] = "wait"
         self.message = ""  #: The announcement of the motion.

@@ -54,10 +54,6 @@ def measure(
         object and palm, across the line of sight [m]. `is_held`: whether the object stayed at the palm.
         `grip`: median distance of the fingers behind their commands after the flight [rad], which is their
         torque over the stiffness of their servos. `stopped_by`: faults that stopped the robot.
-
-    Raises:
-        PerceptionError: The recording cannot be read.
-        DeploymentError: A message is damaged.
     """
     steps, images = list[_Step](), deque[tuple[float, bytes]](maxlen=MOST_IMAGES)
     command: Command | None = None

@@ -63,7 +63,6 @@ class ExcitationCfg:
     speed: AtMostFull = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
-        """Refuse unknown parts and values out of range."""
         joints_of(self.workcell, self.robot)
         require_valid(self)
 
@@ -218,8 +217,7 @@ def find_excitation(
 ) -> tuple[Trajectory, Assessment]:
     """Draw a trajectory, and shrink it until a simulated robot follows it; return that robot's motion, too.
 
-    Raises:
-        InvalidValueError: Even small motion has violations.
+    Raises InvalidValueError if even small motion has violations.
     """
     shrunk, reasons = dict[str, float](), ""
     for _ in range(MAX_TRIES):

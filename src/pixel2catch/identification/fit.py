@@ -71,7 +71,6 @@ class FitCfg:
     physics_dt: float = FIT_DT  #: time step of the simulation [s]
 
     def __post_init__(self) -> None:
-        """Refuse unknown parameters."""
         for name in self.free:
             if name not in PARAMETERS:
                 raise UnknownNameError("parameter", name, PARAMETERS)
@@ -94,9 +93,8 @@ def fit_dynamics(
 ) -> Fit:
     """Fit the free parameters of every joint to recordings; `start` also has the other parameters.
 
-    Raises:
-        RecordingError: There is no recording, one is too short, or they are of different joints.
-        InvalidValueError: The start is of other joints, or has no filter where one is to be fitted.
+    Raises RecordingError for no or short recordings or different joints, InvalidValueError if `start` has
+    other joints, or no filter where one is to be fitted.
     """
     coarse = _Problem(recordings, start, replace(cfg, physics_dt=COARSENESS * cfg.physics_dt), report)
     point = coarse.start

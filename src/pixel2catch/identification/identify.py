@@ -142,9 +142,7 @@ def identify(
 ) -> Identification:
     """Fit all recordings but a last one that is held out, and simulate all of them before and after.
 
-    Raises:
-        RecordingError: A recording fails a check that forbids a fit, or is too short.
-        InvalidValueError: The start has no filter where one is to be fitted.
+    Raises RecordingError for a recording that fails a check, otherwise as `fit_dynamics` does.
     """
     for source in sources:
         failed = [check for check in source.checks if check.forbids_fit]

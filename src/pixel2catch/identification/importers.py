@@ -95,10 +95,7 @@ def read_rosbag(
 
     A topic's times are its header stamps, or the bag's receive times if a header has none or all have the
     same, counted from the earliest. Several topics of commands become one stream, with a row whenever one of
-    them changes.
-
-    Raises:
-        RecordingError: It is not a bag, a topic or command is missing, or a message has impossible motion.
+    them changes. Raises RecordingError for no bag, a missing topic or command, or impossible motion.
     """
     names = names or RecordedNames()
     if not is_bag(path):
@@ -130,10 +127,8 @@ def read_tables(
     """Read the motion of those of some joints that two tables have: commands, and measurements as of RTDE.
 
     The time [s] is in column t, time or timestamp; positions [rad] are in columns named as the joints, or
-    q_0, q_1, ... or actual_q_0, ... in their order.
-
-    Raises:
-        RecordingError: There is not one table of measurements, a column is missing, or motion is impossible.
+    q_0, q_1, ... or actual_q_0, ... in their order. Raises RecordingError without one table of measurements,
+    for a missing column, or for impossible motion.
     """
     others = sorted(path for path in folder.glob("*.csv") if path.name != COMMAND_TABLE)
     if len(others) != 1:

@@ -62,11 +62,7 @@ def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:
 
 
 def joints_of(workcell: WorkcellSpec, part: str | None) -> tuple[str, ...]:
-    """Return the joints of one of the `parts`, all by default; an end after `_` may be left out if unique.
-
-    Raises:
-        UnknownNameError: There is no such part.
-    """
+    """Return the joints of one of the `parts`, all by default; an end after `_` may be left out if unique."""
     known, name = parts(workcell), part or workcell.name
     longer = [each for each in known if each.startswith(f"{name}_")]
     name = longer[0] if name not in known and len(longer) == 1 else name
@@ -106,9 +102,7 @@ def held(
 class Recording:
     """Motion of some joints: commands at their send times, measurements at the controller's own times.
 
-    Raises:
-        RecordingError: A shape, time or value is impossible.
-        UnknownNameError: The work cell has no such joint.
+    A shape, time or value that is impossible raises RecordingError, as do files.
     """
 
     name: str = "recording"  #: name in messages and reports
@@ -120,7 +114,6 @@ class Recording:
     q: Float64[np.ndarray, "num_samples num_joints"]  #: measured positions [rad]
 
     def __post_init__(self) -> None:
-        """Refuse motion that is impossible for a robot."""
         for name, time, positions in (("q_cmd", self.t_cmd, self.q_cmd), ("q", self.t_meas, self.q)):
             require_motion(f"{self.name}: {name}", self.joints, time, positions, self.workcell)
 
@@ -143,11 +136,7 @@ class Recording:
     def load(
         path: Path, workcell: WorkcellSpec = UR5E_ALLEGRO, names: Mapping[str, str] | None = None
     ) -> "Recording":
-        """Read a file that `save` wrote; `names` are the work cell's names of joints by the file's.
-
-        Raises:
-            RecordingError: The file is not a recording, or has impossible motion.
-        """
+        """Read a file that `save` wrote; `names` are the work cell's names of joints by the file's."""
         with reading("recording", path, "Record or convert it again.", RecordingError):
             arrays = read_arrays(path, ARRAYS)
             if missing := [name for name in ARRAYS if name not in arrays]:
@@ -236,12 +225,8 @@ class Trajectory:
     """Targets of some joints that a robot can follow; it begins and ends at rest in the same pose.
 
     The file is an npz: `joints` (names), `times` [s], `positions` [rad], and `header`, a JSON text with the
-    work cell and the targets' origin.
-
-    Raises:
-        InvalidValueError: Joints are not in order, or it is too short.
-        RecordingError: A value is not a number, or a robot should not follow it; the message names the row.
-        UnknownNameError: The work cell has no such joint.
+    work cell and the targets' origin. A value that is not a number, or that a robot should not follow, raises
+    RecordingError with its row.
     """
 
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: work cell of the joints
@@ -251,7 +236,6 @@ class Trajectory:
     header: dict[str, Any] = field(default_factory=dict)  #: their origin: any content of JSON
 
     def __post_init__(self) -> None:
-        """Refuse targets that no robot should get."""
         require_motion("targets", self.joints, self.times, self.positions, self.workcell)
         known = specs_of(self.workcell)
         if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
@@ -292,11 +276,7 @@ class Trajectory:
 
     @staticmethod
     def load(path: Path) -> "Trajectory":
-        """Read a file with all checks.
-
-        Raises:
-            InvalidValueError: The file is not a trajectory, or a robot should not follow it.
-        """
+        """Read a file with all checks; raise InvalidValueError for no trajectory."""
         with reading("trajectory", path, "Write it again with 'pixel2catch excite'."):
             arrays = read_arrays(path, ("header", "joints", "times", "positions"))
             header = json_object(str(arrays["header"]))

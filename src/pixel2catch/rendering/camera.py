@@ -73,11 +73,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         room: int | None = None,
         shadows: bool = False,
     ) -> None:
-        """Furnish the room and draw the background; `room` is the seed of its looks, by default `seed`.
-
-        Raises:
-            DeviceUnavailableError: No OpenGL back end works.
-        """
+        """Furnish the room and draw the background; `room` is the seed of its looks, by default `seed`."""
         self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
         cell = find_workcell(scene.workcell)
         self._chains = [(palm.carriers, chain_of(cell, palm, dtype=torch.float64)) for palm in cell.palms]
@@ -120,7 +116,6 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         return self._renderer.object_mask(room_positions(self._room, moment, 0.0, exposure.thrower))
 
     def __exit__(self, *exception: object) -> None:
-        """Free the drawing context."""
         self._renderer.close()
 
     def _shown(self, exposure: Exposure) -> Moment:

@@ -130,11 +130,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     """Draws throws in one room; a context manager."""
 
     def __init__(self, scene: SceneCfg, width: int) -> None:
-        """Build the plain film room of a scene and its renderers, for pictures of this width [px].
-
-        Raises:
-            DeviceUnavailableError: No OpenGL back end works.
-        """
+        """Build the plain film room of a scene and its renderers, for pictures of this width [px]."""
         self._width, self._height = width, width * 9 // 16 // 2 * 2
         self._workcell, self._objects = find_workcell(scene.workcell), object_table(scene)
         is_one = len(self._workcell.palms) == 1
@@ -150,7 +146,6 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         self._outside, self._inside = Renderer(self._room, wide), Renderer(self._room, inside, shadows=False)
 
     def __exit__(self, *exception: object) -> None:
-        """Free the drawing contexts."""
         self._outside.close()
         self._inside.close()
 
@@ -172,7 +167,6 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         return np.concatenate([self._picture(throw, board, i) for i in chosen], axis=1)
 
     def _begin(self, throw: RecordedThrow) -> Storyboard:
-        """Put the object of a throw into the room."""
         row, self._newest = self._objects.names.index(throw.object_name), None
         for renderer in (self._outside, self._inside):
             for name in GEOM_FIELDS:
@@ -200,7 +194,6 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         return Viewpoint(lookat=(x, y, z), **turned)
 
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:
-        """Return the object's path from its release to the catch."""
         whole = throw.qpos[throw.release : min(ceil(step), catch + 1), OBJECT_POS]
         newest = _positions_between(self._room, throw, min(step, catch))[OBJECT_POS]
         return np.vstack((whole, newest)) if len(whole) else None
@@ -228,11 +221,8 @@ def write_throws(
 ) -> int:
     """Write a film of throws in a grid, or stills if the file is a PNG; return the number of pictures.
 
-    Before each throw is drawn, `on_throw` is called with its number.
-
-    Raises:
-        InvalidValueError: The file cannot be written; nothing was drawn.
-        DeviceUnavailableError: No OpenGL back end works.
+    Before each throw is drawn, `on_throw` is called with its number. Raises InvalidValueError if the file
+    cannot be written, before anything is drawn.
     """
     OutputFile(FORMATS).require("the film", path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -61,10 +61,7 @@ def find_gl_backend() -> str:
     """Return the first of `GL_BACKENDS` that draws, each tried in a process of its own.
 
     A back end in MUJOCO_GL or PYOPENGL_PLATFORM is tried first. The latter excludes the other, because
-    PyOpenGL has one platform per process.
-
-    Raises:
-        DeviceUnavailableError: None works; the message names the Debian packages to install.
+    PyOpenGL has one platform per process. Raises DeviceUnavailableError, with Debian packages, if none draws.
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     preferred = bound or os.environ.get("MUJOCO_GL", "").lower()
@@ -97,11 +94,7 @@ class Renderer(AbstractContextManager["Renderer"]):
     def __init__(
         self, model: mujoco.MjModel, view: Viewpoint = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
-        """Open the drawing context; without the sky, a pixel that shows nothing is black.
-
-        Raises:
-            DeviceUnavailableError: No OpenGL back end works.
-        """
+        """Open the drawing context; without the sky, a pixel that shows nothing is black."""
         # `mujoco.Renderer` opens its context with this class, which MUJOCO_GL would choose.
         gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
         self.model = copy.copy(model)  #: What is drawn; its geoms may be changed between two pictures.
@@ -135,7 +128,6 @@ class Renderer(AbstractContextManager["Renderer"]):
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:
-        """See `close`."""
         self.close()
 
     def image(

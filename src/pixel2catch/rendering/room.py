@@ -123,7 +123,6 @@ def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: n
 
 
 def _add_wall(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-    """Add a wall with posters behind the thrower."""
     texture = spec.add_texture(name="wall", type=mujoco.mjtTexture.mjTEXTURE_2D)
     _paint(texture, WALL_LEVEL, rng)
     material = spec.add_material(name="wall", texrepeat=(1, 1), texuniform=True, specular=0.05, shininess=0.1)

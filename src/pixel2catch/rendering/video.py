@@ -46,10 +46,7 @@ def write_video(
 ) -> int:
     """Write pictures to an H.264 file as they come; return their number.
 
-    A lower `crf` is better and gives a larger file.
-
-    Raises:
-        InvalidValueError: Height or width is odd, which the format cannot store.
+    A lower `crf` is better and gives a larger file. The format cannot store an odd height or width.
     """
     number = 0
     with av.open(str(path), "w") as container:

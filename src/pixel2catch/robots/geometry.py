@@ -285,7 +285,6 @@ class WorkcellGeometry:
     """Palm poses and table clearances of a work cell, on one device."""
 
     def __init__(self, workcell: WorkcellSpec, device: torch.device | str = "cpu") -> None:
-        """Copy the constants to the device."""
         self._columns = [palm.carriers for palm in workcell.palms]
         self._chains = [chain_of(workcell, palm, device) for palm in workcell.palms]
         self._points = [_TablePoints(workcell, palm, device) for palm in workcell.palms]

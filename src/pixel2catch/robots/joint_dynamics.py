@@ -52,7 +52,6 @@ class JointDynamics:
     filter_lookahead: Parameter  #: Look-ahead time of the command filter [s]; 0 where there is no filter.
 
     def __post_init__(self) -> None:
-        """Refuse repeated joints, other numbers of values, and values out of range."""
         if not self.joints or len(set(self.joints)) < len(self.joints):
             raise InvalidValueError(f"joints are {list(self.joints)}; name each joint once.")
         for name in PARAMETERS:
@@ -84,11 +83,9 @@ class JointDynamics:
             )
 
     def __eq__(self, other: object) -> bool:
-        """Compare joints and all values."""
         return isinstance(other, JointDynamics) and self._key() == other._key()
 
     def __hash__(self) -> int:
-        """Hash joints and all values."""
         return hash(self._key())
 
     def _key(self) -> tuple[tuple[Any, ...], ...]:

@@ -61,7 +61,6 @@ class WorkcellSpec:
     table: TableSpec = field(default_factory=lambda: TABLE)  #: The table under them.
 
     def __post_init__(self) -> None:
-        """Refuse a robot without a palm, and joints of the same name."""
         names = self.joint_names
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
@@ -134,7 +133,6 @@ class WorkcellSpec:
 
 
 def _prefixed(palm: PalmSpec, prefix: str) -> PalmSpec:
-    """Return a palm with the names of the work cell."""
     fingers = tuple(
         replace(f, name=prefix + f.name, root=prefix + f.root, tip=prefix + f.tip) for f in palm.fingers
     )
@@ -194,9 +192,6 @@ def require_simple(content: bytes) -> None:
 
     MuJoCo 4.0.0 uses the name of an unknown class as the format of its error message: `%p` prints addresses,
     `%n` ends the process. Source: tried with `class="c%p-%p"`.
-
-    Raises:
-        InvalidValueError: It has such content.
     """
     if b"<!DOCTYPE" in content:
         raise InvalidValueError("it declares a document type or entities; remove them")

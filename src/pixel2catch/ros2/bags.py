@@ -109,7 +109,6 @@ def _unpacked_size(file: Path) -> int:
 
 
 def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
-    """Refuse chunks that are too large, alone or together."""
     sizes = [(each.message_start_time, 0, each.uncompressed_size) for each in chunks]
     sizes += [(each.message_end_time, 1, -each.uncompressed_size) for each in chunks]
     most = max(accumulate(size for *_, size in sorted(sizes)), default=0)
@@ -143,11 +142,7 @@ class BagMessage:
 
 
 def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMessage]:
-    """Yield the messages of some connections, by their times of recording; files of a bag may overlap.
-
-    Raises:
-        DeploymentError: A message is damaged.
-    """
+    """Yield the messages of some connections, by their times of recording; files of a bag may overlap."""
     from pixel2catch.ros2.messages import decode
 
     streams = [reader.messages(connections)]
@@ -181,11 +176,7 @@ class JointMotion:
 
 
 def joint_motion(where: str, message: BagMessage) -> JointMotion:
-    """Read a joint state, a trajectory of one target, or numbers without names.
-
-    Raises:
-        RecordingError: It has another type, or no target. The error begins with `where`.
-    """
+    """Read a joint state, a trajectory of one target, or numbers without names; `where` begins an error."""
     content, kind = message.content, message.type
     if kind not in MOTION_TYPES:
         raise RecordingError(f"{where}: type {kind} is not read; record {', '.join(MOTION_TYPES)}.")

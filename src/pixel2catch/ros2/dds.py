@@ -137,11 +137,7 @@ def _configured_domain(number: int, network: str) -> Domain:
 
 
 def join(node_name: str, clock: RealClock, network: str) -> Transport:
-    """Join the domain ROS_DOMAIN_ID on this machine only, one interface, or any, as CYCLONEDDS_URI says.
-
-    Raises:
-        DeploymentError: There is no such domain, or DDS cannot be started.
-    """
+    """Join the domain ROS_DOMAIN_ID on this machine only, one interface, or any, as CYCLONEDDS_URI says."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
         raise DeploymentError(f"ROS_DOMAIN_ID is '{text}'; set it to a number from 0 to {LARGEST_DOMAIN}.")

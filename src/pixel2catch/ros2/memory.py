@@ -14,7 +14,6 @@ class MessageQueue(Subscription):
     """The messages of one subscription; `MessageQueues` makes it. Any thread may use it."""
 
     def __init__(self, node: "MessageQueues", topic: Topic, depth: int, only_watches: bool) -> None:
-        """Begin empty."""
         self._node, self.topic, self.only_watches = node, topic, only_watches
         self.waiting: deque[Message] = deque(maxlen=depth)  #: Messages until they are taken.
 
@@ -37,7 +36,6 @@ class MessageQueues(list[MessageQueue]):
     """The queues of a node; the clock gives the arrival of messages."""
 
     def __init__(self, clock: Clock) -> None:
-        """Begin without queues."""
         super().__init__()
         self.clock, self.arrived = clock, Condition()
 
@@ -57,7 +55,6 @@ class Broker:
     """The network of some nodes. Any thread may use it."""
 
     def __init__(self) -> None:
-        """Begin without nodes."""
         self.lock, self.numbers = RLock(), count(1)
         self.nodes: list[MemoryTransport] = []
 
@@ -73,7 +70,6 @@ class MemoryTransport(Transport):
     """A node of a broker; `Broker.node` makes it."""
 
     def __init__(self, broker: Broker, clock: Clock) -> None:
-        """Begin without publishers and subscriptions."""
         self.broker, self.queues = broker, MessageQueues(clock)
         self.publishers: list[_MemoryPublisher] = []
 

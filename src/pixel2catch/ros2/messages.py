@@ -58,11 +58,7 @@ def encode(kind: str, *fields: Any) -> bytes:
 
 
 def decode(data: bytes, kind: str) -> Any:
-    """Decode a message; its arrays are views of the data.
-
-    Raises:
-        DeploymentError: It has another type, is damaged, or is too large.
-    """
+    """Decode a message, its arrays as views of the data; raise DeploymentError for other or damaged data."""
     if len(data) > MOST_BYTES:
         raise DeploymentError(f"a message has {len(data):,} bytes; at most {MOST_BYTES:,} are read.")
     try:
@@ -151,11 +147,7 @@ def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
 
 
 def pixels_of(message: Any) -> Pixels | None:
-    """Return the pixels of a decoded image, or None if its size and its bytes do not fit.
-
-    Raises:
-        DeploymentError: Its encoding is none of `ENCODINGS`.
-    """
+    """Return the pixels of a decoded image, or None if its size and its bytes do not fit."""
     if message.encoding not in ENCODINGS:
         known = ", ".join(ENCODINGS)
         raise DeploymentError(
@@ -210,11 +202,7 @@ def delivered(info: Any, matrix: np.ndarray) -> tuple[int, int, Float[np.ndarray
 
 
 def read_camera_info(data: bytes) -> CameraSpec:
-    """Decode size and lens of a camera in its own frame, without distortion.
-
-    Raises:
-        DeploymentError: It is damaged, or the camera is not calibrated.
-    """
+    """Decode size and lens of a camera in its own frame, without distortion; refuse one that has no lens."""
     message = decode(data, CAMERA_INFO)
     width, height, ((fx, _, cx), (_, fy, cy), _) = delivered(message, message.k)
     if not (fx > 0.0 and fy > 0.0):
@@ -255,11 +243,7 @@ def _printable(value: Any) -> Any:
 
 
 def read_json(data: bytes) -> dict[str, Any]:
-    """Decode a text that is a JSON object.
-
-    Raises:
-        DeploymentError: It is another text, too long, or too deeply nested.
-    """
+    """Decode a text that is a JSON object; raise DeploymentError for any other, too long or too deep one."""
     written = read_text(data)
     if len(written) > MOST_TEXT:
         raise DeploymentError(f"a text has {len(written)} characters; at most {MOST_TEXT} are read.")

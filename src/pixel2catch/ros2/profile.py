@@ -94,7 +94,6 @@ class HeldJoint:
     name_in_state: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an angle out of range."""
         if not self.range[0] <= self.angle <= self.range[1]:
             lower, upper = self.range
             raise InvalidValueError(f"angle is {self.angle:g}; it may be {lower:g} to {upper:g} rad")
@@ -163,7 +162,6 @@ class RobotPart:
 
     @cached_property
     def _places(self) -> tuple[Int[np.ndarray, " part_joints"], Int[np.ndarray, " num_held"]]:
-        """Indices of its joints and of the held joints in a command."""
         places = [joint.index_in_command for joint in self.joints.values()]
         return np.array(places, dtype=np.int64), np.array([*self.held], dtype=np.int64)
 
@@ -191,8 +189,7 @@ class RobotPart:
     def columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
         """Return the columns of a joint state with these names that are its joints, and their `ids`.
 
-        Raises:
-            DeploymentError: It has one of them twice.
+        Raises DeploymentError if it has one of them twice.
         """
         return _columns(names, [joint.name_in_state for joint in self.joints.values()], self.ids)
 
@@ -309,12 +306,7 @@ class Profile:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Profile":
-        """Read a shipped profile by its name, or a .yaml file by its path.
-
-        Raises:
-            UnknownNameError: There is no such profile.
-            DeploymentError: The file cannot be read, or is no profile.
-        """
+        """Read a shipped profile by its name, or a .yaml file by its path, or raise DeploymentError."""
         path = profile_file(name_or_path)
         with reading("profile", path, "Correct it.", DeploymentError):
             return decoded(cls, _with_topics(parse_yaml(read_text(path, MOST_YAML))))
@@ -342,11 +334,7 @@ class Profile:
 
 
 def profile_file(name_or_path: str | Path) -> Path:
-    """Return the file of a shipped profile, or the path of a .yaml file.
-
-    Raises:
-        UnknownNameError: There is no such profile.
-    """
+    """Return the file of a shipped profile, or the path of a .yaml file, or raise UnknownNameError."""
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return path

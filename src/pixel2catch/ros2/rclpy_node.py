@@ -17,12 +17,7 @@ OWN_NODES = "pixel2catch"  #: Prefix of the names of our nodes, whose subscripti
 
 
 def join(node_name: str, clock: RealClock, _: str) -> Transport:
-    """Join as a node of rclpy, with a thread that receives.
-
-    Raises:
-        DeploymentError: This version of ROS 2 is too old, or rclpy cannot be started.
-        ImportError: ROS 2 is not sourced.
-    """
+    """Join as a node of rclpy, with a thread that receives; raise ImportError if ROS 2 is not sourced."""
     import rclpy
     from rclpy.context import Context
     from rclpy.signals import SignalHandlerOptions
@@ -150,7 +145,6 @@ def _program(endpoint: Any) -> str:
 
 
 def _type(topic: Topic) -> Any:
-    """Return the class of a message, whose package must be installed."""
     from rosidl_runtime_py.utilities import get_message
 
     try:

@@ -152,7 +152,6 @@ class Transport(AbstractContextManager["Transport"]):
         """Leave the network."""
 
     def __exit__(self, *exception: object) -> None:
-        """Close it."""
         self.close()
 
 
@@ -179,9 +178,7 @@ NetworkName = Annotated[str, Reachable()]
 def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
     """Join a network, a `NetworkName`, by rclpy if it is `ROS`, else by DDS.
 
-    Raises:
-        UnknownNameError: There is no such network.
-        DeploymentError: The library is missing, or it cannot be started; or SROS 2 is not on this network.
+    Raises DeploymentError if that cannot be started or its library is missing, or SROS 2 is on elsewhere.
     """
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and network not in (ROS, LOOPBACK):
         raise DeploymentError(

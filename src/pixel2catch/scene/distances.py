@@ -53,7 +53,6 @@ class Distances:
     """Measures the distances of a work cell's robots; the room has no object."""
 
     def __init__(self, workcell: WorkcellSpec) -> None:
-        """Build the model."""
         spec = build_spec(SceneCfg(workcell=workcell.name))
         for sensor in spec.sensors:
             spec.delete(sensor)

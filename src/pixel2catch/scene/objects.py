@@ -205,12 +205,7 @@ def num_parts() -> int:
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
     """Return the names of objects for names of objects and groups, in the given order without repeats.
 
-    Args:
-        names: Names, or one string with commas between them.
-
-    Raises:
-        UnknownNameError: A name is neither an object nor a group.
-        InvalidValueError: No name is given.
+    `names` may be one string with commas between them. Raises UnknownNameError for any other name.
     """
     wanted = [name.strip() for name in names.split(",")] if isinstance(names, str) else list(names)
     if not wanted:

@@ -79,9 +79,6 @@ def build_model(
     """Compile the scene with one object; the layout is the same for all objects.
 
     `armature` overrides the nominal reflected inertias of joints, by name [kg·m²].
-
-    Raises:
-        InvalidValueError: A value of the scene is out of range.
     """
     require_valid(cfg, "scene")
     spec = build_spec(cfg, object_name)

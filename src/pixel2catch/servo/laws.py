@@ -75,12 +75,7 @@ class entry:  # noqa: N801
     dispatcher: Any = None  #: The compiled function, from the first call on.
 
     def __call__(self, *arguments: object) -> Any:
-        """Run the compiled function.
-
-        Raises:
-            ImportError: At the first call: numba is missing.
-            TypeError: The types differ from those of the first call.
-        """
+        """Run the compiled function; raise TypeError for other types than those of the first call."""
         self.dispatcher = self.dispatcher or _compile(self.python, arguments)
         return self.dispatcher(*arguments)
 

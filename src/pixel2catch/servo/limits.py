@@ -161,7 +161,6 @@ class JointLimits:
         )
 
     def __post_init__(self) -> None:
-        """Refuse limits that are not positive or not in order."""
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
@@ -222,7 +221,6 @@ class ServoLimits:
         return cls(joints=joints, workspace=Workspace(workcell=workcell), dt=min((cls.dt, *periods)))
 
     def __post_init__(self) -> None:
-        """Refuse limits under which a stop takes too long."""
         motion = self.joint_records
         braking = motion["speed"] / motion["acceleration"] + motion["window"] * self.dt
         if (slowest := float(np.maximum(braking, motion["stop_time"]).max())) > STOP_TIME:

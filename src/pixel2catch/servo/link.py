@@ -121,11 +121,6 @@ class JointTargets(Row):
         unknown = np.full(num_joints, np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf, box_stamp=-np.inf)
 
-    @classmethod
-    def recorded(cls, row: Float64[np.ndarray, " size"], num_joints: int) -> "JointTargets":
-        """Read a row of a recording; in one without `is_planned`, planned motions have equal stamps."""
-        return cls.of(row if len(row) > num_joints + 5 else np.insert(row, 5, row[0] == row[2]))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command(Row):
@@ -153,7 +148,6 @@ class LinkEnd(Generic[Sent, Received]):
     """One end of the link; it can be passed to a process that is being started."""
 
     def __init__(self, end: socket.socket, received: type[Received]) -> None:
-        """Take over a socket."""
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_SIZE)
         self._socket, self._received = end, received
         self.num_dropped = 0  #: Packets that did not fit, or were sent after the other end had closed.

@@ -63,7 +63,6 @@ class JointStates:
     """
 
     def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
-        """Subscribe."""
         self.joint_pos = np.full(num_joints, np.nan)  #: In joint order [rad].
         self.joint_stamp = np.full(num_joints, -np.inf)  #: [s].
         #: Positions of the held joints of each part [rad]; NaN if not measured.
@@ -127,7 +126,6 @@ class ServoSubscriptions:
     def __init__(
         self, transport: Transport, profile: Profile, limits: ServoLimits, commands: Sequence[Publisher]
     ) -> None:
-        """Subscribe, and watch the subscribers of the commands, of which a dry run has none."""
         self._transport, self._publishers, self._profile = transport, commands, profile
         self.joints = JointStates(transport, profile, limits.num_joints)
         latest = partial(_Latest[Any], transport)
@@ -256,7 +254,6 @@ class Servo:
     """The servo's loop: `run` until `end` is called or the control loop has ended, or call `tick`."""
 
     def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
-        """Subscribe; nothing is sent before the operator arms."""
         limits = setup.limits
         if setup.is_dry_run:
             anywhere = np.full(limits.num_joints, np.inf)
@@ -274,11 +271,7 @@ class Servo:
         self._is_ending = True
 
     def run(self) -> None:
-        """Tick at a fixed rate; missed ticks are left out.
-
-        Raises:
-            Exception: An unexpected error occurred; the robot was stopped first.
-        """
+        """Tick at a fixed rate, without missed ticks; raise unexpected errors after the robot was stopped."""
         due = self._clock.now()
         while not (self._is_ending and self._is_at_rest):
             self.tick()
@@ -334,10 +327,7 @@ def start_servo(
 ) -> Iterator[LoopEnd]:
     """Start a servo process, which joins a network, and yield the other end of its link.
 
-    At the end of the context, it stops the robot and ends, or is killed.
-
-    Raises:
-        DeploymentError: numba is missing.
+    At the end of the context, it stops the robot and ends, or is killed. Raises as `ServoCore` does.
     """
     if not find_spec("numba"):  # importing it takes long, and only the servo process needs it
         raise DeploymentError(f"numba is not installed: {install_command('deployment')}.")

@@ -115,7 +115,6 @@ def status_words(status: dict[str, Any]) -> StatusWords:
 
 
 def _idle_words(found: Sequence[str], verdict: object) -> StatusWords:
-    """Return the words of a robot that waits to be armed, or cannot be armed."""
     unseen = ["image stale"] if verdict == "no image" else []
     if missing := [*unseen, *(name for name in found if name not in EXPECTED_WHEN_IDLE)]:
         return StatusWords("waiting", f"not ready: {_what(missing)}", _fixes(missing))

@@ -76,7 +76,6 @@ class ServoState:
         return cls(robots=robots, joints=joints, recent=recent)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a field of all robots, or of all joints."""
         return (self.robots if name in (ROBOT_STATE.names or ()) else self.joints)[name]
 
 
@@ -84,11 +83,7 @@ class ServoCore:
     """The state machine under given limits: call `tick` every 2 ms, first with `ServoState.idle`."""
 
     def __init__(self, limits: ServoLimits) -> None:
-        """Compile the tick, if that was not done on this machine, in some seconds.
-
-        Raises:
-            DeploymentError: numba is missing.
-        """
+        """Compile the tick, for some seconds the first time; raise DeploymentError without numba."""
         self._limits = Limits(limits.robot_records, limits.joint_records, limits.workspace.space)
         idle = ServoState.idle(1, limits)
         inputs = np.zeros(1, ROBOT_INPUT), np.zeros(idle.joints.shape, JOINT_INPUT)

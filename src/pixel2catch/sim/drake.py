@@ -43,7 +43,6 @@ class DrakeCopy(EngineCopy):
     """A multibody plant with its scene graph."""
 
     def __init__(self, world: RigidWorld) -> None:
-        """Build the plant."""
         if world.restitution > 1e-6:
             raise InvalidValueError(
                 f"the object's restitution is {world.restitution:g}; engine 'drake' supports 0 only: give "

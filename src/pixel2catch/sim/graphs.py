@@ -100,10 +100,8 @@ def fused(
 ) -> Callable[..., Result]:
     """Return the function with fused tensor operations; the steps of the simulation are not compiled.
 
-    The first call compiles for about a minute. `backend` is a back end of torch.compile.
-
-    Raises:
-        DeviceUnavailableError: No C++ compiler works, which torch.compile needs for a CPU.
+    The first call compiles for about a minute. `backend` is a back end of torch.compile. Raises
+    DeviceUnavailableError without a C++ compiler, which torch.compile needs for a CPU.
     """
     if simulation.device.type == "cpu" and backend == "inductor":
         from torch._inductor.cpp_builder import get_cpp_compiler

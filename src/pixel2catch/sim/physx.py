@@ -50,7 +50,6 @@ class PhysxCopy(EngineCopy):
     def __init__(
         self, world: RigidWorld, *, has_substeps: bool = False, keeps_contacts: bool = False
     ) -> None:
-        """Build articulations and free bodies."""
         if len(world.excluded) > MOST_EXCLUDED:
             raise InvalidValueError(
                 f"{len(world.excluded)} pairs of bodies are excluded from collision; PhysX supports at most "

@@ -80,12 +80,9 @@ class RigidWorld:
 
 
 def rigid_world(model: mujoco.MjModel) -> RigidWorld:
-    """Read the rigid bodies of a compiled model.
+    """Read the rigid bodies of a compiled model; raise InvalidValueError for what has no counterpart.
 
     Friction and restitution are those of the geoms with the highest priority, as in their MuJoCo contacts.
-
-    Raises:
-        InvalidValueError: An element of the model has no counterpart.
     """
     _refuse(model)
     data = mujoco.MjData(model)

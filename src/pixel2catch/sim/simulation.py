@@ -32,7 +32,6 @@ class Simulation(ABC):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
     ) -> None:
-        """Store the attributes of all back ends."""
         self.model = model  #: The common model.
         self.num_envs = num_envs
         self.device = device  #: Device of bound and expanded tensors.

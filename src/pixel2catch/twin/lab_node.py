@@ -74,7 +74,6 @@ class PartTopics:
     """Joint states and commands of one part of the robot."""
 
     def __init__(self, part: RobotPart, driver: Driver, transport: Transport) -> None:
-        """Create publisher and subscription."""
         self._part, self.driver = part, driver
         self.ids: Int[np.ndarray, " part_joints"] = part.ids  #: Its joints, in the robot's joint order.
         self._states = transport.publisher(part.state_topic)
@@ -145,7 +144,6 @@ class LabNode:
     def __init__(
         self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: CameraDriver
     ) -> None:
-        """Create all publishers and subscriptions."""
         self.lab, self.camera = lab, camera
         roles: dict[str, str] = {group.name: group.role for group in lab.workcell.groups}
         #: Drivers of all arms, which stop together, as behind one safety circuit.
@@ -248,11 +246,7 @@ _CAMERAS: list[RoomCamera] = []  #: The camera of a drawing process.
 
 @contextmanager
 def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Pixels]"]]:
-    """Yield a function that begins to draw an image of a room, by its seed, in another process.
-
-    Raises:
-        DeviceUnavailableError: No OpenGL back end works.
-    """
+    """Yield a function that begins to draw an image of a room, by its seed, in another process."""
     find_gl_backend()
     with ProcessPoolExecutor(1, get_context("spawn"), _open_camera, (scene, seed)) as process:
         process.submit(bool).result()  # the camera is open
@@ -276,10 +270,6 @@ def serve(task: CatchEnvCfg, seed: int, rate: float, on_cycle: Callable[[LabNode
 
     Late cycles are made up for. The seed is of room and noise; the rate is that of the clock, at most 1.
     Returns a sentence about the cycles that began more than `LATE` after their time.
-
-    Raises:
-        DeviceUnavailableError: No OpenGL back end works.
-        DeploymentError: DDS cannot be started.
     """
     clock, num_late, worst, is_over = RealClock(rate), 0, 0.0, False
     profile = twin_profile(find_workcell(task.scene.workcell))

@@ -42,7 +42,6 @@ class RehearsalOperator(OperatorConsole):
     """An operator of twin and deployment, over the network."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
-        """Create all publishers and subscriptions."""
         super().__init__(transport, topics, clock)
         self._request = transport.publisher(COMMAND)
         self._states = transport.subscription(STATE, DEPTH)
@@ -191,8 +190,7 @@ def rehearse(
 ) -> dict[str, Any]:
     """Run throws with twin and deployment, two commands that write into a folder of logs; return the report.
 
-    Raises:
-        DeploymentError: The profile is not shipped, or a process did not start, or ended early.
+    Raises DeploymentError if the profile is not shipped, or a process did not start, or ended early.
     """
     if not (PROFILES / f"{profile.name}.yaml").exists():
         raise DeploymentError(f"no profile is shipped for '{profile.workcell}': rehearse it with --lockstep.")

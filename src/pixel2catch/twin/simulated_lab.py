@@ -159,11 +159,7 @@ class SimulatedLab:
         self._held_from = self.time + EMPTY_TIME
 
     def throw(self) -> None:
-        """Release the object at the end of the control step.
-
-        Raises:
-            DeploymentError: The thrower holds no object.
-        """
+        """Release the object at the end of the control step; raise DeploymentError if there is none."""
         if self.phase is not Phase.HELD:
             raise DeploymentError(f"the throw is {self.phase}, not {Phase.HELD}: prepare one, and wait")
         self._is_thrown = True

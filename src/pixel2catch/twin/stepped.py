@@ -127,10 +127,6 @@ def in_step(
 
     Images and perception are those of `pixel2catch twin` and `pixel2catch deploy`. Plain images show a red
     box instead, which perception finds by its colour.
-
-    Raises:
-        DeviceUnavailableError: Images are rendered, and no OpenGL back end works.
-        PolicyMismatchError: The policy cannot be deployed.
     """
     scene, workcell = task.scene, find_workcell(task.scene.workcell)
     with ExitStack() as stack:

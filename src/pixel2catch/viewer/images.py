@@ -37,7 +37,6 @@ class CameraImages:
     """
 
     def __init__(self, html: viser.GuiHtmlHandle, scene: SceneCfg) -> None:
-        """Show a dark image of the camera's size."""
         camera = scene.camera
         self._html, self._stack, self._newest = html, ExitStack(), None
         self._style = f"width:100%;display:block;aspect-ratio:{camera.width}/{camera.height}"

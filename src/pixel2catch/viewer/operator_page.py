@@ -209,11 +209,7 @@ class OperatorPage:
 
 
 def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
-    """Return the part of a box in the image: xmin, ymin, xmax, ymax [px].
-
-    Raises:
-        DeploymentError: It is no box, or outside the image.
-    """
+    """Return the part of a box in the image: xmin, ymin, xmax, ymax [px], or raise DeploymentError."""
     is_box = isinstance(box, list) and len(box) == 4 and all(type(edge) in (int, float) for edge in box)
     if not (is_box and all(map(isfinite, box))):
         raise DeploymentError(f"{box} is no box: give xmin, ymin, xmax, ymax in pixels of the image")

@@ -30,11 +30,7 @@ class PlayPage:
     """The page; `run` plays until it is closed."""
 
     def __init__(self, cfg: PageCfg, thrower: ThrowPlayer, first: ThrowOrder, seed: int = 0) -> None:
-        """Serve the page; the first throw has the seed, the next throw the next seed.
-
-        Raises:
-            Pixel2CatchError: The policy, an object or a file is not valid, or the page cannot be served.
-        """
+        """Serve the page; the first throw has the seed, the next throw the next seed."""
         self._thrower, self._seed = thrower, seed
         select_objects(first.objects)  # an error before the page is served
         scene = thrower.task(first).scene
@@ -123,7 +119,6 @@ class PlayPage:
             self._keep(played)
 
     def _keep(self, played: PlayedThrow) -> None:
-        """Count a throw, and add it to the list."""
         self._counts[played.order, played.is_success] += 1
         self._show_rates()
         self.throws[played.number] = played

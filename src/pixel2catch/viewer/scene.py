@@ -42,7 +42,6 @@ class SceneView:
     """One scene on a page; `show` moves it."""
 
     def __init__(self, server: viser.ViserServer, scene: SceneCfg) -> None:
-        """Add the scene to the page."""
         self._nodes, self._model = server.scene, build_room(scene, next(iter(OBJECTS)), ROOM_SEED)
         self._data = mujoco.MjData(self._model)
         self._root = self._nodes.add_frame(ROOT, show_axes=False)

@@ -133,11 +133,7 @@ class PageServer:
 
 
 def open_server(cfg: PageCfg, title: str, talk: Talk | None = None) -> PageServer:
-    """Serve an empty page of viser, or, if a handler of its connections is given, the operator's page.
-
-    Raises:
-        InvalidValueError: This machine cannot listen on that address.
-    """
+    """Serve an empty page of viser, or, if a handler of its connections is given, the operator's page."""
     address = listening_address(cfg.host)
     check = RequestCheck.of(cfg.host, is_loopback=address.is_loopback)
     with contextlib.redirect_stdout(io.StringIO()), _checked(check, talk):
@@ -150,12 +146,9 @@ def open_server(cfg: PageCfg, title: str, talk: Talk | None = None) -> PageServe
 
 
 def listening_address(host: str) -> IPv4Address | IPv6Address:
-    """Return the IP address of a host on which this machine can listen.
+    """Return the IP address of a host on which this machine can listen; raise InvalidValueError for others.
 
     On any other address viser would try a thousand ports and then hang.
-
-    Raises:
-        InvalidValueError: It has no address, or is not this machine.
     """
     try:
         address = ip_address(socket.getaddrinfo(host, None)[0][4][0])

@@ -19,7 +19,6 @@ class Playback:
     """Paces the pictures of one thread; any thread may change the speed."""
 
     def __init__(self) -> None:
-        """Begin in real time."""
         self._changed = Condition()
         self.speed = 1.0  #: Simulated time per real time.
         self.is_paused = False  #: Whether time stands still.
@@ -60,7 +59,6 @@ class Stage:
     """Shows throws while they happen, or again; one thread calls `show` and `replay`."""
 
     def __init__(self, server: viser.ViserServer, scene: SceneCfg, playback: Playback) -> None:
-        """Build the page of a scene."""
         self._server, self._playback = server, playback
         gui = server.gui
         gui.main_panel.dock_right()

@@ -72,11 +72,7 @@ class ThrowPlayer:
         return setting.level.change(task_of(policy, dynamics=self._dynamics, camera=self._camera))
 
     def run(self, order: ThrowOrder, seed: int) -> Iterator[PlayedThrow]:
-        """Yield a throw after each of its control steps; it has its outcome when the iteration has ended.
-
-        Raises:
-            Pixel2CatchError: There is no such policy or object, or a file does not fit.
-        """
+        """Yield a throw after each of its control steps; it has its outcome when the iteration has ended."""
         policy, method = self._loaded(order.policy)
         env = self._environment(order, method, seed)
         env.seed(seed)

@@ -89,7 +89,6 @@ class TwinPage:
         }
 
     def _handle(self, request: dict[str, Any]) -> None:
-        """Do what a button requests."""
         match request:
             case {"do": "catch"}:
                 self.catch()
@@ -117,11 +116,7 @@ class TwinPage:
 
 @contextmanager
 def twin_page(cfg: PageCfg, profile: Profile, rate: float) -> Iterator[None]:
-    """Serve the page in a process that ends with the context.
-
-    Raises:
-        InvalidValueError: This machine cannot listen on the page's address.
-    """
+    """Serve the page in a process that ends with the context."""
     listening_address(cfg.host)
     process = get_context("spawn").Process(target=_serve, args=(cfg, profile, rate), daemon=True)
     process.start()

@@ -43,21 +43,13 @@ class HeldButton:
         return holding[0] if holding and self._now() <= holding[1] else None
 
     def press(self, visitor: object) -> None:
-        """Hold the switch.
-
-        Raises:
-            DeploymentError: Another browser holds it.
-        """
+        """Hold the switch; raise DeploymentError if another browser holds it."""
         if self.holder not in (None, visitor):
             raise DeploymentError("another page holds the switch: let go of it there")
         self._holding = (visitor, self._now() + self._age)
 
     def keep(self, visitor: object) -> None:
-        """Keep holding the switch.
-
-        Raises:
-            DeploymentError: It was released, as the browser was silent for too long or the robot stopped.
-        """
+        """Keep holding the switch; raise DeploymentError if silence or a stop of the robot released it."""
         if self.holder is not visitor:
             raise DeploymentError("the switch was released: let go of it, and hold it again")
         self.press(visitor)

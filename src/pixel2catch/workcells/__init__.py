@@ -36,11 +36,7 @@ def find_workcell(name: str) -> WorkcellSpec:
 
 
 def known_workcell(name: str) -> WorkcellSpec:
-    """Return the work cell of a name; never import the file of that name, unlike `find_workcell`.
-
-    Raises:
-        UnknownNameError: There is no such work cell.
-    """
+    """Return the work cell of a name; never import the file of that name, unlike `find_workcell`."""
     if name not in _KNOWN and name not in workcells():
         raise UnknownNameError(
             "work cell", name, (*_KNOWN, f"or one of a file of your own, {OPTION} FILE.py")
