@@ -40,7 +40,6 @@ class CameraFile:
     focal_std: Share | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
     def __post_init__(self) -> None:
-        """Refuse another lens model, and a covariance that no errors can have."""
         if len(self.distortion) not in LENS_SIZES:
             raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
         _require_covariance(self.pose_covariance)
@@ -71,11 +70,7 @@ class CameraFile:
 
     @classmethod
     def load(cls, path: Path) -> "CameraFile":
-        """Read a file, or return the camera of a name in `CAMERAS` where no such file is.
-
-        Raises:
-            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
-        """
+        """Read a file, or return the camera of a name in `CAMERAS` where no such file is."""
         if str(path) in CAMERAS and not path.exists():
             return cls(camera=CAMERAS[str(path)])
         with reading("camera file", path, "Calibrate again, or correct that entry."):

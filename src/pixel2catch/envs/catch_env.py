@@ -121,9 +121,6 @@ class CatchEnv:
 
         Observations of a `teacher` are computed, too. With `is_fused`, the first step compiles the control
         step: see `sim.graphs.fused`.
-
-        Raises:
-            InvalidValueError: If a value is of another type or out of range.
         """
         for kind, name, value in (
             (CatchEnvCfg, "env", cfg),
@@ -182,12 +179,9 @@ class CatchEnv:
         return self._observe()
 
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
-        """Act for one control step; what lies outside [-1, 1] is clipped.
+        """Act for one control step; what lies outside [-1, 1] is clipped, NaN raises, on a device in `check`.
 
         The next step overwrites the returned tensors, except `observation` and `rewards`.
-
-        Raises:
-            InvalidValueError: An action is NaN; on a device `check` raises.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
@@ -215,11 +209,7 @@ class CatchEnv:
             self._generator.set_state(draws)
 
     def check(self) -> None:
-        """Check contacts and actions since the last call; wait for the device.
-
-        Raises:
-            InvalidValueError: An action was NaN.
-        """
+        """Check contacts and actions since the last call; wait for the device."""
         self.world.simulation.check()
         self._require_numbers()
 

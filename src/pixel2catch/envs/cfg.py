@@ -59,7 +59,6 @@ class CatchEnvCfg:
     value_sees_parameters: bool = False  #: Whether value networks also observe the drawn parameters.
 
     def __post_init__(self) -> None:
-        """Check the shares of the variants and the fields that must be the same in all."""
         if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
             raise InvalidValueError(
                 f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "
@@ -92,11 +91,7 @@ class CatchEnvCfg:
         return replace(task, dynamics=file.dynamics)
 
     def for_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
-        """Return the task with a range of gains for each joint of a work cell.
-
-        Raises:
-            InvalidValueError: It has ranges for another number of joints.
-        """
+        """Return the task with a range of gains for each joint of a work cell; raise for another number."""
         return self._with("randomization", lambda each: replace(each, gains=each.gains.of(workcell)))
 
     def _with(self, part: str, change: Callable[[Any], Any]) -> "CatchEnvCfg":
@@ -108,11 +103,7 @@ class CatchEnvCfg:
         return replace(self, scene=replace(self.scene, workcell=workcell.name))
 
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
-        """Return the task with a calibrated camera; each episode draws it within its uncertainty.
-
-        Raises:
-            InvalidValueError: Its images do not have the size that policies use.
-        """
+        """Return the task with a calibrated camera; each episode draws it within its uncertainty."""
         return replace(
             self.with_sensing(camera=file, any_camera=False), scene=replace(self.scene, camera=file.camera)
         )
@@ -129,11 +120,7 @@ class CatchEnvCfg:
         )
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
-        """Return the task with the robot of a dynamics file and the camera of a camera file.
-
-        Raises:
-            InvalidValueError: A file cannot be read, or the camera's images have another size.
-        """
+        """Return the task with the robot of a dynamics file and the camera of a camera file."""
         workcell = find_workcell(self.scene.workcell)
         task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics, workcell))
         return task if camera is None else task.with_camera(CameraFile.load(camera))

@@ -151,11 +151,7 @@ TASKS = {task.name: task for task in (CatchEnvCfg(), WIDE, WIDE_SHARP, PEOPLE, S
 
 
 def find_task(name: str) -> CatchEnvCfg:
-    """Return the task of a name.
-
-    Raises:
-        UnknownNameError: There is none; the message lists the valid names.
-    """
+    """Return the task of a name, or raise UnknownNameError with the valid names."""
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)
     return TASKS[name]

@@ -129,11 +129,7 @@ class ComparisonFolder:
         return result
 
     def plan(self) -> Plan:
-        """Return the plan, with all methods, seeds and sessions that were ever added.
-
-        Raises:
-            StudyError: If there is no study.
-        """
+        """Return the plan, with all methods, seeds and sessions that were ever added."""
         file, fix = self.path / FILE, "Mend it, or name another folder with --out."
         if not file.exists():
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
@@ -221,11 +217,7 @@ def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
 
 
 def read_metrics(path: Path, names: Sequence[str] = COLUMNS) -> Columns:
-    """Return columns of a `metrics.csv`, whose last line may be incomplete.
-
-    Raises:
-        InvalidValueError: If it cannot be read or is no such table.
-    """
+    """Return columns of a `metrics.csv`, whose last line may be incomplete."""
     with reading("metrics", path, "Train again, or take the file out of the study."):
         try:
             table = csv.DictReader(io.StringIO(read_text(path, MOST_METRICS)))

@@ -47,7 +47,6 @@ class Slot(ABC):
     poll_seconds = 0.1  #: Time between two looks at the running cells [s].
 
     def __init__(self, kind: str, device: str) -> None:
-        """Take cells of this kind, for this device."""
         self.kind, self.device = kind, device
 
     @abstractmethod

@@ -96,10 +96,7 @@ def metrics(trials: Trials, workcell: WorkcellSpec) -> Metrics:
 
     Speed and torques of the holds are None without a success: of each finger joint the root mean square
     over all of them, as a share of its limit. The median force on the object is that of trials in which the
-    hand touched it, None in engines that report no forces.
-
-    Raises:
-        NonFiniteError: If the simulation produced NaN or infinity.
+    hand touched it, None in engines that report no forces. What is not finite raises NonFiniteError.
     """
     names, record, num_trials = tuple(OBJECTS), trials.record, len(trials.is_verified)
     object_id, everything = record.object_id, torch.ones_like(trials.is_verified)

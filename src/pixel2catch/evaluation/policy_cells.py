@@ -47,11 +47,7 @@ class PolicyEntry:
 def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
     """Return the policies in these folders, or all shipped ones if there are none.
 
-    Each has the name of its ONNX file, its folder, or the run folder around it.
-
-    Raises:
-        PolicyMismatchError: If a policy does not fit this code.
-        InvalidValueError: If two have the same name.
+    Each has the name of its ONNX file, its folder, or the run folder around it. Equal names raise.
     """
     found = []
     for folder in folders or shipped_policies().values():
@@ -71,10 +67,7 @@ def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
 def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
     """Return engines by restitutions; without restitutions, they are drawn as in the task.
 
-    Engines in which nothing bounces get the restitution 0 alone.
-
-    Raises:
-        InvalidValueError: If such an engine has no setting left, or home lacks one of the others'.
+    Engines in which nothing bounces get the restitution 0 alone; one must be left, and home has all others.
     """
     for engine in (each for each in engines if each in INELASTIC):
         if any(restitutions) and (0.0 not in restitutions or engine == engines[0]):

@@ -81,7 +81,6 @@ class EvaluationCfg:
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
 
     def __post_init__(self) -> None:
-        """Check the ranges of the fields."""
         require_valid(self)
 
     def make_env(self, method: Method) -> CatchEnv:
@@ -295,7 +294,6 @@ class ClosedLoopHold:
     """The closed-loop hold of every third throw of a round."""
 
     def __init__(self, env: CatchEnv, actor: Actor) -> None:
-        """Take environments and policy; the round has not begun."""
         self._env, self._actor = env, actor
         self._kept: LiveState | None = None
         self._is_tested = torch.arange(env.num_envs, device=env.device) % CLOSED_LOOP_EVERY == 0

@@ -292,11 +292,7 @@ AXES: dict[str, Axis] = catalogue(Axis, {axis.name: axis for axis in _ALL})
 
 
 def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:
-    """Return all levels of the named axes, in the order of the tables; without names, of every axis.
-
-    Raises:
-        UnknownNameError: If there is no such axis.
-    """
+    """Return all levels of the named axes, in the order of the tables; without names, of every axis."""
     for name in names:
         if name not in AXES:
             raise UnknownNameError("axis", name, AXES)

@@ -36,11 +36,7 @@ class Progress:
 
 
 def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress: Progress) -> None:
-    """Write the state of learning, all or nothing.
-
-    Raises:
-        OSError: It could not be written; the previous checkpoint is kept.
-    """
+    """Write the state of learning, all or nothing; the previous checkpoint stays where that fails."""
     random = {"cpu": torch.get_rng_state()}
     if mappo.cfg.device.startswith("cuda"):
         random["cuda"] = torch.cuda.get_rng_state(mappo.cfg.device)
@@ -80,9 +76,7 @@ class Checkpoint:
     def restore(self, mappo: Mappo) -> None:
         """Put a learner and the random generators into this state.
 
-        Raises:
-            CheckpointError: It does not fit this learner.
-            PolicyMismatchError: It was trained under another contract; the message names the fields.
+        Raises PolicyMismatchError for another contract, CheckpointError for another learner.
         """
         self.contract.require(mappo.contract)
         random, device = self.state["random"], mappo.cfg.device
@@ -132,11 +126,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def open(self, *, resume: bool) -> Iterator[None]:
-        """Make the folder, or check that it can be resumed; at the end remove folders that stayed empty.
-
-        Raises:
-            CheckpointError: The folder holds a run already, holds none to resume, or cannot be made.
-        """
+        """Make the folder, or check that it can be resumed; at the end remove folders that stayed empty."""
         if resume and not self.checkpoint.exists():
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
         if not resume and (self.path / CONFIG_FILE).exists():

@@ -28,7 +28,6 @@ class Workers:
     """The process group; every process calls the same methods in the same order."""
 
     def __init__(self, rank: int = 0, size: int = 1, device: str = "cpu") -> None:
-        """Set rank, size and device; by default the process trains alone."""
         self.rank = rank  #: Number of this process, from 0.
         self.size = size  #: Number of processes.
         self.device = device  #: Device of this process, "cpu" or "cuda:N".
@@ -87,9 +86,7 @@ class Workers:
     def sync_errors(self) -> Iterator[None]:
         """Run work without communication; if it fails in one process, all processes end.
 
-        Raises:
-            WorkerError: In the first process, if only others failed; the message is theirs.
-            SystemExit: In the other processes.
+        WorkerError is raised in the first process, if only others failed, with their message.
         """
         failure: Exception | None = None
         try:
@@ -112,11 +109,7 @@ class Workers:
         raise SystemExit(0)
 
     def share(self, cfg: TrainCfg) -> TrainCfg:
-        """Return the configuration of this process: its share of environments, its device and its own seed.
-
-        Raises:
-            InvalidValueError: The environments or their transitions cannot be split equally.
-        """
+        """Return the configuration of this process: its equal share of environments, device and seed."""
         if cfg.num_envs % self.size:
             raise InvalidValueError(
                 f"num_envs is {cfg.num_envs}; it is split over {self.size} processes and must be a multiple "

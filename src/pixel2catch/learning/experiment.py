@@ -85,13 +85,7 @@ def preset(
 
 
 def read_run(folder: Path) -> RunRecord:
-    """Read the configuration of a run folder.
-
-    Raises:
-        CheckpointError: It does not fit this code.
-        UnknownNameError: It names a work cell that is not known.
-        OSError: It cannot be read.
-    """
+    """Read the configuration of a run folder; raise CheckpointError if it does not fit this code."""
     file = folder / CONFIG_FILE
     try:
         content = read_json_object(file)

@@ -51,12 +51,10 @@ class TrainingLog:
             self._closing["the run of Weights & Biases"] = run.finish
 
     def __enter__(self) -> "TrainingLog":
-        """Show the bar."""
         self._bar.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the files and leave the terminal as it was."""
         for what, close in self._closing.items():
             self.attempt(what, close)
         self._bar.__exit__()
@@ -92,21 +90,13 @@ def describe(row: Row) -> str:
 
 
 def wandb_package() -> Any:
-    """Return the package of Weights & Biases, which is optional.
-
-    Raises:
-        InvalidValueError: If it is not installed.
-    """
+    """Return the package of Weights & Biases, which is optional."""
     with needs_extra("wandb", "--wandb needs wandb", InvalidValueError):
         return importlib.import_module("wandb")
 
 
 def start_wandb(project: str, folder: Path) -> Any:
-    """Start a run of Weights & Biases, or go on with the one of this folder; it has the folder's name.
-
-    Raises:
-        InvalidValueError: It cannot start.
-    """
+    """Start a run of Weights & Biases, or go on with the one of this folder; it has the folder's name."""
     wandb, file = wandb_package(), folder / WANDB_FILE
     number = file.read_text(encoding="utf-8") if file.exists() else None
     config = read_json_object(folder / CONFIG_FILE)
@@ -135,11 +125,7 @@ class CsvLog:
         self._num_written = 0
 
     def write(self, row: Row) -> None:
-        """Append a row; with a new column the whole file is written again.
-
-        Raises:
-            OSError: The row could not be written; it is not lost, and the file is intact.
-        """
+        """Append a row, and those that failed before; with a new column the whole file is written again."""
         self._rows.append(
             {name: f"{value:.6g}" for name, value in row.items()} | {"transitions": str(row["transitions"])}
         )

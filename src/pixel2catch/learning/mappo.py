@@ -260,11 +260,7 @@ class Mappo:
 
     @torch.no_grad()
     def adopt(self, policy: Policy) -> None:
-        """Take over the networks and the input statistics of a policy: the inverse of `export`.
-
-        Raises:
-            InvalidValueError: Its hidden layers have other sizes.
-        """
+        """Take over the networks and the input statistics of a policy: the inverse of `export`."""
         if policy.hidden != tuple(self.cfg.hidden):
             raise InvalidValueError(
                 f"the policy to start from has hidden layers {policy.hidden}; train with --hidden "

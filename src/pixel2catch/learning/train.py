@@ -281,11 +281,7 @@ def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
 
 
 def require_finite(named: Mapping[str, float]) -> None:
-    """Check that quantities are finite.
-
-    Raises:
-        NonFiniteError: Some are not; the message names them.
-    """
+    """Raise NonFiniteError with the names of quantities that are not finite."""
     bad = [name for name, value in named.items() if not math.isfinite(value)]
     if bad:
         raise NonFiniteError(

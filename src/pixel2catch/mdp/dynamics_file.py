@@ -32,11 +32,7 @@ class GainRanges:
     is_damping_relative: tuple[bool, ...] = ()
 
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
-        """Return the ranges with an entry for each joint of a work cell.
-
-        Raises:
-            InvalidValueError: If there are neither none, nor one, nor as many.
-        """
+        """Return the ranges with an entry for each joint of a work cell: of none, one, or as many."""
         own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
         return GainRanges(
             stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
@@ -87,9 +83,6 @@ class DynamicsFile:
         """Read a file of a work cell's joints; no file is the nominal robot.
 
         Without ranges in it, the gains keep the paper's. Warns of joints that are worse than their command.
-
-        Raises:
-            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
         """
         if path is None:
             return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)

@@ -72,11 +72,7 @@ class PolicyContract:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "PolicyContract":
-        """Read what `to_dict` returned.
-
-        Raises:
-            PolicyMismatchError: A field is missing, unknown or of another version.
-        """
+        """Read what `to_dict` returned; raise PolicyMismatchError if it does not fit this code."""
         version = data.get("format_version")
         if version != FORMAT_VERSION:
             raise PolicyMismatchError(
@@ -96,11 +92,7 @@ class PolicyContract:
         return contract
 
     def require(self, expected: "PolicyContract") -> None:
-        """Compare with the contract of the robot and camera at hand.
-
-        Raises:
-            PolicyMismatchError: They differ; the message names the fields, with both values.
-        """
+        """Compare with the contract of robot and camera at hand; PolicyMismatchError says what differs."""
         same_task = dataclasses.replace(expected, task=self.task, object_radius=self.object_radius)
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]

@@ -30,11 +30,7 @@ NUM_TRIED = 10_000  #: Random observations for which that is tried. Source: ours
 
 
 def load(path: Path, device: str = "cpu") -> Policy:
-    """Read the folder of a policy or its ONNX file.
-
-    Raises:
-        PolicyMismatchError: A file is missing or damaged, or a field does not fit this code.
-    """
+    """Read the folder of a policy or its ONNX file; raise PolicyMismatchError if it does not fit."""
     if path.suffix != SUFFIX:
         return Policy.load(path, device)
     with _needs_libraries(), reading("policy", path, FIX, PolicyMismatchError):

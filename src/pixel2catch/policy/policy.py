@@ -106,11 +106,7 @@ class Policy(nn.Module):
         return json.dumps({"hidden": list(self.hidden), **self.contract.to_dict()}, indent=2) + "\n"
 
     def save(self, folder: Path) -> None:
-        """Write `policy.safetensors` and `policy.json` into a folder, both or neither.
-
-        Raises:
-            OSError: A file could not be written; an earlier policy is kept.
-        """
+        """Write `policy.safetensors` and `policy.json` into a folder, both or neither."""
         folder.mkdir(parents=True, exist_ok=True)
         text = self.description
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self.state_dict().items()}
@@ -119,11 +115,7 @@ class Policy(nn.Module):
 
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> "Policy":
-        """Read what `save` wrote.
-
-        Raises:
-            PolicyMismatchError: A file is missing or damaged, or a field does not fit this code.
-        """
+        """Read what `save` wrote; raise PolicyMismatchError if it does not fit this code."""
         fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
         with files.reading("policy", folder, fix, PolicyMismatchError):
             return cls.of(*_read(folder)).to(device).eval()
