@@ -85,6 +85,18 @@ def test_a_thing_of_the_same_colour_does_not_replace_a_hidden_ball():
     assert (worst[count:] <= 3.0).mean() >= 0.9
 
 
+def test_a_ball_behind_an_arm_is_not_a_thing_elsewhere():
+    """An arm swings before the ball for four images; meanwhile one like it appears 63 px beside the arm."""
+    first, steps = NUM_EMPTY + NUM_STILL + 8, np.arange(NUM_STEPS)[:, None]
+    place, is_hidden = BALL.path[first : first + 4].mean(axis=0), (steps >= first) & (steps < first + 4)
+    arm = Disc(path=np.where(is_hidden, place, (25.0, 40.0)), radius=33.0, color=(150, 110, 90))
+    other = Disc(path=np.where(is_hidden & (steps > first), place + np.array((105, 50)), -100.0), radius=9.0)
+    worst = errors((other, BALL, arm))
+    is_inside = is_hidden[NUM_EMPTY:, 0]
+    assert np.isinf(worst[is_inside]).all()
+    assert (worst[~is_inside] <= 3.0).all()
+
+
 def test_a_ball_in_front_of_the_robot_is_found_by_its_colour():
     path = np.tile((230.0, 130.0), (NUM_STEPS, 1)) + np.arange(NUM_STEPS)[:, None] * (0.3, -0.3)
     robot = Disc(path=path, radius=40.0, color=(30, 30, 32))

@@ -19,6 +19,7 @@ from pixel2catch.perception.foreground import (
 )
 from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
+    LARGEST_GROWTH,
     NOT_FOUND,
     REACH,
     BoxPrompt,
@@ -28,7 +29,7 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
 )
 
-LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5  #: Largest and smallest area of the object over before. Source: ours.
+LEAST_SHARE = 0.5  #: Smallest area of the object over before. Source: ours.
 BOX_ERROR = 2.0  #: By which each edge of a person's box may be too far inside [px]. Source: ours.
 LEAST_KNOWN = 0.2  #: Least share of a region with the object's colours, the rest being unseen. Source: ours.
 LEAST_OWN = 0.5  #: Share of own colours from which a thing without them is another one. Source: ours.
@@ -117,8 +118,10 @@ class BackgroundSubtraction(Segmenter):
                 width, height = max(xmax - xmin, 1.0), max(ymax - ymin, 1.0)
                 self._size = np.array((width, height, 0.25 * pi * width * height))
             self._learn(motion, inside, maybe)
+        things = regions(motion.moving)
+        self._track = self._track.behind(things, inf if self._size is None else float(self._size[2]))
         blobs, blob = self._object(motion, self._track, maybe)
-        self._track, segmentation = self._track.advanced(blobs, blob)
+        self._track, segmentation = self._track.advanced(blobs, blob, things)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
         seen = self._seen if self._num_still < NUM_FRESH else None

@@ -128,6 +128,14 @@ class Blob:
         mask[_relative(self.place, part)] = labels == self.label
         return mask
 
+    def meets(self, box: Edges) -> bool:
+        """Return whether some of its pixels are in a box [px]."""
+        (rows, columns), (top, left) = self.place, (each.start for each in self.window)
+        xmin, ymin, xmax, ymax = map(round, box)
+        rows = slice(max(rows.start, ymin) - top, max(min(rows.stop, ymax) - top, 0))
+        columns = slice(max(columns.start, xmin) - left, max(min(columns.stop, xmax) - left, 0))
+        return bool((self.labels[rows, columns] == self.label).any())
+
     def distance(self, point: tuple[float, float]) -> float:
         """Return the distance from the middle of its box to a point [px]."""
         return hypot(self.center[0] - point[0], self.center[1] - point[1])

@@ -1,8 +1,9 @@
 """What finds the object's pixels in a stream of images: the interface, its data, and a colour threshold."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, sqrt
 from typing import ClassVar
 
 import cv2
@@ -108,6 +109,7 @@ without the object, and its limit [px]. Source: ours; a release moves it by up t
 
 LARGEST_CHANGE = 12.0  #: Of a flight's motion in a control step [px]. Source: ours; gravity makes up to 10.
 LONGEST_STEP = 20.0  #: Largest motion in a control step with which another thing is known [px]. Source: ours.
+LARGEST_GROWTH = 2.0  #: Largest area of the object over before. Source: ours.
 LONGEST_COAST = 3.0  #: Control steps for which an unseen object keeps its velocity. Source: ours.
 
 
@@ -122,6 +124,8 @@ class ImageTrack:
     age: float = 0.0  #: Time since the last box.
     num_seen: int = 0  #: Images in which it was seen; the velocity is known from two on.
     others: tuple[tuple[float, float], ...] = ()  #: Middles of the other things in the last image [px].
+    is_alone: bool = False  #: Whether it was a moving thing of its own when it was last seen.
+    cover: Edges | None = None  #: Box of the larger moving thing that has hidden it since [px].
     limits: PlausibilityCfg = USUAL  #: What can be the object.
 
     def after(self, interval: float) -> "ImageTrack":
@@ -134,11 +138,25 @@ class ImageTrack:
         time = min(self.age, LONGEST_COAST)
         return self.center[0] + time * self.velocity[0], self.center[1] + time * self.velocity[1]
 
-    def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
+    def behind(self, things: Iterable[Blob], area: float) -> "ImageTrack":
+        """Return the track, with the moving thing that hides an object of this area [px²], if one does.
+
+        An object that was a thing of its own is hidden by one that is too large to be it and covers a part
+        of its expected place. It reappears beside that thing.
+        """
+        if not self.is_alone:
+            return self
+        place = _grown((*self.expected, *self.expected), 0.5 * sqrt(area))
+        large = (each for each in things if each.area > LARGEST_GROWTH * area)
+        return replace(self, cover=next((each.box for each in large if each.meets(place)), self.cover))
+
+    def advanced(
+        self, blobs: list[Blob], blob: Blob | None, things: Iterable[Blob] = ()
+    ) -> tuple["ImageTrack", Segmentation]:
         """Return the track with the newest image, in which the object is one of the regions, and its pixels.
 
         Without the object only the regions that continue another thing are other things. The score is the
-        region's share of its box.
+        region's share of its box. An object of about the size of a moving thing is a thing of its own.
         """
         if blob is None:
             known = (
@@ -149,12 +167,14 @@ class ImageTrack:
         fresh = min(span, 1.0) if self.num_seen > 1 else float(self.num_seen)  # fast images are averaged
         moved = (u - self.center[0]) / span, (v - self.center[1]) / span
         du, dv = (old + fresh * (new - old) for old, new in zip(self.velocity, moved, strict=True))
+        is_alone = any(each.area <= LARGEST_GROWTH * blob.area and each.meets(blob.box) for each in things)
         track = ImageTrack(
             center=blob.center,
             velocity=(du, dv),
             span=span,
             num_seen=self.num_seen + 1,
             others=tuple(each.center for each in blobs if each is not blob),
+            is_alone=is_alone,
             limits=self.limits,
         )
         score = blob.area / (blob.width * blob.height)
@@ -177,7 +197,7 @@ class ImageTrack:
         image are left out.
         """
         sized = [blob for blob in blobs if blob.is_plausible(self.limits) and not self._is_other(blob, blobs)]
-        near = (blob for blob in sized if blob.distance(self.center) <= self.reach)
+        near = (blob for blob in sized if blob.distance(self.center) <= self.reach and self._reappears(blob))
         return sorted(near, key=lambda blob: (not self.passes(blob), blob.distance(self.expected)))
 
     def leads_to(self, blob: Blob) -> bool:
@@ -197,6 +217,10 @@ class ImageTrack:
         """Return whether a region is farther from the expected place than a release moves the object."""
         return blob.distance(self.expected) > REACH * max(self.interval, 1.0)
 
+    def _reappears(self, blob: Blob) -> bool:
+        """Whether a region is beside the thing that hides the object, if one does."""
+        return self.cover is None or blob.meets(_grown(self.cover, REACH * max(self.interval, 1.0)))
+
     def _is_near(self, blob: Blob, place: tuple[float, float]) -> bool:
         return blob.distance(place) <= LONGEST_STEP * max(self.interval, 1.0)
 
@@ -208,6 +232,11 @@ class ImageTrack:
         reach = blob.distance(self.expected)
         near = (other for other in self.others if self._is_near(blob, other) and blob.distance(other) < reach)
         return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
+
+
+def _grown(box: Edges, rim: float) -> Edges:
+    left, top, right, bottom = box
+    return left - rim, top - rim, right + rim, bottom + rim
 
 
 LEAST_SATURATION, LEAST_VALUE = 0.4, 0.2  #: Of a colour, in [0, 1]; less is grey or dark. Source: ours.
