@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pixel2catch.camera.boxes import box_of_points, clip_box, perturb_box
-from pixel2catch.mdp.observations import pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
@@ -50,11 +49,3 @@ def test_noise_keeps_boxes_in_order_and_in_the_image(seed: int, reach: float):
     assert (noisy[:, :2] <= noisy[:, 2:]).all()
     torch.testing.assert_close(clip_box(noisy, RGB_CAMERA), noisy, atol=0, rtol=0)
     assert (noisy - box).abs().max() <= reach + 1e-4
-
-
-def test_features_by_hand():
-    before = torch.tensor([[300.0, 100.0, 320.0, 130.0]])  # centre (310, 115), size (20, 30)
-    now = torch.tensor([[304.0, 108.0, 336.0, 132.0]])  # centre (320, 120), size (32, 24)
-    # 320 / 640, 120 / 480, 32 / 640, 24 / 480, then 320 - 310, 120 - 115, 32 - 20, 24 - 30
-    expected = torch.tensor([[0.5, 0.25, 0.05, 0.05, 10.0, 5.0, 12.0, -6.0]])
-    torch.testing.assert_close(pixel_features(before, now, RGB_CAMERA), expected)

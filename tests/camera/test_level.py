@@ -1,12 +1,11 @@
 """Boxes of the level camera do not depend on where a camera looks, on its lens, or on its roll."""
 
 from dataclasses import replace
-from math import radians
 
 import torch
 from torch import Tensor
 
-from pixel2catch.camera.level import LEVEL_CAMERA, level_boxes, level_sight
+from pixel2catch.camera.level import LEVEL_CAMERA, level_boxes
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.region import REGION
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA
@@ -44,16 +43,6 @@ def test_the_level_camera_itself_and_empty_boxes_stay():
         level_boxes(box, nominal_projection(LEVEL_CAMERA, box)), box, atol=1e-2, rtol=0
     )
     assert not level_boxes(box, nominal_projection(RGB_CAMERA, box))[1].any()
-
-
-def test_sight_by_hand():
-    """2 m along the axis, and 0.5 m to its right: half of 0.5 of the depth, and 1 over 2 m."""
-    camera_pos = torch.tensor([[-0.3, 0.2, 1.9]])
-    tilt = radians(10.0)
-    ahead = torch.tensor([torch.cos(torch.tensor(tilt)), 0.0, -torch.sin(torch.tensor(tilt))])
-    points = camera_pos[:, None] + torch.stack((2.0 * ahead, 2.0 * ahead - torch.tensor([0.0, 0.5, 0.0])))
-    expected = torch.tensor([[[0.0, 0.0, 0.5], [0.25, 0.0, 0.5]]])
-    torch.testing.assert_close(level_sight(points, camera_pos), expected, atol=1e-5, rtol=0)
 
 
 def test_the_region_has_the_camera_of_the_release_and_names_what_is_outside():

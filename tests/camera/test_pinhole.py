@@ -33,19 +33,6 @@ def test_numbers_by_hand():
     torch.testing.assert_close(depth, torch.tensor([[2.0]]))
 
 
-def test_optical_axis_of_the_rgb_camera():
-    # Forward axis pitched down by 29 degrees; two metres along it, then 0.1 m to the robot's left (world +y).
-    pitch = 2 * math.atan2(0.25038, 0.96814764)
-    assert math.degrees(pitch) == pytest.approx(29.0, abs=0.01)
-    ahead, below = 2 * math.cos(pitch), 2 * math.sin(pitch)
-    on_axis = torch.tensor([-0.39 + ahead, 0.01, 2.2 - below], dtype=torch.float64)
-    to_the_left = on_axis + torch.tensor([0.0, 0.1, 0.0], dtype=torch.float64)
-    pixels, depth = project(RGB_CAMERA, torch.stack([on_axis, to_the_left])[None])
-    expected = torch.tensor([[[328.451, 246.513], [328.451 - 618.163 * 0.05, 246.513]]], dtype=torch.float64)
-    torch.testing.assert_close(pixels, expected, atol=1e-4, rtol=0)
-    torch.testing.assert_close(depth, torch.full((1, 2), 2.0, dtype=torch.float64))
-
-
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
 def test_single_precision_is_enough(device: str):
     """On a GPU, too, which could round products to TF32."""

@@ -3,7 +3,6 @@
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from importlib.util import find_spec
 from typing import Any
@@ -167,26 +166,6 @@ def test_waiting_ends_when_a_message_arrives(make: MakeNode):
     assert receiver.wait(0.0)
     assert numbers(subscription) == [1.0]
     assert not receiver.wait(0.0)
-
-
-def test_nodes_in_several_threads_lose_nothing():
-    """In memory."""
-    broker = Broker()
-    receiver = broker.node(RealClock())
-    subscription = receiver.subscription(NUMBER, depth=2000)
-
-    def send(start: int) -> None:
-        with broker.node(RealClock()) as node:
-            publisher = node.publisher(NUMBER)
-            for value in range(start, start + 500):
-                publisher.publish(messages.number(value))
-
-    with ThreadPoolExecutor() as threads:
-        sent = [threads.submit(send, 500 * i) for i in range(4)]
-        received = list[float]()
-        while len(received) < 2000 and (receiver.wait(0.1) or not all(each.done() for each in sent)):
-            received += numbers(subscription)
-    assert sorted(received) == list(range(2000))
 
 
 @pytest.fixture

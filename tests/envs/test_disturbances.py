@@ -37,27 +37,6 @@ MEASURED = replace(
 )
 
 
-VANISHING: dict[str, Any] = {
-    "sensing": SensingCfg(
-        camera_offset=1e-9,
-        box_bias=1e-6,
-        edge_noise=1e-6,
-        drop_rate=1e-9,
-        clock_error=1e-9,
-        stamp_jitter=1e-9,
-    ),
-    "throws": ThrowCfg(speed_deviation=1e-8, angle_deviation=1e-8),
-    "randomization": RandomizationCfg(air_density=1e-9),
-}
-
-
-def test_vanishing_disturbances_throw_the_same():
-    """Draws for disturbances come after the others: the first episode is the same, but for rounding."""
-    plain, disturbed = make(seed=5), make(seed=5, **VANISHING)
-    first, second = object_path(plain, 12), object_path(disturbed, 12)
-    torch.testing.assert_close(first, second, atol=2e-5, rtol=0)
-
-
 def test_boxes_are_those_of_the_calibrated_camera():
     """And a tracker that knows the camera is right about the position."""
     env = make(sensing=replace(PROMPT, camera=ELSEWHERE), throws=AT_ONCE)

@@ -1,15 +1,9 @@
 """Actions to joint targets: one affine map, anchored at the measured position for the arm."""
 
-from dataclasses import asdict
-
-import pytest
 import torch
 
 from paper_robot import ARM_JOINTS, JOINTS
-from pixel2catch.agents import commands_of
-from pixel2catch.mdp.control_step import ActionMap, JointCommand, relative_command
-from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.mdp.control_step import ActionMap, JointCommand
 
 NUM_ARM = len(ARM_JOINTS)
 HOME = torch.tensor([[joint.home for joint in JOINTS]])
@@ -28,21 +22,3 @@ def test_affine_map_by_hand():
     action = torch.tensor([[0.5, 0.5], [1.0, -1.0], [7.0, 7.0], [0.0, 0.0]])
     expected = torch.tensor([[2.25, 0.3], [2.4, -0.3], [1.5, 0.5], [0.0, 0.1]])
     torch.testing.assert_close(table.joint_pos_target(action, pos), expected)
-
-
-def test_the_hand_reaches_its_whole_range_and_its_middle_and_the_arm_stays_at_action_zero():
-    table = ActionMap.of(commands_of(UR5E_ALLEGRO), torch.device("cpu"))
-    for action, expected in ((-1.0, LOWER), (0.0, (LOWER + UPPER) / 2), (1.0, UPPER)):
-        target = table.joint_pos_target(torch.full((1, len(JOINTS)), action), HOME)[0]
-        torch.testing.assert_close(target[NUM_ARM:], expected[NUM_ARM:])
-        assert (action == 0.0) == torch.equal(target[:NUM_ARM], HOME[0, :NUM_ARM])
-
-
-@pytest.mark.parametrize("joint", ARM_JOINTS, ids=lambda joint: joint.name)
-def test_action_one_moves_an_arm_joint_at_its_speed_limit(joint):
-    """A servo dominated by its damping moves at k / d times its distance behind its target."""
-    speed = joint.velocity_limit
-    steady_lag = speed * joint.damping / joint.stiffness
-    scale = pytest.approx(steady_lag + speed * CONTROL_DT)
-    limits = {"lower": joint.lower, "upper": joint.upper}
-    assert asdict(relative_command(joint)) == {"anchor": 1.0, "offset": 0.0, "scale": scale} | limits

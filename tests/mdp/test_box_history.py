@@ -1,7 +1,5 @@
 """Boxes that a policy remembers, and the fit through them."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from hypothesis import given
@@ -124,29 +122,3 @@ def test_features_stay_bounded_whatever_the_ages(step: float, first: float):
         assert features.isfinite().all()
         assert (features[:, :-1].abs() <= BOUND).all()
     assert fit_boxes(torch.zeros(3, NUM_BOXES, 4), age, RGB_CAMERA).isfinite().all()
-
-
-def test_sizes_turn_directions_into_lengths():
-    age = uneven_ages()
-    features = fit_boxes(parabola(age), age, RGB_CAMERA)
-    scaled = named(features, "far", "far_u", "far_v", "far_du", "far_dv", "far_growth")
-    size = torch.exp(-named(features, "size_long"))
-    expected = torch.cat(
-        (torch.ones(4, 1), named(features, "u_long", "v_long", "du_long", "dv_long")), dim=-1
-    )
-    assert_close(scaled, size * torch.cat((expected, named(features, "growth_long")), dim=-1), atol=1e-5)
-
-
-def test_equal_ages_give_no_speed():
-    features = fit_boxes(parabola(uneven_ages()), torch.full((4, NUM_BOXES), 2.0), RGB_CAMERA)
-    assert_close(named(features, "du", "dv", "ddu", "ddv", "growth"), torch.zeros(1), atol=1e-3)
-
-
-def test_features_are_directions_whatever_the_focal_length():
-    age = uneven_ages()
-    box = parabola(age)
-    axis = torch.tensor([RGB_CAMERA.cx, RGB_CAMERA.cy]).repeat(2)
-    zoomed = replace(RGB_CAMERA, fx=2 * RGB_CAMERA.fx, fy=2 * RGB_CAMERA.fy)
-    near, far = fit_boxes(axis + 2 * (box - axis), age, zoomed), fit_boxes(box, age, RGB_CAMERA)
-    motion = ("u", "v", "du", "dv", "ddu", "ddv")
-    assert_close(named(near, *motion), named(far, *motion), atol=1e-4)

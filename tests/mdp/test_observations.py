@@ -1,7 +1,6 @@
 """Observations: sizes, layout, memories, and that every difference comes from (before, now)."""
 
 import dataclasses
-import itertools
 from dataclasses import replace
 
 import mujoco
@@ -14,19 +13,16 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import BoxHistory, History
 from pixel2catch.mdp.observations import (
-    PIXEL_FEATURES,
     ObservationInputs,
     box_age,
     observe,
     pixel_columns,
-    pixel_features,
-    privileged_state,
 )
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.policy import contract_of, method_of
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-from snapshots import measurement, privileged
+from snapshots import measurement
 
 PROPOSED = METHODS["proposed"]
 ARM, HAND = agents_of(UR5E_ALLEGRO)
@@ -69,18 +65,6 @@ def seeing(box: list[list[float]], age: list[float]) -> ObservationInputs:
 def test_sizes(method: Method):
     """Twice 25 for the arm and twice 39 for the hand, as the paper counts; the others follow."""
     assert {agent.name: observation(agent, method).shape[1] for agent in method.agents} == SIZES[method.name]
-
-
-@pytest.mark.parametrize("agent", [ARM, HAND], ids=lambda agent: agent.name)
-def test_layout(agent: AgentSpec):
-    """Per frame z_pixel, palm position, palm quaternion, joints, last action; the older frame first."""
-    frames = []
-    for before, now in itertools.pairwise(HISTORY):
-        columns = [PIXEL_FEATURES.index(name) for name in PROPOSED.pixel_features]
-        z = pixel_features(before.box, now.box, RGB_CAMERA)[:, columns]
-        (own,) = agent.joints
-        frames += [z, now.palm_pos[:, 0], now.palm_quat[:, 0], now.joint_pos[:, own], now.action[:, own]]
-    assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))
 
 
 def test_journal_adds_palm_displacement_and_targets():
@@ -171,19 +155,6 @@ def test_a_fit_tells_no_more_than_a_method_sees(name: str):
         frame = dataclasses.replace(seen, pixel_columns=pixel_columns(method.pixel_features))
         fits.append(torch.cat([term(frame) for term in method.agents[0].memory], dim=-1))
     torch.testing.assert_close(*fits, atol=1e-4, rtol=1e-4)
-
-
-def test_privileged_state_by_hand():
-    before = privileged(object_pos=torch.tensor([[1.0, 2.0, 3.0]]))
-    now = privileged(
-        object_pos=torch.tensor([[1.5, 2.0, 2.0]]),
-        palm_pos=torch.tensor([[0.5, 0.0, 1.0]]),
-        object_lin_vel=torch.tensor([[7.0, 8.0, 9.0]]),
-        is_touching=torch.tensor([[True, False, False, True, False]]),
-        is_robot_on_table=torch.tensor([True]),
-    )
-    expected = [1, 2, 3, 1.5, 2, 2, 0.5, 0, -1, 1, 2, 1, 7, 8, 9, 1, 0, 0, 1, 0, 1]
-    assert privileged_state(before, now)[0].tolist() == expected
 
 
 @pytest.mark.parametrize("name", ["without_pf", "object_position"])

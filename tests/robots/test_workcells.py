@@ -153,18 +153,6 @@ def test_a_random_roll_out(workcell: WorkcellSpec, device: str):
     env.close()
 
 
-def test_two_robots_have_an_agent_for_each_group():
-    two = find_workcell("two_ur5e_allegro")
-    agents = find_method("proposed", two).agents
-    assert [agent.name for agent in agents] == ["left_arm", "left_hand", "right_arm", "right_hand"]
-    one = METHODS["proposed"].agents
-    assert [agent.num_joints for agent in agents] == [agent.num_joints for agent in one] * 2
-    assert [agent.palms for agent in agents] == [(slice(0, 1),)] * 2 + [(slice(1, 2),)] * 2
-    (alone,) = find_method("single_agent", two).agents
-    assert alone.joints == (slice(0, 38),)
-    assert alone.palms == (slice(0, 2),)
-
-
 def test_an_agent_for_each_robot():
     two = find_workcell("two_ur5e_allegro")
     left, right = find_method("agent_per_robot", two).agents

@@ -16,20 +16,6 @@ FINGERS = ("index", "middle", "ring", "thumb")
 LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in UR5E_ALLEGRO.joints]).T
 
 
-@pytest.fixture(scope="module", params=["ur5e_allegro", "ur5e_allegro_right"])
-def model(request) -> mujoco.MjModel:
-    return build_model(SceneCfg(workcell=request.param))
-
-
-def test_no_contact_in_the_start_pose_whatever_the_reset_noise(model):
-    data = mujoco.MjData(model)
-    noise = np.random.default_rng(0).uniform(-0.125, 0.125, (500, 19))
-    for joint_pos in np.clip(HOME + noise, LOWER, UPPER):
-        data.qpos[:19] = joint_pos
-        mujoco.mj_fwdPosition(model, data)
-        assert data.ncon == 0
-
-
 def found(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
     """Names of the sensors that report a contact."""
     names = [model.sensor(i).name for i in range(model.nsensor)]
@@ -58,19 +44,6 @@ def test_sensors_name_what_is_touched():
     data.qpos[19:22] = (-0.2, 0.2, 0.81 + 0.034)
     mujoco.mj_forward(model, data)
     assert found(model, data) == {"object_any"}
-
-
-@pytest.mark.parametrize(
-    ("lift", "expected"), [(-0.4 * np.pi, {"robot_table"}), (0.0, {"robot_self", "robot_table"})]
-)
-def test_table_and_robot_are_solid(lift, expected):
-    """With the elbow folded, first the hand meets the table, then the forearm the foot of the arm."""
-    model = build_model(SceneCfg())
-    data = mujoco.MjData(model)
-    data.qpos[:19] = HOME
-    data.qpos[1:3] = lift, 0.9 * np.pi
-    mujoco.mj_forward(model, data)
-    assert found(model, data) == expected
 
 
 def test_visuals_change_no_physics():
