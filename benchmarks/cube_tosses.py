@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from mujoco import rollout
 
+from pixel2catch.reports import circumstances
 from pixel2catch.robots.poses import rotation_matrix
 from pixel2catch.scene.cfg import PUSH_OUT, SceneCfg, contact_solref
 from pixel2catch.scene.constants import GRAVITY
@@ -145,7 +146,8 @@ def main() -> None:
         shown = {key: [round(float(v), 3) for v in (np.mean(x), np.std(x))] for key, x in found.items()}
         rows.append({"parameters": name, **params, "tosses": len(held_out), **shown})
         print(json.dumps(rows[-1]))
-    args.out.write_text(json.dumps({"engine": args.engine, "hz": args.hz, "raw": args.raw, "rows": rows}))
+    result = {"engine": args.engine, "hz": args.hz, "raw": args.raw, "rows": rows}
+    args.out.write_text(json.dumps(result | {"circumstances": circumstances()}))
 
 
 if __name__ == "__main__":

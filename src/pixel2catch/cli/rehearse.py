@@ -70,7 +70,7 @@ class Rehearse:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             profile = twin_profile(known_workcell(policy.contract.workcell))
             report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
-        report["circumstances"] = circumstances()
+        report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
         print("\n".join(_lines(report)), flush=True)
         write_atomically({self.out / REPORT: json_text(report).encode()})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")

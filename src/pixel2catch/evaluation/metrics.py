@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from math import comb, isfinite, sqrt
-from statistics import NormalDist
+from statistics import NormalDist, fmean, variance
 from typing import Any
 
 import torch
@@ -61,6 +61,17 @@ def paired_difference(home: str, other: str) -> Metrics:
     }
 
 
+def welch_difference(values: Sequence[float], others: Sequence[float]) -> Metrics:
+    """Return the difference of two means of independent values with its 95 % interval. Source: Welch 1947."""
+    from scipy.stats import t  # takes a second
+
+    parts = [(variance(each) / len(each), len(each) - 1) for each in (values, others)]
+    square, mean = sum(part for part, _ in parts), fmean(values) - fmean(others)
+    spread = sum(part**2 / freedom for part, freedom in parts)
+    half = float(t.ppf(0.975, square**2 / spread)) * sqrt(square) if spread else 0.0
+    return {"difference": mean, "difference_interval": [mean - half, mean + half]}
+
+
 def pooled_counts(rates: Sequence[Mapping[str, Any]], name: str) -> tuple[int, int]:
     """Return the number of events of a rate, and of trials, over several metrics."""
     trials = [each.get(f"{name}_trials", each["trials"]) for each in rates]
@@ -84,6 +95,7 @@ def assess(
         "rounds": cfg.trials,
         "seed": cfg.seed,
         "device": cfg.device,
+        "workcell": cfg.task.scene.workcell,
         "engine": cfg.task.scene.engine,
         "physics_hz": cfg.task.scene.physics_hz,
         **metrics(trials, find_workcell(cfg.task.scene.workcell)),

@@ -10,7 +10,7 @@ from pixel2catch.evaluation.figures import heat_map
 from pixel2catch.evaluation.grid import Json, read_row
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, cell_file
-from pixel2catch.evaluation.report import RATES, Row, percent, table
+from pixel2catch.evaluation.report import RATES, Row, difference, percent, table
 from pixel2catch.evaluation.stress import Setting, is_trained_on
 from pixel2catch.reports import Cells, Section
 
@@ -114,9 +114,8 @@ def difference_cells(change: Row | None) -> Cells:
     """Return the cells of a `paired_difference`, in points; of None those of home."""
     if not change:
         return {"difference": "home", "lost, won": "", "p": ""}
-    low, high = (100.0 * bound for bound in change["difference_interval"])
     return {
-        "difference": f"{100.0 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]",
+        "difference": difference(change),
         "lost, won": f"{change['lost']}, {change['won']}",
         "p": f"{change['p_value']:.2g}",
     }

@@ -73,6 +73,20 @@ def percent(rate: float, interval: Sequence[float]) -> str:
     return f"{100 * rate:.1f} [{low:.0f}, {high:.0f}]"
 
 
+def spread(rate: Row | None, digits: int = 1) -> str:
+    """Return mean ± deviation in percent; a dash for a missing number."""
+    if rate is None:
+        return DASH
+    deviation = DASH if rate["deviation"] is None else f"{100 * rate['deviation']:.{digits}f}"
+    return f"{100 * rate['mean']:.{digits}f} ± {deviation}"
+
+
+def difference(change: Row) -> str:
+    """Return the difference of two rates with its interval, in points."""
+    low, high = (100 * bound for bound in change["difference_interval"])
+    return f"{100 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
+
+
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files by name, all or none.
 
