@@ -90,13 +90,21 @@ def test_a_closed_loop_hold_changes_no_other_round():
 
 
 def test_an_object_that_hovers_at_the_palm_is_no_verified_hold():
-    trials = evaluate(grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=NEVER))
+    trials = evaluate(grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=ROUND_STEPS))
     assert trials.record.is_success.float().mean() >= 0.5
     assert not trials.is_verified.any()
 
 
-def test_success_after_the_end_of_the_trial_does_not_count():
+def test_a_trial_is_as_much_longer_as_the_object_hovers_longer():
+    held_at = TRIAL_STEPS - 10
+    trials = evaluate(grasp(closes_at=held_at + 6), PROPOSED, over_the_palm(held_at, height=0.15))
+    assert trials.record.is_success.float().mean() >= 0.5
+    assert (trials.record.steps > TRIAL_STEPS).any()
+
+
+def test_success_after_the_end_of_the_trial_does_not_count(monkeypatch):
     """A ball out of reach that arrives at the palm within the last 20 steps is tracked, but held too late."""
+    monkeypatch.setattr(CatchEnvCfg, "trial_steps", TRIAL_STEPS)
     trials = evaluate(grasp(closes_at=NEVER), PROPOSED, over_the_palm(TRIAL_STEPS - 10, height=0.15))
     assert trials.record.is_tracked.float().mean() >= 0.5
     assert not trials.record.is_success.any()

@@ -30,7 +30,7 @@ def test_the_throws_of_the_paper_are_reachable():
 
 def test_throws_beside_and_behind_the_robot_are_not():
     episode = drawn()
-    for by in ((0.0, 2.0, 0.0), (3.0, 0.0, 0.0)):
+    for by in ((0.0, 2.0, 0.0), (3.0, 0.0, 0.0), (-1.6, 0.0, 0.0)):
         assert not is_reachable(replace(episode, throw=moved(episode.throw, by)), WORKCELL).any()
 
 

@@ -98,6 +98,12 @@ class CatchEnvCfg:
         variants = tuple(replace(each, **{part: change(getattr(each, part))}) for each in self.variants)
         return replace(self, **{part: change(getattr(self, part))}, variants=variants)
 
+    @property
+    def trial_steps(self) -> int:
+        """Return the control steps in which a throw is decided: 3.0 s, longer if objects hover longer."""
+        longest = max(each.throws.hover_steps[1] for each in self.all_variants)
+        return EpisodeCfg().max_steps + max(0, longest - ThrowCfg().hover_steps[1])
+
     def with_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
         """Return the task with other robots."""
         return replace(self, scene=replace(self.scene, workcell=workcell.name))

@@ -74,7 +74,7 @@ WIDE = replace(
     CatchEnvCfg(),
     name="wide",
     value_sees_parameters=True,
-    episode=EpisodeCfg(max_steps=EpisodeCfg().max_steps + HELD_STEPS[1] - ThrowCfg().hover_steps[1]),
+    episode=EpisodeCfg(max_steps=CatchEnvCfg(throws=PRACTISED_THROWS).trial_steps),
     variants=(
         TaskVariant(share=0.25, throws=PRACTISED_THROWS, randomization=LATE_ROBOT, sensing=OUTSIDE_CAMERA),
         TaskVariant(share=0.2, throws=HUMAN_THROWS, randomization=LATE_ROBOT, sensing=OUTSIDE_CAMERA),

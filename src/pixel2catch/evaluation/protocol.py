@@ -1,6 +1,7 @@
 """The protocol of an evaluation: rounds of throws with all noise and randomisation, and a test of every hold.
 
-A round has one throw in every environment. Reaching and success count within the first 3.0 s, as in training.
+A round has one throw in every environment. Reaching and success count within the first 3.0 s, as in training,
+or as much longer as the task's objects hover longer.
 After a success the policy stops: the arm holds its measured position, the hand repeats its last action. For
 one second at least two parts of the hand must touch the object at every control step. Then the arm shakes for
 half a second. If the object is still at the palm, the hold is verified.
@@ -35,7 +36,7 @@ from pixel2catch.methods import Method
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_VEL
 
-TRIAL_STEPS = EpisodeCfg().max_steps  #: Control steps in which reaching and success count, as in training.
+TRIAL_STEPS = CatchEnvCfg().trial_steps  #: Control steps in which reaching and success count, nominal task.
 HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
 SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 
@@ -85,7 +86,7 @@ class EvaluationCfg:
 
     def make_env(self, method: Method) -> CatchEnv:
         """Return environments whose episodes end only when the object is lost or robots hit each other."""
-        steps = ROUND_STEPS + CLOSED_LOOP_STEPS
+        steps = self.task.trial_steps + TEST_STEPS + CLOSED_LOOP_STEPS
         endings = EpisodeCfg(max_steps=steps, rest_steps=steps, ends_on_robot_contact=True)
         task = replace(self.task, objects=self.objects, episode=endings)
         return CatchEnv(task, method, num_envs=self.num_envs, device=self.device, seed=self.seed)
@@ -140,10 +141,15 @@ class RoundState(Trials):
         return select(self.is_testing, held, action)
 
     def advanced(
-        self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int, workcell: WorkcellSpec
+        self,
+        step: Step,
+        action: Float[Tensor, "num_envs num_joints"],
+        workcell: WorkcellSpec,
+        *,
+        is_late: bool,
     ) -> "RoundState":
-        """Return the state after a control step with these actions; numbers count from 1 in the round."""
-        is_counted = self.is_running if number <= TRIAL_STEPS else self.is_testing
+        """Return the state after a control step with these actions; after the trial it is late."""
+        is_counted = self.is_testing if is_late else self.is_running
         record = select(is_counted, step.record, self.record)
         test_steps = self.test_steps + self.is_testing.long()
         is_firm = step.log.is_touching.sum(dim=-1) >= LEAST_PARTS
@@ -192,12 +198,13 @@ def evaluate(
             throws. Otherwise the throws of later rounds depend on when the holds of earlier ones are decided.
     """
     env, rounds = env or cfg.make_env(method), []
-    num_steps = cfg.trials * ROUND_STEPS
+    length = env.cfg.trial_steps + TEST_STEPS
+    num_steps = cfg.trials * length
     try:
         for number in range(cfg.trials):
             if is_seeded:
                 env.seed(cfg.seed + number)
-            steps = itertools.count(number * ROUND_STEPS + 1)
+            steps = itertools.count(number * length + 1)
             hold = ClosedLoopHold(env, actor)
 
             def watch(_: Step, state: RoundState, hold=hold, steps=steps) -> None:
@@ -278,14 +285,14 @@ def run_round(
 def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
     """Yield the control steps of a round; each step overwrites what the one before yielded."""
     observation = env.reset()
-    state = _round_start(env)
-    for number in range(1, ROUND_STEPS + 1):
+    state, trial_steps = _round_start(env), env.cfg.trial_steps
+    for number in range(1, trial_steps + TEST_STEPS + 1):
         action = state.chosen(_policy_action(env, actor, observation), env.workcell)
         step = _step(env, action, state.is_running)
-        state = state.advanced(step, action, number, env.workcell)
+        state = state.advanced(step, action, env.workcell, is_late=number > trial_steps)
         observation = step.observation
         yield step, state
-        if number >= TRIAL_STEPS and not state.is_testing.any():
+        if number >= trial_steps and not state.is_testing.any():
             break
 
 

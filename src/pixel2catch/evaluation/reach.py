@@ -1,8 +1,8 @@
 """Which throws an arm can reach that knows the throw from its release on.
 
 A throw is reachable if, at some time of its flight, a palm can be within `NEAR` of the object and face it,
-with every joint of its arm driven at its largest speed since the release. Hand, sight and policy do not
-count.
+with every joint of its arm driven at its largest speed since the release, before the object has passed the
+robot. Hand, sight and policy do not count.
 """
 
 from functools import cache
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import rotation_matrix
-from pixel2catch.mdp.terminations import DROP_HEIGHT
+from pixel2catch.mdp.terminations import DROP_HEIGHT, DROP_X
 from pixel2catch.mdp.throws import flight_path, flight_time
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -78,6 +78,7 @@ def is_reachable(episode: Episode, workcell: WorkcellSpec) -> Bool[Tensor, " num
             any(
                 bool(((times[near] <= k * step) & (normals[near] @ -motion[k] >= FACING)).any())
                 for k, near in enumerate(tree.query_ball_point(points, NEAR))
+                if points[k, 0] >= DROP_X
             )
         )
     return torch.tensor(found)
