@@ -96,9 +96,11 @@ MEMORIES: dict[str, Memory] = {
         num_boxes=observations.NUM_BOXES,
         terms=(observations.box_fit, observations.camera_position, observations.palm_sight),
     ),
+    "flight": Memory(num_boxes=32, terms=(observations.measured_boxes, observations.camera_position)),
 }
 """Memories by name. Source: ours, for latencies that differ, for more of a flight than two frames, and for
-any calibrated camera: all boxes are then those of a level camera, see `camera.level`."""
+any calibrated camera: all boxes are then those of a level camera, see `camera.level`. `flight` has all
+boxes of a flight of 1 s."""
 
 
 def remembering(method: Method, memory: str) -> Method:
@@ -135,11 +137,14 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     `object_position` observes the object in 3D, `object_extent` also its size; `shared_reward` gives all
     agents the sum of their rewards; `agent_per_robot` has an agent for each robot; `catch` has a shared
     reward with costs of unrest and self-contact, `catch_alone` the same as one agent; `catch_teacher`
-    observes the object in 3D and can be imitated. With a `local_critic` no value network sees the state.
+    observes the object in 3D and can be imitated. `analytic` and `analytic_told` are
+    what the computed policies of these names observe, see `policy.analytic`. With a `local_critic` no value
+    network sees the state.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
     oracle = (observations.object_position, *observations.PROPRIOCEPTION)
+    joints = (observations.joint_pos, observations.last_action)
     proposed = Method(name="proposed", agents=agents, pixel_features=ALL_FEATURES)
     single = replace(proposed, name="single_agent", agents=(together(agents),))
     methods = (
@@ -166,6 +171,12 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
         replace(proposed, name="catch", agents=sharing(resting)),
         replace(proposed, name="catch_alone", agents=(alone,)),
         Method(name="catch_teacher", agents=_seeing((alone,), *oracle), pixel_features=()),
+        replace(proposed, name="analytic", agents=_seeing((alone,), observations.pixels, *joints)),
+        Method(
+            name="analytic_told",
+            agents=_seeing((alone,), observations.object_position, *joints),
+            pixel_features=(),
+        ),
     )
     return {method.name: method for method in methods}
 

@@ -9,6 +9,14 @@ from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 
 DEFAULT_POLICY = "catch_alone+fit"  #: Default policy of all commands.
 
+COMPUTED = ("analytic", "analytic_told")
+"""Names of policies that no folder has; NAME@WORKCELL is one for another work cell than the paper's."""
+
+
+def is_computed(path: Path) -> bool:
+    """Return whether a path is the name of a computed policy."""
+    return str(path).partition("@")[0] in COMPUTED and not path.exists()
+
 
 def shipped_policies() -> dict[str, Path]:
     """Return the folders of the shipped policies, by name.
@@ -29,15 +37,21 @@ def shipped_policies() -> dict[str, Path]:
 def policy_folder(folder: Path | None) -> Path:
     """Return the folder of a policy, for its folder, its run or a shipped name; ONNX files stay files.
 
+    The name of a computed policy is returned as it is.
+
     Raises:
         PolicyMismatchError: The folder has no policy.
         UnknownNameError: There is no such folder and no such name.
     """
+    if folder is not None and is_computed(folder):
+        return folder
     if folder is None or not folder.exists():
         shipped = shipped_policies()
         name = str(folder or DEFAULT_POLICY)
         if name not in shipped:
-            raise UnknownNameError("policy", name, [*shipped, "or a folder with a policy or a training run"])
+            raise UnknownNameError(
+                "policy", name, [*shipped, *COMPUTED, "or a folder with a policy or a training run"]
+            )
         folder = shipped[name]
     if folder.suffix == ".onnx" and folder.is_file():
         return folder

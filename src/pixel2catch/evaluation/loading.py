@@ -10,12 +10,13 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.region import REGION
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.methods import Method
-from pixel2catch.policy import Policy, contract_of, method_of
+from pixel2catch.policy import Policy, analytic, contract_of, method_of
+from pixel2catch.policy.analytic import AnalyticPolicy
 from pixel2catch.policy.onnx_policy import load
 from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.shipped import policy_folder
+from pixel2catch.shipped import is_computed, policy_folder
 from pixel2catch.workcells import known_workcell
 
 PHYSICS_HZ = 600.0
@@ -37,19 +38,22 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
             method that neither this package nor its contract defines.
     """
-    policy = load(policy_folder(folder), device)
+    found = policy_folder(folder)
+    policy = AnalyticPolicy(str(found)).to(device) if is_computed(found) else load(found, device)
     workcell = known_workcell(policy.contract.workcell)
     method = method_of(policy.contract)
-    expected, found = contract_of(method, workcell), policy.contract.camera
+    expected, trained = contract_of(method, workcell), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}
-    camera = {name: found.get(name, value) for name, value in expected.camera.items()} | size
+    camera = {name: trained.get(name, value) for name, value in expected.camera.items()} | size
     policy.contract.require(replace(expected, camera=camera))
     return policy, method
 
 
 def fingerprint(folder: Path | None) -> str:
-    """Return the SHA-256 of the networks of a policy, by which results name it."""
+    """Return the SHA-256 of the networks of a policy, or of what computes it, by which results name it."""
     found = policy_folder(folder)
+    if is_computed(found):
+        return sha256(Path(analytic.__file__))
     return sha256(found / WEIGHTS_FILE if found.is_dir() else found)
 
 

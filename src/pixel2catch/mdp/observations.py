@@ -113,6 +113,12 @@ def box_age(frame: ObservationInputs) -> Float[Tensor, "num_envs 1"]:
     return frame.now.boxes.age[:, :1]
 
 
+def measured_boxes(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+    """Return the four edges of all measured boxes [px], then their ages [control steps]. Source: ours."""
+    boxes = frame.now.boxes
+    return torch.cat((boxes.box.transpose(1, 2), boxes.age[:, None]), dim=1).flatten(1)
+
+
 def camera_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
     """Return the place of the calibrated camera [m]. Source: ours, for policies of any camera."""
     return frame.now.camera_pos

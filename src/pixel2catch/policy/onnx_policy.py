@@ -69,9 +69,9 @@ def to_onnx(policy: Policy) -> bytes:
 
     Raises:
         NonFiniteError: The actions differ: weights or input statistics are not finite.
-        PolicyMismatchError: A library is missing.
+        PolicyMismatchError: A library is missing, or the policy has no networks.
     """
-    agents = policy.contract.agents
+    agents, description = policy.contract.agents, policy.description
     sizes = {f"observation.{name}": agent.num_inputs for name, agent in agents.items()}
     batch = torch.export.Dim("num_envs")
     with _needs_libraries(), warnings.catch_warnings():
@@ -95,7 +95,7 @@ def to_onnx(policy: Policy) -> bytes:
     for node in model.graph.node:
         node.ClearField("metadata_props")  # traces of this machine
     model.ir_version, model.producer_name, model.doc_string = IR_VERSION, "pixel2catch", __doc__ or ""
-    onnx.helper.set_model_props(model, {"policy": policy.description})
+    onnx.helper.set_model_props(model, {"policy": description})
     data = model.SerializeToString()
     if not (difference := largest_difference(policy, data)) <= TOLERANCE:
         raise NonFiniteError(

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from pixel2catch import files
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.policy.contract import PolicyContract
+from pixel2catch.shipped import is_computed
 
 MOST_LAYERS, LARGEST_LAYER = 16, 8192  #: Of networks that are read. Source: ours; the paper has 3, of 512.
 WEIGHTS_FILE = "policy.safetensors"
@@ -98,7 +99,7 @@ class Policy(nn.Module):
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
         """Return the mean action of every agent, clipped to [-1, 1]."""
-        return {name: self.network(name)(observations[name]).clamp(-1.0, 1.0) for name in self.agents}
+        return {name: agent(observations[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
 
     @property
     def description(self) -> str:
@@ -116,6 +117,8 @@ class Policy(nn.Module):
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> "Policy":
         """Read what `save` wrote; raise PolicyMismatchError if it does not fit this code."""
+        if is_computed(folder):
+            raise PolicyMismatchError(f"policy '{folder}' has no networks to go on from; give a trained one.")
         fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
         with files.reading("policy", folder, fix, PolicyMismatchError):
             return cls.of(*_read(folder)).to(device).eval()

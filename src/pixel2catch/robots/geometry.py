@@ -43,7 +43,7 @@ class Chain:
         dtype: torch.dtype = torch.float32,
     ) -> None:
         """Read the chain from a model; `home` are the start positions of its joints [rad]."""
-        self.joints, matrices = _read(model, site)
+        self.joints, matrices = read_chain(model, site)
         if len(self.joints) != len(home):
             raise InvalidValueError(
                 f"{len(home)} start positions were given; give one for each joint that moves the site "
@@ -95,7 +95,7 @@ class Chain:
         return torch.where(side < 0, -quat, quat)
 
 
-def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
+def read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the names of the joints that move a site, and K, C, S: (3, num_joints, 4, 4)."""
     end = model.site(site)
     body, after = int(end.bodyid[0]), pose_matrix(end.pos, end.quat)
