@@ -4,8 +4,11 @@ import fcntl
 import os
 import socket
 import tempfile
+import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 FIRST_PORT, PORTS = 7410, 250
 """Port of the first participant of domain 0, and how many ports a domain has. Source: DDS-RTPS."""
@@ -51,3 +54,12 @@ def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return free.getsockname()[1]
+
+
+def until(is_true: Callable[[], Any], go_on: Callable[[], Any] = lambda: None) -> None:
+    """Wait until something is true, such as that the network has found an endpoint; go on meanwhile."""
+    end = time.monotonic() + PATIENCE
+    while not is_true():
+        assert time.monotonic() < end
+        go_on()
+        time.sleep(0.001)

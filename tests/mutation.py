@@ -22,8 +22,6 @@ LARGE = (b"\xff" * 4, b"\xff" * 8, b"\0\0\0\x80", b"\x7f\xff\xff\xff")
 WORDS = (*LARGE, b"\0" * 4, b"\0\0\0\0\0\0\xf8\x7f", b"\x01\0\0\0")
 """Lengths, offsets and numbers that stand anywhere in a binary file."""
 
-CELLS = ("", "nan", "1e400", "-1", "x" * 10_000, "0x1p3", "1_0", "²", "\0", '"', "../../../dev/zero")
-"""What stands in the place of a cell of a table."""
 
 SHAPES = ("(1000000000000000,)", "(-1,)", "(0, 0)", "()", "(3, 6", "(2147483648, 2147483648)", "(7, 2)")
 TYPES = ("|O", "<c16", "<U4000000", "<f2", "|b1", "<M8[s]", "|V8", "<i8", "f8,i4", "|U0")
@@ -166,22 +164,3 @@ def _with_header(data: bytes, key: str, value: str) -> bytes:
     header = {name: repr(entry) for name, entry in eval(data[10 : 10 + size]).items()}
     text = "{" + ", ".join(f"'{name}': {entry}" for name, entry in (header | {key: value}).items()) + "}\n"
     return data[:8] + len(text).to_bytes(2, "little") + text.encode() + data[10 + size :]
-
-
-def changed_csv(data: bytes, rng: random.Random) -> bytes:
-    """A table with other cells, lines or separators."""
-    if rng.random() < 0.3:
-        return changed_bytes(data, rng)
-    rows = [line.split(b",") for line in data.split(b"\n")]
-    row = rng.choice(rows)
-    cell = rng.choice(CELLS).encode()
-    match rng.randrange(3):
-        case 0:
-            row[rng.randrange(len(row))] = cell
-        case 1:
-            row.append(cell)
-        case 2:
-            rows.insert(rng.randrange(len(rows)), [cell])
-    return rng.choice((b"\n", b"\r\n", b"\r")).join(
-        rng.choice((b",", b" ", b";")).join(each) for each in rows
-    )

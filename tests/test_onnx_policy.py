@@ -1,6 +1,5 @@
 """A policy as an ONNX file acts as the policy does, and is refused where it does not fit."""
 
-import dataclasses
 import json
 import subprocess
 import sys
@@ -80,28 +79,6 @@ def test_the_file_is_taken_in_place_of_a_folder(file: Path, capsys: pytest.Captu
     rounds = ("--num-envs", "1", "--trials", "1", "--env.scene.physics-hz", "120")
     assert main(["evaluate", str(file), *rounds, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["policy_sha256"] == sha256(file)
-
-
-def altered(file: Path, out: Path, **description: object) -> Path:
-    """The file, with another contract."""
-    model = onnx.load(file)
-    text = json.loads(model.metadata_props[0].value) | description
-    onnx.helper.set_model_props(model, {"policy": json.dumps(text)})
-    onnx.save(model, out)
-    return out
-
-
-def test_another_contract_is_refused_by_its_field(file: Path, tmp_path: Path) -> None:
-    agents = json.loads(json.dumps(dataclasses.asdict(CONTRACT)))["agents"]
-    for change, message in (
-        ({"format_version": 99}, "'format_version' is 99"),
-        ({"colour": "red"}, "colour"),
-        ({"agents": agents}, "agents.robot"),
-    ):
-        with pytest.raises(PolicyMismatchError, match=message):
-            load(altered(file, tmp_path / "altered.onnx", **change))
-    with pytest.raises(PolicyMismatchError, match="control_dt"):
-        load_policy(altered(file, tmp_path / "altered.onnx", control_dt=0.02))
 
 
 def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:

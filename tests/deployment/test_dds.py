@@ -17,7 +17,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic as DdsTopic
 
-from domains import PATIENCE, own_domain
+from domains import PATIENCE, own_domain, until
 from pixel2catch.cli.deploy import Deploy
 from pixel2catch.cli.link import Link
 from pixel2catch.cli.operate import Operate
@@ -49,9 +49,8 @@ def foreign_writer(*policies):
 def test_a_publisher_is_named_by_node_process_and_machine(make):
     node, _stranger = make("node"), foreign_writer(Policy.EntityName("stranger\n" + 90 * "!"))
     make("driver").publisher(STATES)
-    end = time.monotonic() + PATIENCE
-    while len(found := {*node.other_publishers(STATES).values()}) < 2:
-        assert time.monotonic() < end
+    until(lambda: len(node.other_publishers(STATES)) == 2)
+    found = {*node.other_publishers(STATES).values()}
     where = f"(process {os.getpid()} on {socket.gethostname()})"
     assert found == {f"driver {where}", f"stranger{52 * '!'} {where}"}
 

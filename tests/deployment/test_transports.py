@@ -11,7 +11,7 @@ import pytest
 import rclpy_stand_in
 from rclpy_stand_in import Network
 
-from domains import PATIENCE, own_domain
+from domains import PATIENCE, own_domain, until
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -50,14 +50,6 @@ def wait_for(node: Transport, subscription: Subscription) -> Message:
     return message
 
 
-def wait_until(is_so: Callable[[], bool]) -> None:
-    """Wait until the network has found an endpoint or its end."""
-    end = time.monotonic() + PATIENCE
-    while not is_so():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
 def test_a_watching_subscription_does_not_end_a_wait(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
@@ -75,7 +67,7 @@ def test_the_newest_messages_are_kept_in_order(make: MakeNode):
     for value in range(7):
         publisher.publish(messages.number(value))
     sender.publisher(END).publish(messages.boolean(True))
-    wait_until(lambda: bool(end.take()))
+    until(lambda: bool(end.take()))
     assert numbers(last) == [6.0]
     assert numbers(three) == [4.0, 5.0, 6.0]
 
@@ -100,8 +92,8 @@ def test_other_publishers_are_counted_and_named_and_messages_have_their_sender(m
     for _ in range(2):
         mine.publisher(NUMBER)
     senders = [node.publisher(NUMBER) for node in (other, third)]
-    wait_until(lambda: [each.num_other_publishers(NUMBER) for each in (mine, other)] == [2, 3])
-    wait_until(lambda: len(mine.other_publishers(NUMBER)) == 2)
+    until(lambda: [each.num_other_publishers(NUMBER) for each in (mine, other)] == [2, 3])
+    until(lambda: len(mine.other_publishers(NUMBER)) == 2)
     names, found = mine.other_publishers(NUMBER), set[int]()
     assert len({*names.values()}) == 2
     for sender in senders:
@@ -109,7 +101,7 @@ def test_other_publishers_are_counted_and_named_and_messages_have_their_sender(m
         found.add(wait_for(mine, heard).sender)
     assert found == ({0} if "Ros" in type(mine).__name__ else {*names})
     third.close()
-    wait_until(lambda: len(mine.other_publishers(NUMBER)) == 1)
+    until(lambda: len(mine.other_publishers(NUMBER)) == 1)
     assert mine.other_publishers(NUMBER).items() <= names.items()
     assert mine.num_other_publishers(NUMBER) == 1
     with pytest.raises(DeploymentError, match="/number cannot be sent"):
@@ -127,11 +119,11 @@ def test_programs_that_subscribe_are_counted_except_watching_ones(make: MakeNode
         node.subscription(NUMBER)
     third.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
     third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not fit
-    wait_until(lambda: publisher.num_subscribers() == 2)
+    until(lambda: publisher.num_subscribers() == 2)
     publisher.publish(messages.number(1.0))
-    wait_until(lambda: numbers(watching) == [1.0])
+    until(lambda: numbers(watching) == [1.0])
     third.close()
-    wait_until(lambda: publisher.num_subscribers() == 1)
+    until(lambda: publisher.num_subscribers() == 1)
     programs = [each.program for each in mine.endpoints() if each.topic == NUMBER.name]
     assert (len(programs), len({*programs})) == (2, 1)
 
@@ -148,9 +140,9 @@ def test_endpoints_of_others_are_listed(make: MakeNode):
         listed = (each for each in node.endpoints() if each.topic in ours)
         return {(each.topic, each.type, each.is_publisher) for each in listed}
 
-    wait_until(lambda: found() == {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)})
+    until(lambda: found() == {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)})
     other.close()
-    wait_until(lambda: not found())
+    until(lambda: not found())
 
 
 def test_waiting_ends_when_a_message_arrives(make: MakeNode):

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
+from mutation import changed_bytes, changed_json, changed_npz, changed_yaml
 from pixel2catch.arrays import read_table
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison import ComparisonFolder
@@ -229,9 +229,7 @@ KINDS = {
     ),
     "profile": Kind(write=_text("lab.yaml", PROFILE), read=Profile.load, change=changed_yaml),
     "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
-    "table": Kind(
-        write=_text("views.csv", TABLE), read=lambda file: read_table(file, ARM), change=changed_csv
-    ),
+    "table": Kind(write=_text("views.csv", TABLE), read=lambda file: read_table(file, ARM)),
     "mcap": Kind(write=_bag, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
     "png": Kind(write=_png, read=read_image),

@@ -3,12 +3,11 @@
 import dataclasses
 import shutil
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, ReachingEnv, ReachingStep, TaughtEnv, observed, roll_out
-from torch import nn
+from reaching import CONTRACT, SMALL, ReachingEnv, TaughtEnv, roll_out
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import TrainCfg
@@ -24,47 +23,6 @@ from pixel2catch.policy import HIDDEN, Policy
 def mappo() -> Mappo:
     torch.manual_seed(0)
     return Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
-
-
-def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
-    """Discount 1/2, lambda 1, values 0: returns are discounted sums to the end of the episode.
-
-    Environment 0 is cut off after step 2, environment 1 terminates there, environment 2 goes on.
-    Rewards 1, 1, 4 in each: returns 1.5, 1, 4 for the first two, 1 + (1 + 4/2)/2 = 2.5, 3, 4 for the third.
-    """
-    cfg = dataclasses.replace(
-        SMALL, num_envs=3, rollout_steps=3, discount=0.5, gae_lambda=1.0, mini_batches=1, epochs=1
-    )
-    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
-    for networks in mappo.networks.values():
-        for parameter in list(networks.value.parameters())[-2:]:
-            nn.init.zeros_(parameter)
-    observation = observed({"arm": torch.randn(3, 4), "hand": torch.randn(3, 2)}, torch.randn(3, 3))
-    for index, reward in enumerate((1.0, 1.0, 4.0)):
-        rewards = {"arm": torch.full((3,), reward), "hand": torch.full((3,), reward)}
-        terminated = torch.tensor([False, index == 1, False])
-        truncated = torch.tensor([index == 1, False, False])
-        mappo.act(observation)
-        step: Any = ReachingStep(observation, rewards, terminated, truncated)
-        mappo.record(step)
-    mappo.update(0.0)
-    for agent, networks in mappo.networks.items():
-        returns = networks.value_scale.inverse(mappo.rollout[agent].returns)
-        expected = torch.tensor([[1.5, 1.5, 2.5], [1.0, 1.0, 3.0], [4.0, 4.0, 4.0]])
-        torch.testing.assert_close(returns, expected, atol=1e-5, rtol=0)
-
-
-def test_mini_batches_hold_every_transition_once(mappo: Mappo) -> None:
-    step = mappo.steps["arm"]
-    for tensor in (mappo.rollout["arm"].values, mappo.rollout["arm"].advantages):
-        tensor.copy_(torch.arange(1024.0).view(16, 64))
-    step.shuffle(shuffled(SMALL))
-    batches = [step.batch(number) for number in range(SMALL.mini_batches)]
-    assert [len(batch.values) for batch in batches] == [256] * 4
-    assert all(torch.equal(batch.values, batch.advantages) for batch in batches)
-    drawn = torch.cat([batch.values for batch in batches]).tolist()
-    assert drawn != sorted(drawn)
-    assert sorted(drawn) == list(range(1024))
 
 
 @pytest.mark.parametrize(("form", "error", "slope"), [("clipped", 1.44, 0.0), ("maximum", 4.0, 4.0)])

@@ -40,33 +40,6 @@ def policy(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def parameters(mappo: Mappo, part: str) -> torch.Tensor:
-    return torch.cat([p.detach().flatten() for nets in mappo.networks.values() for p in nets.parts[part]])
-
-
-def test_the_policy_rests_and_begins_gently(policy: Path) -> None:
-    """No weight of a policy moves in the first two updates, those of the value networks do.
-
-    At the third the learning rate is 0, at the fourth half of what it becomes: Adam moves a weight by no more
-    than the rate in a first step, and hardly more in the next ones.
-    """
-    cfg = starting(policy)
-    env = ReachingEnv(cfg)
-    mappo = Mappo(cfg, env, CONTRACT)
-    mappo.adopt(Policy.load(policy / "policy"))
-    moved = []
-    for number in range(5):
-        before, known = parameters(mappo, "policy"), parameters(mappo, "value")
-        roll_out(mappo, env)
-        mappo.update(number / NUM_ROLLOUTS)
-        moved.append((parameters(mappo, "policy") - before).abs().max().item())
-        assert number == 2 or (parameters(mappo, "value") != known).any()
-    num_steps = cfg.epochs * cfg.mini_batches
-    assert moved[:3] == [0.0, 0.0, 0.0]
-    assert 0.0 < moved[3] <= 1.5 * num_steps * 0.5 * RATE
-    assert moved[3] < moved[4] <= 1.5 * num_steps * RATE
-
-
 def test_a_training_goes_on_from_a_run_and_is_resumed(policy: Path, tmp_path: Path) -> None:
     cfg = starting(policy)
     half = dataclasses.replace(cfg, transitions=cfg.transitions // 2)

@@ -1,7 +1,6 @@
 """The operator's page: what a browser asks for, what the servo makes of it, and what the page says."""
 
 import json
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from typing import Any
@@ -13,7 +12,7 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin
 
-from domains import PATIENCE, free_port
+from domains import PATIENCE, free_port, until
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.errors import DeploymentError
@@ -79,14 +78,6 @@ class Desk:
         return [read(message.data) for message in self.heard[name].take()]
 
 
-def until(is_true: Callable[[], Any], go_on: Callable[[], Any]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not is_true():
-        assert time.monotonic() < end
-        go_on()
-        time.sleep(0.001)
-
-
 @contextmanager
 def link(address: str) -> Iterator[Connection]:
     """What the page's script connects to."""
@@ -150,7 +141,7 @@ def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
         ask(visitor, "press")
         desk.until(lambda: desk.console.holds)
         ask(visitor, "stop")
-        until(lambda: desk.taken("stop"), lambda: None)  # before the page goes on
+        until(lambda: desk.taken("stop"))  # before the page goes on
         assert desk.go_on()["num_heard"] == 0
         assert not desk.page.is_held
         assert desk.taken("dead_man")[-1] is False

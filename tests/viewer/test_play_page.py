@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from domains import PATIENCE, free_port
+from domains import PATIENCE, free_port, until
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.scene import SceneCfg
@@ -31,11 +31,8 @@ class Visited:
         self.playing: Future[None] = pool.submit(self.page.run)
 
     def wait_for(self, is_true: Callable[[], Any]) -> None:
-        end = time.monotonic() + PATIENCE
-        while not is_true():
-            assert not self.playing.done(), self.playing.exception()
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        until(lambda: self.playing.done() or is_true())
+        assert not self.playing.done(), self.playing.exception()
 
 
 @pytest.fixture
