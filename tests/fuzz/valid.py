@@ -211,6 +211,7 @@ RUN = {
     "train": asdict(TrainCfg(device="cpu", num_envs=4, mini_batches=2)),
     "env": asdict(CatchEnvCfg()),
     "policy": {"method": "proposed"},
+    "preset": "cpu",
 }
 PROFILE = (PROFILES / "ur5e_allegro_v4.yaml").read_text()
 PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
