@@ -29,9 +29,7 @@ MOST_CHARACTERS = 2**16  #: Most characters of an array of text; names of joints
 def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     """Return those of the named arrays that an .npz file has: numbers or short text.
 
-    Raises:
-        OSError: It cannot be read.
-        InvalidValueError: It is not an .npz file, or too large; nothing was unpacked then.
+    Raises InvalidValueError if it is not an .npz file, or too large; nothing was unpacked then.
     """
     data = read_bytes(path, 8 * MOST_NUMBERS)
     try:
@@ -56,9 +54,7 @@ def write_arrays(path: Path, **arrays: np.ndarray) -> None:
 def open_archive(data: bytes, most: int) -> ZipFile:
     """Return a zip archive whose unpacked members have at most `most` bytes together.
 
-    Raises:
-        InvalidValueError: They have more, or are packed in a way that hides it.
-        BadZipFile: It is damaged.
+    Raises InvalidValueError if they have more, or are packed in a way that hides it.
     """
     archive = ZipFile(BytesIO(data))
     members = archive.infolist()
@@ -84,10 +80,8 @@ def _array(data: bytes) -> np.ndarray:
 def table_columns(path: Path, names: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
     """Return the cells of a table by the names of its columns, in line 1 unless they are given.
 
-    The separator is the first of semicolon, tab and comma that line 1 has, or else spaces.
-
-    Raises:
-        RecordingError: The file cannot be read or is too long, or a line has too few or too many cells.
+    The separator is the first of semicolon, tab and comma that line 1 has, or else spaces. Raises
+    RecordingError for a file that cannot be read or is too long, or a line with too few or too many cells.
     """
     with reading("table", path, "Record again, or correct or cut the line.", RecordingError):
         lines = read_text(path, MOST_TABLE).strip().split("\n")
@@ -105,11 +99,7 @@ def table_columns(path: Path, names: Sequence[str] = ()) -> dict[str, tuple[str,
 def numbers_of(
     path: Path, table: Mapping[str, Sequence[str]], columns: Sequence[str]
 ) -> Float64[np.ndarray, "rows columns"]:
-    """Return some columns of numbers of a table, which may have decimal commas.
-
-    Raises:
-        RecordingError: There is no such column, or a cell is no number.
-    """
+    """Return some columns of numbers of a table, which may have decimal commas, or raise RecordingError."""
     with reading("table", path, "Record again, or correct or cut the line.", RecordingError):
         for name in columns:
             if name not in table:
@@ -120,11 +110,7 @@ def numbers_of(
 def read_table(
     path: Path, columns: Sequence[str], text: str = "", names: Sequence[str] = ()
 ) -> tuple[Float64[np.ndarray, "rows columns"], list[str]]:
-    """Return some columns of numbers of a table, and a column of text if it is named.
-
-    Raises:
-        RecordingError: As `table_columns` and `numbers_of`.
-    """
+    """Return columns of numbers of a table, and a column of text if it is named; raise RecordingError."""
     table = table_columns(path, names)
     if text and text not in table:
         raise RecordingError(f"cannot read the table '{path}': no column {text}; it has {shown([*table])}.")

@@ -29,11 +29,7 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
     """Write one or several files whose folders exist; if any write fails, all keep their old content.
 
     Each file is first written beside its place (`<name>.tmp`) and flushed to the disk, then the old files are
-    replaced.
-
-    Raises:
-        InvalidValueError: A path exists and is not a regular file.
-        OSError: The disk is full, read-only or gone; nothing was replaced.
+    replaced. Raises InvalidValueError for a path that is no regular file, OSError for what the disk refuses.
     """
     for path in contents:
         if path.exists() and not path.is_file():
@@ -88,9 +84,7 @@ def reading(
 def read_bytes(path: Path, most: int) -> bytes:
     """Return the content of a file of at most `most` bytes; do not wait for a pipe or a device.
 
-    Raises:
-        OSError: It cannot be read.
-        InvalidValueError: It is not a regular file, is larger, or changes.
+    Raises InvalidValueError for a file that is not regular, is larger, or changes.
     """
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         found = os.fstat(file.fileno())
@@ -113,11 +107,7 @@ def read_text(path: Path, most: int = MOST_JSON) -> str:
 
 
 def parse_json(text: str) -> Any:
-    """Return the content of a JSON text.
-
-    Raises:
-        InvalidValueError: It is not JSON, has a key twice, is too deep, or has a number that is not finite.
-    """
+    """Return the content of a JSON text; refuse a key twice, deep nesting, and infinite numbers."""
     try:
         content = _bounded(json.loads(text, object_pairs_hook=_unique))
         json.dumps(content, ensure_ascii=False).encode()  # refuses half of a surrogate pair

@@ -51,7 +51,6 @@ class StopRequest(ExitStack):
     """A request to stop by a signal. Use it as a context around the work."""
 
     def __init__(self) -> None:
-        """Start without a request."""
         super().__init__()
         self.is_set = False
         self.by = ""  #: Name of the signal, such as SIGTERM.

@@ -28,7 +28,6 @@ class Method:
     value_input: Literal["state", "observation"] = "state"
 
     def __post_init__(self) -> None:
-        """Refuse a method without agents, two agents of one name, and unknown pixel features."""
         names = [agent.name for agent in self.agents]
         if not names or len(set(names)) < len(names):
             raise InvalidValueError(

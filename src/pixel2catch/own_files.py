@@ -27,11 +27,7 @@ Value = TypeVar("Value")
 
 
 def take_option(args: Sequence[str]) -> list[str]:
-    """Return arguments without `--import FILE.py`; `VARIABLE` gets the files.
-
-    Raises:
-        InvalidValueError: The option names no file, or a file stands before a name.
-    """
+    """Return arguments without `--import FILE.py`; `VARIABLE` gets the files."""
     rest: list[str] = []
     remaining = iter(args)
     for argument in remaining:
@@ -59,11 +55,7 @@ def import_files() -> None:
 
 
 def import_file(name: str) -> ModuleType:
-    """Import a file once and add its values to the catalogues.
-
-    Raises:
-        InvalidValueError: The file cannot be imported, or the package uses a name in it.
-    """
+    """Import a file once and add its values to the catalogues, or raise InvalidValueError."""
     path = Path(name).absolute()
     if str(path) in _MODULES:
         return _MODULES[str(path)]
@@ -101,11 +93,7 @@ def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
 
 
 def add(value: Any) -> str:
-    """Add a value to its catalogue, replace a user's value of the same name, and return the name.
-
-    Raises:
-        InvalidValueError: The package has another value of that name.
-    """
+    """Add a value to its catalogue, replace a user's value of the same name, and return the name."""
     for kind, (values, of_package) in _CATALOGUES.items():
         if isinstance(value, kind):
             if value.name in of_package and values[value.name] != value:

@@ -36,13 +36,11 @@ class ProgressBar:
         self._live = Live(Group(self._bar, self._text), console=console, transient=True)
 
     def __enter__(self) -> "ProgressBar":
-        """Show the bar."""
         if self._console.is_terminal:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Remove the bar."""
         self._live.stop()
 
     def show(self, done: float, text: str = "") -> None:

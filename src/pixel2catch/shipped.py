@@ -19,11 +19,7 @@ def is_computed(path: Path) -> bool:
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the folders of the shipped policies, by name.
-
-    Raises:
-        PolicyMismatchError: This installation has no policies.
-    """
+    """Return the folders of the shipped policies, by name."""
     folder = Path(str(resources.files("pixel2catch"))) / "policies"
     found = {file.parent.name: file.parent for file in sorted(folder.glob("*/policy.json"))}
     if DEFAULT_POLICY not in found:

@@ -52,11 +52,7 @@ def array(values: Tensor) -> ndarray:
 
 
 def action_tensor(env: CatchEnv, agent: str, action: Any) -> Tensor:
-    """Return actions (num_envs, num_joints) of an agent as a tensor.
-
-    Raises:
-        InvalidValueError: They have another shape.
-    """
+    """Return actions (num_envs, num_joints) of an agent as a tensor; refuse another shape."""
     values, expected = np.asarray(action, dtype=np.float32), (env.num_envs, env.action_sizes[agent])
     if values.shape != expected:
         shapes = [shape[1:] if env.num_envs == 1 else shape for shape in (values.shape, expected)]
@@ -75,22 +71,14 @@ class Pictures:
     """Pictures of environments from outside."""
 
     def __init__(self, env: CatchEnv, render_mode: str | None) -> None:
-        """Check the render mode.
-
-        Raises:
-            UnknownNameError: There is no such mode.
-        """
+        """Check the render mode; raise UnknownNameError for another one."""
         if render_mode not in (None, RENDER_MODE):
             raise UnknownNameError("render mode", render_mode, [RENDER_MODE])
         self._env, self._is_drawing = env, render_mode is not None
         self._renderers: dict[int, Renderer] = {}  # by object
 
     def draw(self) -> tuple[UInt8[ndarray, "height width 3"], ...] | None:
-        """Return a picture of each environment, or None without a render mode.
-
-        Raises:
-            DeviceUnavailableError: Nothing can be drawn on this machine.
-        """
+        """Return a picture of each environment, or None without a render mode."""
         if not self._is_drawing:
             return None
         ids, pictures = self._env.episode.parameters.object_id.tolist(), []

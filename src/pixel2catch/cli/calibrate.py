@@ -160,11 +160,7 @@ class Calibrate:
         return lens
 
     def _hand_views(self, path: Path, lens: "CameraFile") -> "list[HandView]":
-        """Return the corners in every image of a table that shows the board.
-
-        Raises:
-            RecordingError: The table lacks a column, or has positions that no arm can have.
-        """
+        """Return the corners in every image of a table that shows the board."""
         import torch
 
         from pixel2catch.arrays import read_table

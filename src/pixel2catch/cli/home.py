@@ -29,11 +29,7 @@ class Home:
 
 
 def move_once(link: Link, what: str, place: str | None) -> None:
-    """Let the robot move over a place, "" for its start pose, or None to stay there, and open the hand.
-
-    Raises:
-        DeploymentError: It did not move to the end.
-    """
+    """Let the robot move over a place, "" for its start pose, or None to stay there, and open the hand."""
     with needs_extra("deployment"):
         from pixel2catch.deployment.follower import follow
         from pixel2catch.deployment.paths import PathFinder

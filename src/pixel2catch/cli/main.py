@@ -84,11 +84,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _prepare_terminal() -> None:
-    """Write what an encoding lacks as '?', and give help enough columns.
-
-    Raises:
-        InvalidValueError: Standard output is closed, so that results would be lost.
-    """
+    """Write what an encoding lacks as '?', and give help enough columns; refuse a closed standard output."""
     if sys.stdout is None:
         raise InvalidValueError("standard output is closed; redirect it to a file or to /dev/null.")
     for stream in (sys.stdout, sys.stderr):

@@ -190,7 +190,6 @@ class ControlLoop:
                 self._perception.begin_throw(prompt)
 
     def _decide(self) -> tuple[JointTargets | None, str]:
-        """Return the joint targets, if the policy can decide, and what went wrong."""
         decider = self._cycle if self._cycle and self._mode in ACTIVE else self._pipeline
         try:
             targets = decider.decide(self._joint_pos, self._clock.now())

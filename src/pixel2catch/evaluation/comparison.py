@@ -146,8 +146,7 @@ class ComparisonFolder:
     def open(self, plan: Plan) -> None:
         """Begin a study, or continue it, with new methods or seeds or without; add the plan's sessions.
 
-        Raises:
-            StudyError: If the configuration differs, or the folder holds results without a study.
+        Raises StudyError if the configuration differs, or the folder holds results without a study.
         """
         methods, seeds, sessions = plan.methods, plan.seeds, plan.sessions
         if any(self.path.glob("runs/*")) or any(self.path.glob("evaluations/*")):
@@ -173,12 +172,7 @@ def _read(path: Path) -> Json | None:
 
 
 def write_comparison(folder: ComparisonFolder) -> list[Cells]:
-    """Write the report of the results that there are, and return the table of the rates.
-
-    Raises:
-        StudyError: If there is no study.
-        OSError: If it cannot be written; an earlier report is then unchanged.
-    """
+    """Write the report of the results that there are, and return the table of the rates."""
     from pixel2catch.evaluation.figures import curves_picture
 
     plan = folder.plan()

@@ -343,7 +343,6 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any], where: str) -
 
 
 def _begin() -> None:
-    """Prepare a worker process."""
     os.setsid()
     import_files()  # values of the user's own files can then be unpickled
     end_with_parent()

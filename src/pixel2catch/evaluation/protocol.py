@@ -347,7 +347,6 @@ def shake_action(
 def _shake(
     test_steps: Int[Tensor, " num_envs"], workcell: WorkcellSpec
 ) -> Float[Tensor, "num_envs num_joints"]:
-    """Return the shake of all arms, with 0 for the hands."""
     commands, waves = commands_of(workcell), list[Tensor]()
     for group in workcell.groups:
         wave = shake_action(test_steps, commands[workcell.columns(group.name)])

@@ -88,11 +88,7 @@ def difference(change: Row) -> str:
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files by name, all or none.
-
-    Raises:
-        OSError: If they cannot be written; earlier files are then unchanged.
-    """
+    """Write files by name, all or none."""
     folder.mkdir(parents=True, exist_ok=True)
     contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
     write_atomically({folder / name: content for name, content in contents.items()})

@@ -101,7 +101,6 @@ def _clocks(recording: Recording) -> Iterator[DataCheck]:
 
 
 def _motion(recording: Recording) -> DataCheck:
-    """Check that a joint moved, beyond the noise of the encoders."""
     window = max(1, round(SMOOTHING / time_step(recording.t_meas)))
     spans = np.ptp(uniform_filter1d(recording.q, window, axis=0), axis=0)
     most = int(np.argmax(spans))

@@ -251,7 +251,6 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
 
 
 def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str, Offsets]]:
-    """Return all parts in order: their names, and offsets from the middle of the excitation."""
     there = approach(envelope)
     rest = np.repeat(there[:1], round(REST * RATE) + 1, axis=0)
     pause = np.zeros((round(PAUSE * RATE), len(envelope.joints)))

@@ -262,7 +262,6 @@ def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLE
 
 
 def _within(widest: Range, half_width: float) -> Range:
-    """Return the factors of an interval, within the widest range."""
     width = min(max(half_width, LEAST_HALF_WIDTH), 1.0)  # a factor e is beyond any range
     low, high = np.clip(np.exp((-width, width)), *widest)
     return float(low), float(high)

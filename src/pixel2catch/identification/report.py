@@ -111,7 +111,6 @@ def _number(name: str, value: float) -> str:
 
 
 def _estimate(known: Estimate, j: int) -> str:
-    """Return a joint's value with half of its interval."""
     name, value, width = known.name, known.value[j], known.half_width[j]
     if width > UNKNOWN_WIDTH:
         return f"not identifiable ({_number(name, value)})"

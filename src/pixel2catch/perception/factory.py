@@ -67,10 +67,7 @@ class PerceptionArgs:
     ) -> "Segmenter":
         """Return what finds the object's pixels, for a recording or for a live camera.
 
-        The time that SAM 2 needs for an image is measured and reported.
-
-        Raises:
-            InvalidValueError: An option is missing, or it is too slow for a camera.
+        The time that SAM 2 needs for an image is measured and reported; one that is too slow is refused.
         """
         from pixel2catch.perception.background import BackgroundSubtraction
         from pixel2catch.perception.segmenter import ColorThreshold
@@ -98,11 +95,7 @@ class PerceptionArgs:
         return sam2
 
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
-        """Return what points the object out: first --box, and after a loss its colour, then its flight.
-
-        Raises:
-            InvalidValueError: The box or the region is not on the image.
-        """
+        """Return what points the object out: first --box, and after a loss its colour, then its flight."""
         from pixel2catch.perception.segmenter import BoxPrompt
         from pixel2catch.perception.tracker import Prompter
 

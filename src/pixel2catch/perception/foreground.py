@@ -94,7 +94,6 @@ class Foreground:
     """
 
     def __init__(self) -> None:
-        """Start without a background."""
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._num_images = 0
         self._later: partial[None] | None = None

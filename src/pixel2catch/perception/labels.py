@@ -56,7 +56,6 @@ class Labels:
     images: tuple[Label, ...] = ()  #: In the order of the video; all other images are not labelled.
 
     def __post_init__(self) -> None:
-        """Refuse labels that no video of this size can have."""
         if min(self.width, self.height) < 1 or max(self.width, self.height) > LARGEST_IMAGE:
             raise InvalidValueError(f"width and height must be from 1 to {LARGEST_IMAGE}")
         numbers = [label.image for label in self.images]
@@ -76,11 +75,7 @@ class Labels:
 
     @classmethod
     def load(cls, path: Path) -> "Labels":
-        """Read a file of this package's own format.
-
-        Raises:
-            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
-        """
+        """Read a file of this package's own format, or raise InvalidValueError."""
         with reading("label file", path, "Label the video again, or correct that entry."):
             content = read_json_object(path)
             version = content.pop("format_version", None)
@@ -94,11 +89,8 @@ def load_labels(path: Path, video: Path) -> Labels:
 
     It is an XML file of CVAT (for video or for images), a COCO file with one image per frame, a JSON file of
     Label Studio, or this package's own. The phase is the attribute `phase` or the label, if it names one,
-    else `flight`. Stamps, and the size where the file has none, are the video's.
-
-    Raises:
-        InvalidValueError: The file is missing, damaged or of another format, or has two boxes in one image.
-        PerceptionError: The video cannot be read.
+    else `flight`. Stamps, and the size where the file has none, are the video's. A file that is damaged, of
+    another format, or has two boxes in one image raises InvalidValueError.
     """
     with reading("label file", path, "Export it again from CVAT, Label Studio, or as COCO."):
         text = read_text(path)

@@ -220,11 +220,7 @@ class RobotMask:
         self._corners = np.stack(padded)[self._geoms]
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
-        """Return the pixels of the robot at joint positions, in joint order [rad].
-
-        Raises:
-            PerceptionError: They are not finite.
-        """
+        """Return the pixels of the robot at finite joint positions, in joint order [rad]."""
         if not np.isfinite(joint_pos).all():
             raise PerceptionError(f"joint positions must be finite, got {joint_pos}: check the joint states.")
         self._data.qpos[:] = joint_pos

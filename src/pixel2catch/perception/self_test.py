@@ -22,11 +22,7 @@ LEAST_RIGHT = 0.75  #: Smallest share of images with a right box in each throw. 
 
 
 def agreement(segmenter: Segmenter, name: str) -> Iterator[str]:
-    """Yield for each throw in how many images the boxes are right, then that they agree with the truth.
-
-    Raises:
-        PerceptionError: They do not agree.
-    """
+    """Yield for each throw in how many images the boxes are right, then that they agree, or raise."""
     shares = list[float]()
     for kind in KINDS:
         throw = list(painted_throw(kind))

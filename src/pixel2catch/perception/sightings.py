@@ -60,11 +60,7 @@ class Sighting:
 def follow(
     ticks: Iterable[Tick], tracker: ObjectTracker, begin: float = 0.0, camera: CameraSpec = RGB_CAMERA
 ) -> Iterator[Sighting]:
-    """Yield a sighting in every control step; the throw begins, with a reset, at a time after the first [s].
-
-    Raises:
-        PerceptionError: The first image has the wrong size.
-    """
+    """Yield a sighting in every control step; the throw begins, with a reset, so late after the first [s]."""
     start: Tick | None = None
     has_begun = False
     before, newest = Box(verdict=Verdict.NO_IMAGE), -inf

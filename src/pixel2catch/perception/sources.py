@@ -126,11 +126,7 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def read_image(path: Path) -> Pixels:
-    """Read an image file.
-
-    Raises:
-        PerceptionError: It is missing or no image.
-    """
+    """Read an image file, or raise PerceptionError."""
     with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
         pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
         if pixels is None:
@@ -169,11 +165,7 @@ def is_camera(source: str) -> bool:
 
 
 def camera_images(source: str, notes: list[str]) -> Iterator[Image]:
-    """Yield the images of a camera until one fails, with a note. The stamp is the time of arrival.
-
-    Raises:
-        PerceptionError: It gives no image.
-    """
+    """Yield the images of a camera until one fails, with a note. The stamp is the time of arrival."""
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error replaces OpenCV's lines
     capture = cv2.VideoCapture(int(source) if source.isdecimal() else source)
     try:
@@ -197,9 +189,6 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
     """Yield the images of a video file with their stamps, rotated as a player shows them.
 
     A damaged file ends at the damage, with a note.
-
-    Raises:
-        PerceptionError: It is no video, or its first image cannot be read.
     """
     num_images, stamp = 0, 0.0
     try:
@@ -220,13 +209,10 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
 
 
 def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterator[Image]:
-    """Yield the images of a bag: arguments as `images_of`.
+    """Yield the images of a bag: arguments and errors as of `images_of`.
 
     The stamp is that of the header, or the time of recording if the first two headers have none or the same.
     Damaged images are left out, with a note.
-
-    Raises:
-        PerceptionError: The bag cannot be read, has no such topic, or images of another encoding.
     """
     with opened_bag(path) as reader:
         images = connections_of(path, reader.connections, (IMAGE, COMPRESSED_IMAGE), topic)
@@ -249,11 +235,7 @@ def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterat
 def connections_of(
     path: Path, connections: "Collection[Connection]", types: Collection[str], topic: str | None
 ) -> "list[Connection]":
-    """Return the connections of a topic with messages of some types; None for the only topic.
-
-    Raises:
-        PerceptionError: There is no such topic.
-    """
+    """Return the connections of a topic with messages of some types; None for the only topic."""
     found = [each for each in connections if each.msgtype in types and each.msgcount]
     topics = sorted({each.topic for each in found})
     chosen = [each for each in topics if topic in (None, each)]

@@ -165,9 +165,7 @@ def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
 def method_of(contract: PolicyContract) -> Method:
     """Return the method of a policy by its name, or else made from its contract, without rewards.
 
-    Raises:
-        PolicyMismatchError: The name is unknown, and the contract has terms that are not of this package.
-        InvalidValueError: A file of the user cannot be imported.
+    Raises PolicyMismatchError for a contract with terms that are not of this package.
     """
     import_files()
     workcell = known_workcell(contract.workcell)

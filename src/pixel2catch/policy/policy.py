@@ -125,12 +125,7 @@ class Policy(nn.Module):
 
     @classmethod
     def of(cls, description: dict[str, Any], tensors: dict[str, Tensor]) -> "Policy":
-        """Make a policy of its description and its weights.
-
-        Raises:
-            InvalidValueError: A size is missing or out of range, or a tensor does not fit.
-            PolicyMismatchError: Another field does not fit this code.
-        """
+        """Make a policy of its description and its weights; raise PolicyMismatchError if they do not fit."""
         if "hidden" not in description:
             raise InvalidValueError("field 'hidden' is missing")
         contract = {key: value for key, value in description.items() if key != "hidden"}

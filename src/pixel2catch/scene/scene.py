@@ -270,7 +270,6 @@ def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 
 def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: str = "object") -> None:
-    """Add the thrown object on a free joint."""
     thrown = thrown.scaled(cfg.object_scale)
     body = spec.worldbody.add_body(name=name, pos=OBJECT_START)
     body.add_freejoint(name=f"{name}_joint")

@@ -174,7 +174,6 @@ def _joint(model: mujoco.MjModel, joint: int) -> Joint:
 
 
 def _geoms(model: mujoco.MjModel, data: mujoco.MjData, bodies: ndarray, origin: Pose) -> tuple[Geom, ...]:
-    """Return the collision shapes of bodies, in a frame."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     return tuple(
         Geom(
@@ -207,7 +206,6 @@ def _fixed(
 
 
 def _excluded(model: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
-    """Return the excluded pairs of moving bodies."""
     pairs = [(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature]
     welded = [tuple(int(model.body_weldid[body]) for body in pair) for pair in pairs]
     return tuple((one, other) for one, other in welded if one and other)

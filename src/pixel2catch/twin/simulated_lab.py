@@ -75,7 +75,6 @@ class SimulatedLab:
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
-        """Build the scene: a robot in its start pose, by the seed of all noise, and an empty room."""
         self.workcell = workcell = find_workcell(task.scene.workcell)
         self._robot = slice(len(workcell.joints))
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)

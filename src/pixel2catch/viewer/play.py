@@ -136,7 +136,6 @@ class PlayPage:
             del self.throws[min(self.throws)]
 
     def _show_rates(self) -> None:
-        """Show the success rate of throws with the present settings."""
         caught, missed = (self._counts[self.order, is_success] for is_success in (True, False))
         self.rates.content = rates_text(caught, caught + missed)
 

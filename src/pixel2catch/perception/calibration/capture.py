@@ -118,7 +118,8 @@ def topic_images(
 ) -> Iterator[Image | None]:
     """Yield images of a robot's camera as they arrive, or None after `WAIT` without one.
 
-    Each has the newest positions of some joints, once all of them have been received.
+    Each has the newest positions of some joints, once all of them have been received. Raises DeploymentError
+    for images of another format than the profile's.
 
     Args:
         transport: The network.
@@ -126,9 +127,6 @@ def topic_images(
         joints: Names of the joints.
         states: Gets stamps [s] and positions of the joints [rad], of which the last is used here.
         most: Most images that wait; older ones are left out.
-
-    Raises:
-        DeploymentError: The images have another format than the profile's.
     """
     parts = [part for part in profile.robots if {*part.joints} & {*joints}]
     subscriptions = [(part, transport.subscription(part.state_topic, 512)) for part in parts]

@@ -295,11 +295,7 @@ def _fit_with_common(corners: _Corners, poses: _Fit, stds: Common) -> _Fit:
 
 
 def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
-    """Edge of the squares by the arm's motion over the given edge, and its standard deviation.
-
-    Raises:
-        PerceptionError: The given edge is significantly wrong.
-    """
+    """Edge of the squares by the arm's motion over the given edge, unless that is wrong; its deviation."""
     fit = _fit_with_common(corners, poses, np.concatenate(([np.inf], corners.stds[1:])))
     variance = _jackknife(fit, corners.owner)[NUM_POSES, NUM_POSES]
     error, std = float(fit.common[0]), float(np.sqrt(variance))

@@ -63,11 +63,7 @@ class CharucoBoard:
     """A chessboard with markers (ChArUco), which identify its corners."""
 
     def __init__(self, square: float = SQUARE) -> None:
-        """Describe the board by the edge of a square as printed [m].
-
-        Raises:
-            InvalidValueError: It is not positive, or a metre or more.
-        """
+        """Describe the board by the edge of a square as printed [m], less than a metre."""
         if not 0.0 < square < 1.0:
             raise InvalidValueError(f"a square of {square:g} m; give its edge in metres, such as {SQUARE}.")
         dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -158,11 +154,7 @@ def read_lens(
 
 
 def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
-    """Compute a lens (k1, k2, p1, p2) from images of the board.
-
-    Raises:
-        PerceptionError: Too few images show it, or their sizes differ.
-    """
+    """Compute a lens (k1, k2, p1, p2) from images of the board."""
     paths = image_files(folder)
     sizes, views = set[tuple[int, int]](), list[BoardView]()
     for image in map(read_image, paths):
@@ -181,8 +173,7 @@ def lens_of_images(folder: Path, board: CharucoBoard) -> CameraFile:
 def lens_of_views(where: Path, views: Sequence[BoardView], size: tuple[int, int]) -> CameraFile:
     """Compute a lens from views of the board in images of this width and height [px].
 
-    Raises:
-        PerceptionError: They do not tell the focal length; the message names `where` they are from.
+    Raises PerceptionError with `where` they are from, if they do not tell the focal length.
     """
     points = [view.points.astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in views]

@@ -46,11 +46,7 @@ class BoardMotion:
     joints: list[tuple[float, Joints]] = field(default_factory=list)
 
     def timing(self, height: int) -> Timing:
-        """Fit the times of a camera with images of a height [px].
-
-        Raises:
-            PerceptionError: The board was not seen often enough, or not moved enough.
-        """
+        """Fit the times of a camera with images of a height [px]; refuse too little motion."""
         if min(len(self.views), len(self.joints)) < LEAST_IMAGES:
             raise PerceptionError(
                 f"the board was found in {len(self.views)} images, with {len(self.joints)} joint states; "
@@ -110,11 +106,7 @@ def _polynomial(values: Float[np.ndarray, "num size"]) -> Float[np.ndarray, "num
 def watch(
     transport: Transport, clock: Clock, profile: Profile, joints: Sequence[str], board: CharucoBoard
 ) -> BoardMotion:
-    """Collect views of a board and positions of some joints for `SECONDS`.
-
-    Raises:
-        DeploymentError: The images have another format than the profile's.
-    """
+    """Collect views of a board and positions of some joints for `SECONDS`."""
     motion, end = BoardMotion(), clock.now() + SECONDS
     for image in topic_images(transport, profile, joints, motion.joints, 8):
         if image is not None and (view := board.find(image.pixels)):
