@@ -192,3 +192,18 @@ def test_a_first_step_of_95_px_is_found():
     path = np.concatenate((np.full((NUM_EMPTY, 2), -100.0), [(40.0, 200.0), (125.0, 158.0), (208.0, 122.0)]))
     ball = Disc(path=path, radius=9.0)
     assert (errors((ball,), truth=(ball,)) <= 3.0).all()
+
+
+def test_the_edges_of_a_blurred_ball_are_those_in_the_middle_of_the_exposure():
+    """It falls by 24 px while it is exposed, for three quarters of the interval."""
+    segmenter = Follower()
+    for image in filmed.images((), NUM_EMPTY):
+        segmenter.find(image)
+    for step in range(5):
+        place = np.array((100.0 + 2.0 * step, 40.0 + 32.0 * step))
+        ball = Disc(path=place + np.linspace(-0.5, 0.5, 33)[:, None] * (2.0, 24.0), radius=16.0)
+        exposed = np.mean(list(filmed.images((ball,), 33, noise=15.0)), axis=0).astype(np.uint8)
+        truth = filmed.box_of(replace(ball, path=place[None]).mask(0))
+        found = segmenter.find(exposed, None if step else BoxPrompt(box=tuple(truth.tolist())))
+        assert found.mask is not None
+        assert not step or np.abs(filmed.box_of(found.mask) - truth).max() <= 3.0

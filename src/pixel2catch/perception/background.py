@@ -1,6 +1,7 @@
 """The object by its motion and its colours: what differs from the background near its expected place."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from math import hypot, inf, pi
@@ -16,6 +17,7 @@ from pixel2catch.perception.foreground import (
     LEAST_DIFFERENCE,
     prompted,
     sharpened,
+    trimmed,
 )
 from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
@@ -121,6 +123,7 @@ class BackgroundSubtraction(Segmenter):
         things = regions(motion.moving)
         self._track = self._track.behind(things, inf if self._size is None else float(self._size[2]))
         blobs, blob = self._object(motion, self._track, maybe)
+        u, v = self._track.center
         self._track, segmentation = self._track.advanced(blobs, blob, things)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
@@ -135,6 +138,8 @@ class BackgroundSubtraction(Segmenter):
             is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
             if not is_box:
                 self._resize(blob, self._track.num_seen)
+                moved = blob.center[0] - u, blob.center[1] - v
+                segmentation = replace(segmentation, mask=trimmed(blob, motion, moved))
             self._later = partial(self._learn, motion, mask, grown(mask, GAP), seen)
         return segmentation
 

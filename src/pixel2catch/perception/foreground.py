@@ -14,6 +14,7 @@ from pixel2catch.camera.image import Edges, Mask, Pixels
 from pixel2catch.perception.regions import (
     GAP,
     SPECK,
+    Blob,
     Window,
     closed,
     grown,
@@ -58,6 +59,10 @@ than compression adds around it, and less than half, the edge of a blurred thing
 RIM, LEAST_PART = 0.125, 0.2
 """Widest rim of a thing over its width and height, and smallest area of another thing beside it over its
 area. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
+
+SHARPNESS, LARGEST_BLUR = 1.0, 0.25
+"""Largest blur outside an edge of a still thing [px], and its growth with the motion since the last image.
+Source: ours: half of what is exposed in an interval, without what `EDGE` leaves out."""
 
 INNER = 0.8  #: Share of width and height of a prompted box that the object surely fills. Source: ours.
 LEAST_MOVING = 0.2  #: Share of a prompted object that differs, unless it is background. Source: ours.
@@ -221,6 +226,23 @@ def sharpened(motion: ImageMotion, window: Window) -> Mask:
             bright |= cv2.erode(inside.view(np.uint8), np.ones((height, width), np.uint8)) > 0
         sharp[place] |= bright
     return closed(sharp)
+
+
+def trimmed(blob: Blob, motion: ImageMotion, moved: Shift) -> Mask:
+    """Return the pixels of a region without the blur outside its edges in the middle of the exposure.
+
+    There a side is half as strong as the nearest third of the region. The blur is that of a thing that moved
+    so far since the last image.
+    """
+    mask, kept = blob.mask(), np.zeros_like(motion.moving)
+    difference, places = motion.difference[blob.place] * mask[blob.place], []
+    for place, axis, way in zip(blob.place, (1, 0), reversed(moved), strict=True):
+        profile, most = difference.max(axis=axis), round(SHARPNESS + LARGEST_BLUR * abs(way))
+        thirds = (each[: len(each) // 3 + 1] for each in (profile, profile[::-1]))
+        first, last = (int((each >= 0.5 * _percentile(each, BRIGHT)).argmax()) for each in thirds)
+        places.append(slice(place.start + min(first, most), place.stop - min(last, most)))
+    kept[tuple(places)] = mask[tuple(places)]
+    return kept
 
 
 def prompted(box: Edges, image: Pixels) -> tuple[Mask, Mask]:
