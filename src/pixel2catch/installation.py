@@ -14,6 +14,9 @@ from pixel2catch.errors import PerceptionError, Pixel2CatchError
 
 PACKAGE = "pixel2catch"
 
+GL_VARIABLE = "PIXEL2CATCH_GL"
+"""Environment variable that holds MUJOCO_GL for commands and their processes; see `rendering.renderer`."""
+
 
 def install_command(extra: str = "") -> str:
     """Return the command that installs this package, or the packages of an extra."""

@@ -9,9 +9,10 @@ from typing import Literal
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
+from pixel2catch.mdp.control_step import Measurement, Transition
 from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.mdp.rewards import BodyPart
-from pixel2catch.own_files import catalogue
+from pixel2catch.own_files import catalogue, computed
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -63,6 +64,14 @@ class Method:
         changed = (replace(a, parts=weighted(a.parts), teammates=weighted(a.teammates)) for a in agents)
         return replace(self, agents=tuple(changed))
 
+    def require_same_view(self, teacher: "Method | None") -> None:
+        """Raise InvalidValueError if a teacher observes boxes of other cameras."""
+        if teacher and teacher.pixel_features and teacher.is_levelled != self.is_levelled:
+            raise InvalidValueError(
+                f"teacher '{teacher.name}' and method '{self.name}' observe boxes of different cameras; use "
+                "a teacher that observes the object's position, such as catch_teacher+age."
+            )
+
     @cached_property
     def layouts(self) -> dict[str, observations.ObservationLayout]:
         """Return what each agent observes, by name: the input of `observations.observe`."""
@@ -77,6 +86,22 @@ class Method:
             )
             for agent in self.agents
         }
+
+
+def require_terms(method: Method, transition: Transition, before: Measurement, now: Measurement) -> None:
+    """Compute each term of a method once, before a device records or compiles them.
+
+    Raises:
+        InvalidValueError: A term fails, or returns numbers of another shape or that are not finite.
+    """
+    num_envs = len(transition.episode_steps)
+    for agent in method.agents:
+        inputs = method.layouts[agent.name].inputs(before, now)
+        for term in (*agent.observation, *agent.memory):
+            computed("observation term", term, (inputs,), num_envs, "any")
+        for part in (*agent.parts, *agent.teammates):
+            for reward in part.reward:
+                computed("reward term", reward.function, (transition, part), num_envs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,9 +5,10 @@
 """
 
 import importlib.util
+import inspect
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
@@ -109,6 +110,36 @@ def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
     for value in tuple(vars(module).values()):
         values = value if isinstance(value, tuple) else (value,)
         yield from (each for each in values if isinstance(each, kind))
+
+
+def computed(
+    kind: str, term: Callable[..., Any], given: Sequence[Any], *shape: int | str, is_blank: bool = False
+) -> Any:
+    """Return what a term, such as one of the user, computes: numbers in a shape, where a text is any size.
+
+    They must be finite, unless what is given is blank.
+
+    Raises:
+        InvalidValueError: It fails, or returns something else; the message names the term and its file.
+    """
+    code = getattr(inspect.unwrap(term), "__code__", None)
+    name = f"{kind} '{getattr(term, '__name__', term)}'"
+    name += f" ('{code.co_filename}', line {code.co_firstlineno})" if code else ""
+    try:
+        value = term(*given)
+    except Exception as error:
+        last = extract_tb(error.__traceback__)[-1]
+        where = f"in line {last.lineno} of '{last.filename}'"
+        raise InvalidValueError(f"{name}: {type(error).__name__} {where}: {error}; correct it.") from error
+    if not hasattr(value, "isfinite"):
+        raise InvalidValueError(f"{name} returns {value!r:.200}; it must return a tensor.")
+    sizes = zip(shape, found := tuple(value.shape), strict=False)
+    if len(shape) != len(found) or any(size not in (there, "any") for size, there in sizes):
+        words = ", ".join(map(str, shape))
+        raise InvalidValueError(f"{name} returns the shape {found}; it must be ({words}).")
+    if not is_blank and not value.isfinite().all():
+        raise InvalidValueError(f"{name} returns NaN or infinity in the first control step; correct it.")
+    return value
 
 
 def _announced() -> list[str]:

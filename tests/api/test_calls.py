@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from jaxtyping import config
 
 import pixel2catch as p2c
@@ -49,6 +51,30 @@ def test_a_wrong_argument_of_make_is_named(given: dict[str, Any], name: str):
     config.update("jaxtyping_disable", True)  # as for users
     with pytest.raises(InvalidValueError, match=name):
         p2c.make(**given)
+
+
+OWN_TERMS: tuple[tuple[str, Callable[..., Any], str], ...] = (
+    ("observation", lambda frame: frame.now.palm_pos[:, 0, 2], r"the shape \(1,\); it must be \(1, any\)"),
+    ("observation", lambda frame: frame.now.colour, r"AttributeError in line \d+ of .*no attribute 'colour'"),
+    ("observation", lambda frame: frame.now.joint_pos + torch.inf, "NaN or infinity"),
+    ("reward", lambda transition, part: transition.now.object_pos, r"the shape \(4, 3\); it must be \(4\)"),
+    ("reward", lambda transition, part: 0.5, "returns 0.5; it must return a tensor"),
+)
+
+
+@pytest.mark.parametrize(("kind", "term", "words"), OWN_TERMS)
+def test_a_wrong_term_of_ones_own_is_named(kind: str, term: Callable[..., Any], words: str, tmp_path: Path):
+    """With its file, before anything is written."""
+    method = p2c.find_method("single_agent")
+    (agent,) = method.agents
+    if kind == "reward":
+        own = p2c.RewardTerm(function=term, weight=1.0)
+        agent = replace(agent, parts=(replace(agent.parts[0], reward=(own,)),))
+    else:
+        agent = replace(agent, observation=(*agent.observation, term))
+    with pytest.raises(InvalidValueError, match=rf"{kind} term '<lambda>' \('.*test_calls.py', .*{words}"):
+        p2c.train(replace(method, name="own", agents=(agent,)), tmp_path / "run", **SMALL)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path):

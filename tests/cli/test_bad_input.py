@@ -225,10 +225,14 @@ def test_a_full_disk_gives_no_false_comfort(tmp_path: Path):
         ("scene scene.xml >/dev/full", 2, "pixel2catch: error: No space left on device"),
         ("evaluate >&-", 2, "standard output is closed"),  # before work
         ("stress --help", 0, "--axes"),  # in a narrow terminal without Unicode
+        ("scene scene.xml", 0, "wrote scene.xml"),  # without OpenGL
+        ("play --throws 1", 2, "unset it"),
     ],
 )
-def test_outputs_of_every_kind(line: str, status: int, words: str, tmp_path: Path):
-    environment = os.environ | {"COLUMNS": "5", "PYTHONIOENCODING": "ascii"}
+def test_outputs_of_every_kind(line: str, status: int, words: str, tmp_path: Path, opengl: None):
+    """With variables of OpenGL that hold what is not there."""
+    variables = {"MUJOCO_GL": "none", "MUJOCO_EGL_DEVICE_ID": "99"}
+    environment = os.environ | variables | {"COLUMNS": "5", "PYTHONIOENCODING": "ascii"}
     command = f"{sys.executable} -m pixel2catch {line}"
     done = subprocess.run(
         command, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import os
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -133,6 +135,23 @@ def test_weights_and_biases_gets_configuration_and_curves(tmp_path: Path, monkey
         time.sleep(0.1)
         written = (folder / f"run-{number}.wandb").read_bytes()
     assert all(name in written for name in wanted)
+
+
+def test_without_a_key_of_weights_and_biases_nothing_is_left(tmp_path: Path):
+    """In a process of its own, because the package keeps the mode of earlier runs."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
+    command = [sys.executable, "-m", "pixel2catch", *TRAIN, "--wandb", "catching", "--out", "new/run"]
+    done = subprocess.run(
+        command,
+        env=environment | {"HOME": str(tmp_path)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "WANDB_MODE=offline" in done.stderr
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_missing_package_is_named_before_anything_is_written(

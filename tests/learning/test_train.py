@@ -144,6 +144,11 @@ def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str,
     with pytest.raises(NonFiniteError, match=name):
         train(cfg, partial(ReachingEnv, task=task), CONTRACT, tmp_path)
     assert summary(tmp_path)["status"] == "failed"
+    state = torch.load(tmp_path / "failure.pt", weights_only=True)
+    assert any(name in each for each in state["not_finite"])
+    assert json.loads(state["config"])["train"]["num_envs"] == SMALL.num_envs
+    rollouts = [tensor for batch in state["rollout"].values() for tensor in batch.values()]
+    assert not all(tensor.isfinite().all() for tensor in (*rollouts, *state["rewards"].values()))
     assert all(tensor.isfinite().all() for tensor in Policy.load(tmp_path / "policy").state_dict().values())
     resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path, resume=True)
     assert resumed.transitions == 4096

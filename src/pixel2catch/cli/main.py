@@ -17,6 +17,7 @@ from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say
 from pixel2catch.cli.fields import default_of, option_rules
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
+from pixel2catch.installation import GL_VARIABLE
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
@@ -56,7 +57,7 @@ OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "bad_alloc")
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status; the arguments are those of the process if absent."""
     try:
-        _prepare_terminal()
+        _prepare_environment()
         args = take_option(sys.argv[1:] if args is None else args)
         if args == ["--version"]:
             print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
@@ -83,8 +84,8 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _prepare_terminal() -> None:
-    """Write what an encoding lacks as '?', and give help enough columns; refuse a closed standard output."""
+def _prepare_environment() -> None:
+    """Set encodings, the width of help and what MuJoCo draws with; refuse a closed standard output."""
     if sys.stdout is None:
         raise InvalidValueError("standard output is closed; redirect it to a file or to /dev/null.")
     for stream in (sys.stdout, sys.stderr):
@@ -92,6 +93,8 @@ def _prepare_terminal() -> None:
             stream.reconfigure(errors="replace")
     if shutil.get_terminal_size().columns < LEAST_COLUMNS:
         os.environ["COLUMNS"] = str(LEAST_COLUMNS)
+    if backend := os.environ.pop("MUJOCO_GL", None):  # with it, importing MuJoCo may need OpenGL
+        os.environ[GL_VARIABLE] = backend
 
 
 def _sentence(error: Exception) -> str:

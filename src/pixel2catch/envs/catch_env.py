@@ -31,7 +31,7 @@ from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
-from pixel2catch.methods import Method
+from pixel2catch.methods import Method, require_terms
 from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
 
@@ -68,14 +68,6 @@ class Step:
 
 LastAction = tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]
 """The last action in joint order, in [-1, 1], and the joint targets that it led to [rad]."""
-
-
-def _require_same_view(method: Method, teacher: Method | None) -> None:
-    if teacher and teacher.pixel_features and teacher.is_levelled != method.is_levelled:
-        raise InvalidValueError(
-            f"teacher '{teacher.name}' and method '{method.name}' observe boxes of different cameras; use a "
-            "teacher that observes the object's position, such as catch_teacher+age."
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +123,7 @@ class CatchEnv:
             (Method | None, "teacher", teacher),
         ):
             require(kind, name, value)
-        _require_same_view(method, teacher)
+        method.require_same_view(teacher)
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
         self.method, self.teacher, self.num_envs = method, teacher, num_envs
@@ -144,17 +136,19 @@ class CatchEnv:
         noise = by_joint(self.workcell, "action_noise", self.device)
         self._action_noise = cfg.randomization.action_noise * noise
         self._action_bias = by_joint(self.workcell, "action_bias", self.device)
-        reward_names = {agent.name: agent.reward_names for agent in method.agents}
-        self.statistics = EpisodeStatistics(names, reward_names, self.device)
+        rewards = {each.name: each.reward_names for each in method.agents}
+        self.statistics = EpisodeStatistics(names, rewards, self.device)
         self._detector = Detector(cfg.sensing, self.world, self._generator)
         self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self.episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
         self._sensors = self._first_sensor_state()
-        simulation = self.world.simulation
-        step = fused(self._control_step, simulation) if is_fused else self._control_step
-        self._advance = simulation.record(step, self._generator)
+        now, log = self._sensors.history.now, self.world.quiet_log()
+        begun = self._transition((now.action, now.joint_pos_target), log, ~self._everywhere)
+        require_terms(method, begun, now, now)
+        step = fused(self._control_step, self.world.simulation) if is_fused else self._control_step
+        self._advance = self.world.simulation.record(step, self._generator)
         observation = self.reset()
         self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
@@ -354,8 +348,7 @@ class CatchEnv:
         return self.episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
-        box = self._measured_box(detection)
-        return BoxHistory.begun(box, self._age(detection), self.method.num_boxes)
+        return BoxHistory.begun(self._measured_box(detection), self._age(detection), self.method.num_boxes)
 
     def _measured_box(self, detection: Detection) -> Float[Tensor, "num_envs 4"]:
         """Return the box of a detection as the method observes it [px]."""

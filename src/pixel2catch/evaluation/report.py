@@ -123,7 +123,7 @@ def _cells(rates: Metrics) -> dict[str, str]:
         if name in rates
     }
     # Without a space in the interval, a narrow terminal breaks the line before it.
-    shown = {title: text.replace(", ", "\N{EN DASH}") for title, text in texts.items()}
+    shown = {title: text.replace(", ", "-") for title, text in texts.items()}
     return {"trials": f"{rates['trials']}", **shown}
 
 

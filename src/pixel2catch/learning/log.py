@@ -4,7 +4,8 @@ import csv
 import importlib
 import io
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import read_json_object, write_atomically
+from pixel2catch.files import as_json, write_atomically
 from pixel2catch.installation import needs_extra
-from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
+from pixel2catch.learning.config import TrainCfg
 from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
@@ -26,8 +27,10 @@ Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is
 class TrainingLog:
     """A bar or lines, CSV and TensorBoard; a full disk is reported and does not end the training."""
 
-    def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
-        """Start after some transitions; a silent log shows and writes nothing."""
+    def __init__(
+        self, cfg: TrainCfg, folder: Path, transitions: int, run: Any = None, *, is_silent: bool = False
+    ) -> None:
+        """Start after some transitions, with a run of Weights & Biases; a silent log writes nothing."""
         self._console = Console(highlight=False, quiet=is_silent)
         self._bar = ProgressBar(
             "training",
@@ -45,8 +48,7 @@ class TrainingLog:
         self._sinks["metrics"] = CsvLog(folder / METRICS_FILE, transitions).write
         self._sinks["TensorBoard events"] = partial(_add_scalars, events)
         self._closing["TensorBoard events"] = events.close
-        if cfg.wandb:
-            run = start_wandb(cfg.wandb, folder)
+        if run:
             self._sinks["metrics to Weights & Biases"] = run.log
             self._closing["the run of Weights & Biases"] = run.finish
 
@@ -95,16 +97,16 @@ def wandb_package() -> Any:
         return importlib.import_module("wandb")
 
 
-def start_wandb(project: str, folder: Path) -> Any:
-    """Start a run of Weights & Biases, or go on with the one of this folder; it has the folder's name."""
+def start_wandb(project: str, folder: Path, config: Mapping[str, Any]) -> Any:
+    """Start or continue a run of Weights & Biases with the folder's name; leave nothing if it fails."""
     wandb, file = wandb_package(), folder / WANDB_FILE
     number = file.read_text(encoding="utf-8") if file.exists() else None
-    config = read_json_object(folder / CONFIG_FILE)
+    named = {"project": project, "name": folder.name, "dir": folder, "config": as_json(config), "id": number}
     try:
-        run = wandb.init(
-            project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
-        )
+        run = wandb.init(**named, resume="allow")
     except wandb.Error as error:
+        if not number:
+            shutil.rmtree(folder / "wandb", ignore_errors=True)
         raise InvalidValueError(
             f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
             "WANDB_MODE=offline."

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -14,11 +15,12 @@ from torch import Tensor
 from pixel2catch.devices import DeviceTime
 from pixel2catch.envs.catch_env import CatchEnv, Observation
 from pixel2catch.errors import CheckpointError, NonFiniteError
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
-from pixel2catch.learning.log import Row, TrainingLog, wandb_package
+from pixel2catch.learning.log import Row, TrainingLog, start_wandb, wandb_package
 from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.shipped import policy_folder
@@ -118,29 +120,32 @@ class _Training:
     def run(self) -> TrainResult:
         """Train to the end; in any case write how it ended."""
         status: Literal["failed", "interrupted", "finished"] = "failed"
-        try:
-            with contextlib.ExitStack() as stack:
-                with self.workers.sync_errors():
-                    log = stack.enter_context(self._open_log())
+        with contextlib.ExitStack() as stack:
+            with self.workers.sync_errors():
+                log = stack.enter_context(self._open_log())
+            try:
                 stop = stack.enter_context(StopRequest())
                 status = self._loop(log, stop)
                 with self.workers.sync_errors():
                     self._save_last(log, status)
-        finally:
-            result = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
-            if self.workers.is_first:
-                with contextlib.suppress(OSError):
-                    self.folder.write_json("summary.json", result)
+            finally:
+                result = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
+                if self.workers.is_first:
+                    with contextlib.suppress(OSError):
+                        self.folder.write_json("summary.json", result)
         return TrainResult(
             status=status, **dataclasses.asdict(self.progress), policy=self.folder.policy, metrics=self.row
         )
 
     def _open_log(self) -> TrainingLog:
-        is_first = self.workers.is_first
+        is_first, run = self.workers.is_first, None
         if is_first:
             config = {"train": dataclasses.asdict(self.cfg), "policy": self.contract.to_dict(), **self.record}
+            if self.cfg.wandb:  # first, so that a run that cannot begin leaves nothing
+                run = start_wandb(self.cfg.wandb, self.folder.path, config)
             self.folder.describe(config, self.workers.size)
-        return TrainingLog(self.cfg, self.folder.path, self.progress.transitions, is_silent=not is_first)
+        transitions = self.progress.transitions
+        return TrainingLog(self.cfg, self.folder.path, transitions, run, is_silent=not is_first)
 
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
         observation = None
@@ -201,11 +206,11 @@ class _Training:
         rewards = self.workers.sum(rewards) / self.workers.size
         with self.workers.sync_errors():  # first: NaN of one process reaches the networks of all
             self.env.check()
-            require_finite(given())
+            self._require_finite(given())
         statistics = self.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
             terms = {name: value for name, value in statistics.items() if name.startswith("reward_term/")}
-            require_finite(terms | found())
+            self._require_finite(terms | found())
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -222,6 +227,34 @@ class _Training:
             **self.mappo.named(metrics.tolist()),
         }
         self._is_unlogged = True
+
+    def _require_finite(self, named: Mapping[str, float]) -> None:
+        """Check that quantities are finite; where one is not, write the state into the run folder.
+
+        Raises:
+            NonFiniteError: Some are not; the message names them, and the reward terms that are not.
+        """
+        if all(map(math.isfinite, named.values())):
+            return
+        terms = {name: v for name, v in self.env.statistics.pop().items() if name.startswith("reward_term/")}
+        bad = [name for name, value in {**terms, **named}.items() if not math.isfinite(value)]
+        state = {
+            "not_finite": bad,
+            "config": json_text({"train": dataclasses.asdict(self.cfg), **self.record}),
+            "transitions": self.progress.transitions,
+            "rollout": {name: batch._asdict() for name, batch in self.mappo.rollout.items()},
+            "rewards": self.mappo.rewards,
+            "learner": self.mappo.state_dict(),
+        }
+        file, buffer = self.folder.path / f"failure{self.workers.rank or ''}.pt", io.BytesIO()
+        torch.save(state, buffer)
+        with contextlib.suppress(OSError):
+            write_atomically({file: buffer.getvalue()})
+        fix = "go on with --resume" if self.folder.checkpoint.exists() else "start again in another folder"
+        raise NonFiniteError(
+            f"NaN or infinity in {', '.join(bad)}; training stopped. '{file}' has the last rollout, the "
+            f"networks and the configuration (torch.load): correct that quantity, then {fix}."
+        )
 
     def _save(self) -> None:
         if self.workers.is_first:
@@ -278,13 +311,3 @@ def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
             norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])
             found[f"parameters of the {role} network of agent '{agent}'"] = norm
     return found
-
-
-def require_finite(named: Mapping[str, float]) -> None:
-    """Raise NonFiniteError with the names of quantities that are not finite."""
-    bad = [name for name, value in named.items() if not math.isfinite(value)]
-    if bad:
-        raise NonFiniteError(
-            f"NaN or infinity in {', '.join(bad)}; training stopped. "
-            "The last checkpoint is good: correct that quantity, then go on with --resume."
-        )

@@ -20,7 +20,7 @@ from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.observations import ObservationInputs, ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm
 from pixel2catch.methods import METHODS, Method, find_method, remembering
-from pixel2catch.own_files import OPTION, import_files
+from pixel2catch.own_files import OPTION, computed, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells import known_workcell
@@ -137,7 +137,7 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
     blank = _blank_measurement(method.num_boxes, workcell)
     frame = method.layouts[agent.name].inputs(blank, blank)
     sizes, memory = (
-        [(term.__name__, term(frame).shape[-1]) for term in terms]
+        [(term.__name__, _width(term, frame)) for term in terms]
         for terms in (agent.observation, agent.memory)
     )
     frames = ((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes)
@@ -145,6 +145,10 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
         observation=(*frames, *((f"{name}[t]", size) for name, size in memory)),
         joints=tuple(joint.name for columns in agent.joints for joint in workcell.joints[columns]),
     )
+
+
+def _width(term: ObservationTerm, blank: ObservationInputs) -> int:
+    return computed("observation term", term, (blank,), 1, "any", is_blank=True).shape[1]
 
 
 def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:

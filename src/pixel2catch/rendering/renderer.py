@@ -1,7 +1,7 @@
 """Pictures of the scene without a display: the camera's image, the object's mask, an outside view.
 
-OpenGL comes from EGL or OSMesa (`find_gl_backend`). MuJoCo's environment variable MUJOCO_GL is not set: if
-the library is missing, it makes `import mujoco` fail even where nothing is drawn.
+OpenGL comes from EGL or OSMesa (`find_gl_backend`). The command line takes MUJOCO_GL out of the environment
+(`GL_VARIABLE`): if the library is missing, it makes `import mujoco` fail even where nothing is drawn.
 """
 
 import copy
@@ -19,10 +19,13 @@ from jaxtyping import Bool, Float, Integer
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.installation import GL_VARIABLE
 from pixel2catch.robots.workcell import COLLISION_GROUP, VISUAL_GROUP
 from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
+
+EGL_DEVICE = "MUJOCO_EGL_DEVICE_ID"  #: MuJoCo's variable with the number of the device that EGL draws on.
 
 DRAWN_GROUPS = (0, 1, 2, 3)  #: Table and floor, object, visual geoms, collision geoms of bodies without.
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
@@ -64,19 +67,26 @@ def find_gl_backend() -> str:
     PyOpenGL has one platform per process. Raises DeviceUnavailableError, with Debian packages, if none draws.
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    preferred = bound or os.environ.get("MUJOCO_GL", "").lower()
+    preferred = bound or os.environ.get(GL_VARIABLE, os.environ.get("MUJOCO_GL", "")).lower()
     candidates = sorted(GL_BACKENDS, key=lambda name: name != preferred)
     for name in candidates[:1] if bound in GL_BACKENDS else candidates:
         if _draws(name):
             return name
+    for variable in (EGL_DEVICE, "PYOPENGL_PLATFORM"):
+        value = os.environ.get(variable)
+        if value and any(_draws(name, variable) for name in GL_BACKENDS):
+            raise DeviceUnavailableError(
+                f"{variable} is '{value}', with which OpenGL does not draw here; it draws without: unset it."
+            )
     raise DeviceUnavailableError(
         "no OpenGL without a display: neither EGL nor OSMesa works here. Install one, on Debian: "
         "'apt-get install libegl1 libgl1' (EGL) or 'apt-get install libosmesa6' (OSMesa)."
     )
 
 
-def _draws(backend: str) -> bool:
-    environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+def _draws(backend: str, *unset: str) -> bool:
+    unset = ("MUJOCO_GL", "PYOPENGL_PLATFORM", *unset)
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
     command = [sys.executable, "-c", _PROBE, backend]
     try:
         subprocess.run(command, env=environment, capture_output=True, timeout=60, check=True)
