@@ -119,6 +119,19 @@ def test_a_policy_with_ages_gets_the_measured_boxes_with_their_ages():
     assert boxes.box[0].tolist() == [list(moved(by)) for by in (8.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
 
 
+def test_a_camera_of_60_images_a_second_fills_the_history_as_one_of_30():
+    controller = remembering()
+    pipeline = pointed(new_pipeline(controller=controller))
+    for half_step in range(13):
+        see(
+            pipeline, image(1.0 + half_step * CONTROL_DT / 2.0, 4.0 * half_step), 1.0 + half_step * CONTROL_DT
+        )
+    assert pipeline.decide(HOME, 1.0 + 6.0 * CONTROL_DT) is not None
+    boxes = policy_boxes(controller)
+    assert boxes.age[0].tolist() == pytest.approx([0, 1, 2, 3, 4, 5, 6, 7], abs=1e-4)
+    assert boxes.box[0, :7].tolist() == [list(moved(8.0 * step)) for step in range(6, -1, -1)]
+
+
 def test_a_perception_that_hangs_is_an_error():
     """A policy with ages may act on an old box, but only while images are processed."""
     pipeline = pointed(new_pipeline(controller=remembering()))

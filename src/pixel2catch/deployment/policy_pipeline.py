@@ -151,6 +151,10 @@ class ObjectSight:
 BOX_AGE = 1.8 * CONTROL_DT
 """Age of the box that a policy without ages gets, as in training; images may be older [s]. Source: ours."""
 
+LEAST_SPACING = 0.75 * CONTROL_DT
+"""Time from a kept box to the next, but for the newest [s]. Source: ours; a camera of 60 Hz then fills the
+history as one of 30 Hz, which policies are trained with."""
+
 MEMORY = 8  #: Least number of boxes that are kept, one for each image.
 FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is seen. Source: ours.
 
@@ -219,6 +223,9 @@ class PolicyPipeline:
         if is_seen and (box.is_elsewhere or self._num_held):
             self._begin_track()
         if is_seen or not self.knows_age:
+            is_dense = len(self._boxes) > 1 and self._boxes[-1].stamp - self._boxes[-2].stamp < LEAST_SPACING
+            if is_dense and self.knows_age:
+                self._boxes.pop()
             self._boxes.append(box)
 
     def decide(self, joint_pos: Joints, now: float) -> JointTargets | None:
