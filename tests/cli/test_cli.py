@@ -63,10 +63,10 @@ def test_shipped_policies_fit_this_code(name: str):
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method, one of each other, two for outside, their teacher, other robots."""
+    """Three seeds of the paper's method, one of each other, policies for laboratories, other robots."""
     expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
-    others = "catch+fit catch_alone+fit catch_teacher+age fr3_allegro two_ur5e_allegro ur5e_leap"
-    assert set(shipped_policies()) == expected | {*others.split()}
+    expected |= {"catch+fit", "catch_alone+fit", "catch_alone+anycamera", "catch_teacher+age"}
+    assert set(shipped_policies()) == expected | {"fr3_allegro", "two_ur5e_allegro", "ur5e_leap"}
     assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
 
 
