@@ -16,7 +16,6 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.control_step import BoxHistory
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import JointTargets
 from pixel2catch.workcells import find_workcell
 
@@ -200,15 +199,6 @@ def test_while_the_object_is_still_for_long_the_targets_stay():
         targets.append(decided.joint_pos_target)
     has_changed = [not np.array_equal(*pair) for pair in pairwise(targets)]
     assert has_changed == (num_moving - 1) * [True] + 10 * [False] + [True, True]
-
-
-def test_visibility_by_the_age_of_the_newest_box():
-    pipeline = pointed(new_pipeline())
-    assert pipeline.sight.at(9.0) == "never seen"
-    see(pipeline, image(1.0), 1.02)
-    ages = (0.02, LONGEST_GAP - 0.001, LONGEST_GAP + 0.001, LOSS_TIME - 0.001, LOSS_TIME + 0.001)
-    words = [pipeline.sight.at(1.0 + age) for age in ages]
-    assert words == ["seen", "seen", "searching", "searching", "lost"]
 
 
 @pytest.mark.parametrize("has_ages", [False, True])

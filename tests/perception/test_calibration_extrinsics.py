@@ -55,26 +55,6 @@ def normalised(num: int, seeds: range, **errors: Any) -> np.ndarray:
     return np.array(rows)
 
 
-TROUBLES = {
-    "corners alone": {},
-    "blur": {"shift": 0.2},
-    "an arm that shakes": {"shaking": 1e-3},
-    "an arm that is off": {"offset": 1e-3},
-    "squares that are off": {"square": 0.005},
-    "a lens that is off": {"focal": 0.002},
-    "everything": {"shift": 0.1, "shaking": 3e-4, "offset": 1e-3, "square": 0.005, "focal": 0.002},
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("trouble", "num"), [*((trouble, 8) for trouble in TROUBLES), ("everything", 15)])
-def test_stated_deviations_cover_the_truth(trouble: str, num: int):
-    """Of 20 calibrations with 6 numbers each, 95 % are to be within 1.96 deviations; nothing is far out."""
-    errors = np.abs(normalised(num, range(300, 320), **TROUBLES[trouble]))
-    assert (errors < 1.96).mean() > 0.93
-    assert np.sqrt((errors**2).mean()) < 1.15
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["camera_info", "near_images", "same_images"])
 def test_the_intervals_hold_for_lenses_that_are_not_known(source: str):
@@ -109,7 +89,9 @@ def test_the_intervals_hold_for_lenses_that_are_not_known(source: str):
 
 
 def test_a_few_stated_deviations_cover_the_truth():
-    errors = np.abs(normalised(12, range(4), **TROUBLES["everything"]))
+    """Blur, an arm that shakes and is off, squares and a lens that are off, all together."""
+    troubles = {"shift": 0.1, "shaking": 3e-4, "offset": 1e-3, "square": 0.005, "focal": 0.002}
+    errors = np.abs(normalised(12, range(4), **troubles))
     assert (errors < 1.96).mean() > 0.85
 
 
