@@ -120,11 +120,11 @@ MEMORIES: dict[str, Memory] = {
         num_boxes=observations.NUM_BOXES,
         terms=(observations.box_fit, observations.camera_position, observations.palm_sight),
     ),
-    "flight": Memory(num_boxes=32, terms=(observations.measured_boxes, observations.camera_position)),
+    "flight": Memory(num_boxes=45, terms=(observations.measured_boxes, observations.camera_position)),
 }
 """Memories by name. Source: ours, for latencies that differ, for more of a flight than two frames, and for
 any calibrated camera: all boxes are then those of a level camera, see `camera.level`. `flight` has all
-boxes of a flight of 1 s."""
+boxes of a flight of 1.5 s."""
 
 
 def remembering(method: Method, memory: str) -> Method:

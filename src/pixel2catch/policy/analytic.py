@@ -25,28 +25,29 @@ from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-HEIGHTS = (0.08, 0.0, 0.16, 0.24, 0.4, -0.08)
+HEIGHTS = (0.04, -0.04, 0.12, 0.2, 0.32, 0.44)
 """Heights of meeting points over the task's catch height, the preferred one first [m]."""
 WAIT_OFFSET = (-0.03, 0.0, 0.25)  #: Where the palm waits, from the mean aim of the task's throws [m].
 WAIT_AXIS = (0.5, 0.0, 0.866)  #: Direction of the palm there.
-SEAT, FORWARD = 0.055, 0.012
+SEAT, FORWARD = 0.059, 0.012
 """Distance of the object from the palm at the meeting, and how far the palm is then further towards the
 direction of its fingers than the object [m]."""
-GIVE = (0.15, 0.15, 0.6)  #: Shares of the object's velocity that the palm has at the meeting, along x, y, z.
-RUN_UP = 0.25  #: Time in which the palm accelerates to that velocity [s].
-GAIN = 8.0  #: Speed by distance from the reference [1/s].
+GIVE = (0.21, 0.21, 0.6)  #: Shares of the object's velocity that the palm has at the meeting, along x, y, z.
+LEAD = 0.35 * CONTROL_DT  #: Time by which the reference is ahead, for the lag of the arm [s].
+RUN_UP = 0.225  #: Time in which the palm accelerates to that velocity [s].
+GAIN = 7.8  #: Speed by distance from the reference [1/s].
 SPEED_SHARE = 0.95  #: Largest planned share of a joint's speed limit.
 VELOCITY_DAMPING = 3e-3  #: Damping of the joint velocities at the meeting [m²/rad²].
 CUP_TIME = 0.55
 """Time from the command to cup the hand to the meeting [s]. Source: ours; the servo expects no object at the
 fingers in the first 0.4 s of a quick motion that follows 0.6 s of rest."""
-CLOSING_TIME = 2.0 * CONTROL_DT  #: Time from the first command to close to the meeting [s].
+CLOSING_TIME = 2.15 * CONTROL_DT  #: Time from the first command to close to the meeting [s].
 CLOSING_STEP, HELD_SHARE = 0.25, 0.6
 """Share by which the hand closes in a control step, and share from which the arm comes to rest."""
-FADE = 0.45  #: Factor by which the arm's action falls in each further control step.
-CUP_FIRST, CUP_OTHERS = 0.5, 0.1
+FADE = 0.41  #: Factor by which the arm's action falls in each further control step.
+CUP_FIRST, CUP_OTHERS = 0.435, 0.065
 """Shares by which the first joint and the other joints of each finger are closed before the meeting."""
-GRIP = 0.03  #: Distance from the palm to which closed fingertips reach [m].
+GRIP = 0.037  #: Distance from the palm to which closed fingertips reach [m].
 IS_STEP = 0.03  #: Distance in a control step from which an object flies [m]; it falls 5 mm in the first.
 LATE, MISSED, HIGH = 0.1, 0.02, 0.3
 """Lack of time [s], distance from the point [m] and distance from the preferred height [m] of equal cost."""
@@ -172,7 +173,7 @@ class Catcher(nn.Module):
 
     def _approach(self, meeting: Meeting, joint_pos: Tensor) -> Float[Tensor, "num_envs num_joints"]:
         """Return joint velocities towards a run-up of constant acceleration that ends at the meeting."""
-        run = (RUN_UP - meeting.time).clamp(min=0.0)[:, None]
+        run = (RUN_UP + LEAD - meeting.time).clamp(min=0.0)[:, None]
         reference = meeting.joint_pos + 0.5 * meeting.joint_vel * (run.square() / RUN_UP - RUN_UP)
         return meeting.joint_vel * run / RUN_UP + GAIN * (reference - joint_pos)
 

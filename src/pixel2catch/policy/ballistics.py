@@ -21,7 +21,10 @@ CENTER_NOISE = 2.2
 OUTLIER = 5.0  #: Deviation of a centre at which its weight is halved [standard deviations]. Source: ours.
 MOTION = 12.0
 """Distance from the oldest box from which an object flies [px]. Source: ours, more than the noise of two."""
-NUM_STEPS, NUM_PLAIN = 5, 2  #: Gauss-Newton steps, and those that weight all boxes alike. Source: ours.
+UNLIKELY = 2.0
+"""Deviation of a parameter from the middle of its range at which the prior's weight is halved [standard
+deviations of the range], so that boxes can show other throws. Source: ours."""
+NUM_STEPS, NUM_PLAIN = 6, 2  #: Gauss-Newton steps, and those that weight all boxes alike. Source: ours.
 LONGEST_STEP = 5.0  #: Largest change of a parameter in a step [standard deviations]. Source: ours.
 TIME_STIFFNESS = 1e-3  #: Damping of the release time, which has no prior [1/step²]. Source: ours.
 DIFFERENCE = 1e-4  #: Change of a parameter for a derivative [standard deviations]. Source: ours.
@@ -65,8 +68,7 @@ class BallisticFit(nn.Module):
         first = (has_moved * torch.arange(1, age.shape[1] + 1, device=age.device)).amax(1)
         release = time.gather(1, (first[:, None] - 1).clamp(min=0)) - 0.5 * CONTROL_DT
         throw = torch.cat((self.mean[:-1].expand(len(age), 6), release), dim=-1)
-        prior = torch.ones_like(self.mean)
-        prior[-1] = TIME_STIFFNESS
+        is_drawn = nn.functional.pad(torch.ones_like(self.mean[:-1]), (0, 1))
         changes = nn.functional.pad(DIFFERENCE * torch.diag(self.scale), (0, 0, 1, 0))
         for step in range(NUM_STEPS):
             seen = self._pixels(throw[:, None] + changes, time, camera_pos)
@@ -76,9 +78,11 @@ class BallisticFit(nn.Module):
             if step >= NUM_PLAIN:
                 weight = weight / (1.0 + error.square().sum(-1) / OUTLIER**2)
             weighted = (slope * weight[:, None, :, None]).flatten(2)
-            away = (throw - self.mean) / self.scale * (prior == 1.0)
-            normal = weighted @ slope.flatten(2).transpose(1, 2) + torch.diag(prior)
-            down = (weighted @ error.flatten(1)[..., None])[..., 0] - away
+            away = (throw - self.mean) / self.scale
+            prior = is_drawn / (1.0 + (away / UNLIKELY).square())
+            damp = torch.diag_embed(prior + TIME_STIFFNESS * (1.0 - is_drawn))
+            normal = weighted @ slope.flatten(2).transpose(1, 2) + damp
+            down = (weighted @ error.flatten(1)[..., None])[..., 0] - prior * away
             change = torch.linalg.solve(normal, down).clamp(-LONGEST_STEP, LONGEST_STEP)
             throw = throw + self.scale * change
         pos, vel = self._states(throw, torch.zeros_like(time[:, :1]))
