@@ -32,6 +32,7 @@ class SensingCfg:
     #: Difference of neighbouring latencies [control steps] (Source: release, whole steps); 0 draws any.
     latency_grid: Annotated[float, Within(0.0, 60.0)] = 1.0
     #: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
+    #: Differs: the release adds it to the whole observation, pixels included.
     joint_noise: Annotated[float, Within(0.0, 0.5)] = 0.005
     #: Standard deviation of their error in an episode [rad] (Source: release).
     joint_bias: Annotated[float, Within(0.0, 0.5)] = 0.001

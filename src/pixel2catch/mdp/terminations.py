@@ -29,7 +29,7 @@ class EpisodeCfg:
 
     #: Control steps after which it ends: 3.0 s (Source: release).
     max_steps: Annotated[int, Within(1, 100_000)] = 90
-    #: Control steps from a success to the end of the episode (Source: paper, 0; ours: hold test).
+    #: Control steps from a success to the end of the episode (Source: release, 0; ours: hold test).
     rest_steps: Annotated[int, Within(0, 100_000)] = 0
     #: Whether contact of two robots ends it, as in evaluation (ours); in training it costs a reward instead.
     ends_on_robot_contact: bool = False
@@ -82,7 +82,7 @@ def is_lost(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
 
 
 def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
-    """Return whether an episode ends by success, loss or time-out, all terminations. Source: paper."""
+    """Return whether an episode ends by success, loss or time-out, all terminations. Source: release."""
     lost = is_lost if cfg.ends_on_robot_contact else is_dropped
     ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
     return ended | (transition.held_steps >= HOLD_STEPS + cfg.rest_steps)
