@@ -2,8 +2,12 @@
 
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -71,6 +75,19 @@ def test_a_vector_of_robots_goes_on_after_the_end():
             assert infos["_is_success"].all()
             assert not infos["is_success"].any()
     env.close()
+
+
+def test_gymnasium_makes_a_registered_environment():
+    """Where the package is installed, Gymnasium calls the entry point when it is imported."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"]
+    (entry,) = project["entry-points"]["gymnasium.envs"].values()
+    EntryPoint("catch", entry, "gymnasium.envs").load()()
+    env = gymnasium.make("pixel2catch/Catch-v1", objects="cube_s", task=SHORT)
+    assert env.reset(seed=1)[0].shape == env.observation_space.shape
+    env.close()
+    envs = gymnasium.make_vec("pixel2catch/Catch-v1", num_envs=2, method="catch_alone", task=SHORT)
+    assert envs.step(envs.action_space.sample())[1].shape == (2,)
+    envs.close()
 
 
 def test_a_view_refuses_environments_that_do_not_fit():

@@ -194,7 +194,7 @@ class TaskOptions:
     def beneath(self, setting: "Setting") -> "Setting":
         """Return a setting that disturbs the changed task."""
         change = partial(_disturbed, self, setting.level.change)
-        return replace(setting, level=replace(setting.level, change=change)) if self.given else setting
+        return replace(setting, level=replace(setting.level, change=change))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -208,11 +208,15 @@ class SimulatedTask(TaskOptions):
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
 
+    def change(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
+        """Return the task with the files' robot and camera, and other changes."""
+        return super().change(task.with_files(self.dynamics, self.camera))
+
     def make(self, policy: "Policy") -> "CatchEnvCfg":
         """Return the task in which a policy acts; print what its camera means."""
         from pixel2catch.evaluation.loading import camera_remark, task_of
 
-        task = self.change(task_of(policy, dynamics=self.dynamics, camera=self.camera))
+        task = self.change(task_of(policy))
         for remark in camera_remark(policy, task):
             say(remark)
         return task

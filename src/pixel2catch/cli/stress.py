@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, ResultsFolder, Seed, Share
 from pixel2catch.cli.console import prepare, say
-from pixel2catch.cli.fields import TaskOptions
+from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.reports import as_markdown, circumstances
 from pixel2catch.shipped import PolicyPath
@@ -45,7 +45,7 @@ class Stress:
     #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
     #: timeout_min=60 cpus_per_task=1 slurm_partition=cpu.
     slurm: tuple[str, ...] = ()
-    task: TaskOptions = field(default_factory=TaskOptions)  #: Changes of the task before it is disturbed.
+    task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated, before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
 
     def run(self) -> None:
