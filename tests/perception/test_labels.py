@@ -18,8 +18,6 @@ from pixel2catch.perception.labels import Label, Labels, load_labels
 from pixel2catch.perception.sources import ImageFit, video_images
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
-CLIPS = Path(__file__).parents[2] / "benchmarks" / "clips"
-
 
 def label(image: int, box: Edges | None, phase: Any = "flight") -> Label:
     return Label(image=image, time=image / 30.0, phase=phase, box=box)
