@@ -69,14 +69,14 @@ def test_inverse_kinematics_reach_what_the_arm_can_reach(cell: str):
     home = torch.tensor([[joint.home for joint in joints]], dtype=torch.float64)
     torch.manual_seed(0)
     truth = (home + 0.3 * torch.randn(100, len(joints), dtype=torch.float64)).clamp(*limits)
-    pose, slopes = pose_and_slopes(chain.matrices, truth)
+    pose, slopes = pose_and_slopes(chain, truth)
     torch.testing.assert_close(pose[:, :3, 3], chain.pose(truth)[0])
-    nudged, _ = pose_and_slopes(chain.matrices, truth + 1e-6)
+    nudged, _ = pose_and_slopes(chain, truth + 1e-6)
     torch.testing.assert_close((nudged - pose) / 1e-6, slopes.sum(dim=1), atol=1e-4, rtol=0.0)
     normal = torch.tensor(palm.spec.normal, dtype=torch.float64)
     target = pose[:, :3, 3], pose[:, :3, :3] @ normal
-    found = joints_reaching(chain.matrices, home.expand(100, -1), limits, *target, normal, num_steps=60)
-    reached, _ = pose_and_slopes(chain.matrices, found)
+    found = joints_reaching(chain, home.expand(100, -1), limits, *target, normal, num_steps=60)
+    reached, _ = pose_and_slopes(chain, found)
     assert ((found >= limits[0]) & (found <= limits[1])).all()
     errors = torch.cat((reached[:, :3, 3] - target[0], reached[:, :3, :3] @ normal - target[1]), dim=-1)
     assert (errors.norm(dim=-1) < 5e-3).float().mean() >= 0.9  # others stop at a limit of a joint
@@ -119,11 +119,11 @@ def test_what_is_not_measured_changes_no_action():
 
 def test_a_hand_that_closes_goes_on_and_a_new_throw_opens_it():
     policy, _ = load_policy(Path("analytic"))
-    catcher, measured = policy.agents["robot"], waiting(policy)
-    arm, opened, closed = 6, catcher.get_buffer("open").float(), catcher.get_buffer("closed").float()
+    postures, measured = vars(policy.agents["robot"]), waiting(policy)
+    arm, opened, closed = 6, postures["_open"].float(), postures["_closed"].float()
     action = torch.zeros_like(measured.action)
     torch.testing.assert_close(act(policy, measured)[:, arm:], opened.expand(4, -1))
-    action[:, :arm], action[:, arm:] = 0.4, 0.5 * (catcher.get_buffer("cup").float() + closed)
+    action[:, :arm], action[:, arm:] = 0.4, 0.5 * (postures["_cup"].float() + closed)
     for _ in range(4):
         action = act(policy, dataclasses.replace(measured, action=action))
     torch.testing.assert_close(action[:, arm:], closed.expand(4, -1))

@@ -1,16 +1,17 @@
 """The analytic catcher: ballistic fit, inverse kinematics, and a hand that closes by time. Nothing is learnt.
 
 It keeps no state: an observation has all boxes of the flight, and the last action has the share by which the
-hand is closed. At the start of a throw all actions are 0.
+hand is closed. At the start of a throw all actions are 0. It computes on the CPU.
 
 Source: ours. The constants are tuned on throws of the nominal task (experiments/LOG.md, 2026-11-30).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from pixel2catch.agents import commands_of
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
@@ -19,7 +20,7 @@ from pixel2catch.methods import find_method
 from pixel2catch.policy.ballistics import BallisticFit
 from pixel2catch.policy.contract import AgentContract, contract_of
 from pixel2catch.policy.policy import Policy
-from pixel2catch.robots.inverse import chain_to, damped_solution, joints_reaching, pose_and_slopes
+from pixel2catch.robots.inverse import chain_to, damped_step, joints_reaching, pose_and_slopes
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.workcells import known_workcell
@@ -56,27 +57,14 @@ LATE, MISSED, HIGH = 0.1, 0.02, 0.3
 METHODS_OF = {"analytic": "analytic+flight", "analytic_told": "analytic_told+age"}
 """What each policy observes: the name of its method and memory."""
 
+FALL = torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)  #: Acceleration in flight [m/s²].
 
-class Meeting(NamedTuple):
-    """Where and when the palm meets the object."""
-
-    time: Float[Tensor, " num_envs"]  #: Time from now [s].
-    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Positions of the arm's joints then [rad].
-    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Their velocities then [rad/s].
+Vectors = Float[Tensor, "num_envs 3"]
+Joints = Float[Tensor, "num_envs num_joints"]
 
 
 class Catcher(nn.Module):
     """From the observation to the actions of all joints."""
-
-    matrices: Tensor  #: Those of the `Chain` to the palm.
-    limits: Tensor  #: Lower and upper limits of the arm's joints [rad].
-    speeds: Tensor  #: Their largest speeds [rad/s].
-    normal: Tensor  #: Direction out of the palm, in its frame.
-    ready: Tensor  #: Joint positions in which the arm waits [rad].
-    fingers: Tensor  #: Direction of the fingers there, world frame.
-    open: Tensor  #: Actions of the hand at its start position.
-    cup: Tensor  #: Those before the meeting.
-    closed: Tensor  #: Those of the closed hand.
 
     def __init__(self, workcell: WorkcellSpec, contract: AgentContract, throws: ThrowCfg) -> None:
         """Read the robot from a work cell with one palm, and the order of the observation from a contract."""
@@ -85,138 +73,102 @@ class Catcher(nn.Module):
             raise InvalidValueError(
                 f"work cell '{workcell.name}' has {len(workcell.palms)} palms; an analytic policy needs one."
             )
-        self.fit = BallisticFit(throws)
-        self._sizes = dict(contract.observation)
+        self._fit, self._sizes = BallisticFit(throws), dict(contract.observation)
         (palm,) = workcell.palms
         self._arm, self._hand = palm.carriers, slice(palm.stop, None)
-        arm, commands = workcell.joints[self._arm], commands_of(workcell)[self._hand]
-        matrices, home = chain_to(workcell, palm.spec.site)[0].matrices, _tensor([j.home for j in arm])
-        limits, normal = _tensor([[j.lower for j in arm], [j.upper for j in arm]]), _tensor(palm.spec.normal)
+        joints = [(j.home, j.lower, j.upper, j.velocity_limit) for j in workcell.joints]
+        home, *limits, speeds = _tensor(joints).T
+        limits = torch.stack(limits)
+        self._limits, self._speeds = limits[:, self._arm].clone(), speeds[self._arm]
+        self._chain, _ = chain_to(workcell, palm.spec.site)
+        self._normal = _tensor(palm.spec.normal)
         aim = [sum(values) / 2.0 for values in (throws.aim_x, throws.aim_y, throws.aim_z)]
         place, axis = _tensor([aim]) + _tensor(WAIT_OFFSET), _tensor([WAIT_AXIS])
-        ready = joints_reaching(matrices, home[None], limits, place, axis, normal, num_steps=50)
-        *postures, fingers = _hand_postures(workcell)
-        offset, scale = _tensor([[c.offset for c in commands], [c.scale for c in commands]])
-        opened, cup, closed = (((each - offset) / scale).clamp(-1.0, 1.0) for each in postures)
-        buffers = {
-            "matrices": matrices,
-            "limits": limits,
-            "speeds": _tensor([joint.velocity_limit for joint in arm]),
-            "normal": normal,
-            "ready": ready[0],
-            "fingers": pose_and_slopes(matrices, ready)[0][0, :3, :3] @ fingers,
-            "open": opened,
-            "cup": cup,
-            "closed": closed,
-        }
-        for name, values in buffers.items():
-            self.register_buffer(name, values)
+        start = home[None, self._arm]
+        self._ready = self._reaching(start, place, axis, num_steps=50)  # where the arm waits [rad]
 
-    def forward(self, observation: Float[Tensor, "num_envs k"]) -> Float[Tensor, "num_envs num_joints"]:
+        at_home = pose_and_slopes(self._chain, start)[0][0]
+        normal, palm_pos = at_home[:3, :3] @ self._normal, at_home[:3, 3]
+        limits[:, self._arm] = home[self._arm]
+        cup, closed, tips = home.clone(), home.clone(), list[Tensor]()
+        for finger in palm.spec.fingers:
+            chain, columns = chain_to(workcell, finger.tip)
+            tips.append(pose_and_slopes(chain, home[None, columns])[0][0, :3, 3])
+            grip = (palm_pos + GRIP * normal)[None]
+            bent = joints_reaching(chain, home[None, columns], limits[:, columns], grip, num_steps=60)[0]
+            own = [column for column in columns if column >= palm.stop]
+            closed[own] = bent[-len(own) :]
+            share = _tensor([CUP_FIRST] + [CUP_OTHERS] * (len(own) - 1))
+            cup[own] = home[own] + share * (closed[own] - home[own])
+        offset, scale = _tensor([(c.offset, c.scale) for c in commands_of(workcell)]).T
+        postures = (((each - offset) / scale).clamp(-1.0, 1.0)[self._hand] for each in (home, cup, closed))
+        self._open, self._cup, self._closed = postures  # actions of the hand
+        way = torch.stack(tips).mean(dim=0) - palm_pos
+        local_way = at_home[:3, :3].T @ normalize(way - (way @ normal) * normal, dim=0)
+        # Where fingers point as the arm waits, world frame.
+        self._fingers = pose_and_slopes(self._chain, self._ready)[0][0, :3, :3] @ local_way
+
+    def forward(self, observation: Float[Tensor, "num_envs k"]) -> Joints:
         """Return the actions of all joints."""
-        parts = observation.double().split([*self._sizes.values()], dim=-1)
+        parts = observation.cpu().double().split([*self._sizes.values()], dim=-1)
         part = dict(zip(self._sizes, parts, strict=True))
         joint_pos, last = part["joint_pos[t]"][:, self._arm], part["last_action[t]"]
         pos, vel, is_flying = self._flight(part)
-        meeting = self._meeting(pos, vel, joint_pos)
-        share = self._closed_share(last[:, self._hand])
-        is_closing = (share > 0.0) | (is_flying & (meeting.time < CLOSING_TIME))
+        time, meeting, meeting_vel = self._meeting(pos, vel, joint_pos)
+        way, hand = self._closed - self._cup, last[:, self._hand]
+        share = ((hand - self._cup) @ way / way.square().sum()).clamp(0.0, 1.0)  # by which it is closed
+        share = torch.where((hand == 0.0).all(-1) | (share < 0.5 * CLOSING_STEP), 0.0, share)
+        is_closing = (share > 0.0) | (is_flying & (time < CLOSING_TIME))
         share = torch.where(is_closing, (share + CLOSING_STEP).clamp(max=1.0), 0.0)[:, None]
-        waiting = 0.5 * GAIN * (self.ready - joint_pos)
-        action = torch.where(is_flying[:, None], self._approach(meeting, joint_pos), waiting) / self.speeds
-        action = action / action.abs().amax(-1, keepdim=True).clamp(min=1.0)
+        run = (RUN_UP + LEAD - time).clamp(min=0.0)[:, None]  # time since the run-up began
+        reference = meeting + 0.5 * meeting_vel * (run.square() / RUN_UP - RUN_UP)
+        approach = meeting_vel * run / RUN_UP + GAIN * (reference - joint_pos)
+        action = torch.where(is_flying[:, None], approach, 0.5 * GAIN * (self._ready - joint_pos))
+        action = action / (action.abs() / self._speeds).amax(-1, keepdim=True).clamp(min=1.0) / self._speeds
         arm = torch.where(share > HELD_SHARE, FADE * last[:, self._arm], action)
-        is_cupped = is_closing | (is_flying & (meeting.time < CUP_TIME))
-        hand = torch.where(is_cupped[:, None], self.cup + share * (self.closed - self.cup), self.open)
+        is_cupped = is_closing | (is_flying & (time < CUP_TIME))
+        hand = torch.where(is_cupped[:, None], self._cup + share * way, self._open)
         return torch.cat((arm, hand), dim=-1).to(observation)
 
-    def _flight(
-        self, part: dict[str, Tensor]
-    ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 3"], Bool[Tensor, " num_envs"]]:
+    def _flight(self, part: dict[str, Tensor]) -> tuple[Vectors, Vectors, Bool[Tensor, " num_envs"]]:
         """Return position [m] and velocity [m/s] of the object now, and whether it flies."""
         if "measured_boxes[t]" in part:
             *box, age = part["measured_boxes[t]"].unflatten(-1, (5, -1)).unbind(1)
-            return self.fit(torch.stack(box, dim=-1), age, part["camera_position[t]"])
+            return self._fit(torch.stack(box, dim=-1), age, part["camera_position[t]"])
         pos, step = part["object_position[t]"].split(3, dim=-1)
-        age, fall = CONTROL_DT * part["box_age[t]"], _gravity(pos)
-        vel = step / CONTROL_DT + (age + 0.5 * CONTROL_DT) * fall  # the mean one of a step, and what follows
-        is_flying = torch.linalg.vector_norm(step, dim=-1) > IS_STEP
-        return pos + (vel - 0.5 * age * fall) * age, vel, is_flying
+        age = CONTROL_DT * part["box_age[t]"]
+        vel = step / CONTROL_DT + (age + 0.5 * CONTROL_DT) * FALL  # the mean one of a step, and what follows
+        return pos + (vel - 0.5 * age * FALL) * age, vel, torch.linalg.vector_norm(step, dim=-1) > IS_STEP
 
-    def _meeting(self, pos: Tensor, vel: Tensor, joint_pos: Tensor) -> Meeting:
-        """Return the best meeting at `HEIGHTS`: in time, within reach, of preferred height."""
-        height = self.fit.catch_height + pos.new_tensor(HEIGHTS)
-        up, fall = vel[:, 2:], _gravity(pos)
-        square = up.square() + 2.0 * GRAVITY * (pos[:, 2:] - height)
-        time = (up + square.clamp(min=0.0).sqrt()) / GRAVITY
+    def _meeting(self, pos: Vectors, vel: Vectors, joint_pos: Joints) -> tuple[Tensor, Joints, Joints]:
+        """Return time [s], joints and joint velocities of the best meeting: in time, in reach, and low."""
+        height = self._fit.catch_height + _tensor(HEIGHTS)
+        square = vel[:, 2:].square() + 2.0 * GRAVITY * (pos[:, 2:] - height)
+        time = (vel[:, 2:] + square.clamp(min=0.0).sqrt()) / GRAVITY
         late = time[..., None]
-        place = pos[:, None] + (vel[:, None] + 0.5 * late * fall) * late
-        speed = (vel[:, None] + late * fall).flatten(0, 1)
-        give = speed * speed.new_tensor(GIVE)
-        axis = nn.functional.normalize(give - speed, dim=-1)
-        along = nn.functional.normalize(self.fingers - (axis @ self.fingers)[:, None] * axis, dim=-1)
-        point, start = place.flatten(0, 1) - SEAT * axis + FORWARD * along, self.ready.expand(len(speed), -1)
-        reached = joints_reaching(self.matrices, start, self.limits, point, axis, self.normal)
-        pose, slopes = pose_and_slopes(self.matrices, reached)
-        damp = VELOCITY_DAMPING * torch.eye(len(self.ready)).to(pose)
-        joint_vel = damped_solution(slopes[..., :3, 3], give, damp)
-        joint_vel = joint_vel / (joint_vel.abs() / (SPEED_SHARE * self.speeds)).amax(-1, keepdim=True).clamp(
-            min=1.0
-        )
+        place = (pos[:, None] + (vel[:, None] + 0.5 * late * FALL) * late).flatten(0, 1)
+        speed = (vel[:, None] + late * FALL).flatten(0, 1)
+        give = speed * _tensor(GIVE)
+        axis = normalize(give - speed, dim=-1)
+        along = normalize(self._fingers - (axis @ self._fingers)[:, None] * axis, dim=-1)
+        point = place - SEAT * axis + FORWARD * along
+        reached = self._reaching(self._ready.expand(len(point), -1), point, axis)
+        pose, slopes = pose_and_slopes(self._chain, reached)
+        joint_vel = damped_step(slopes[..., :3, 3], give, VELOCITY_DAMPING)
+        excess = (joint_vel.abs() / (SPEED_SHARE * self._speeds)).amax(-1, keepdim=True)
         missed = torch.linalg.vector_norm(point - pose[:, :3, 3], dim=-1).unflatten(0, time.shape)
-        reached, joint_vel = (values.unflatten(0, time.shape) for values in (reached, joint_vel))
-        needed = ((reached - joint_pos[:, None]).abs() / self.speeds).amax(-1)
+        reached = reached.unflatten(0, time.shape)
+        needed = ((reached - joint_pos[:, None]).abs() / self._speeds).amax(-1)
         cost = (needed - time).clamp(min=0.0) / LATE + missed / MISSED + (height - height[0]).abs() / HIGH
-        best = torch.where(square > 0.0, cost, torch.inf).argmin(-1)
-        row = torch.arange(len(best), device=best.device)
-        return Meeting(time[row, best], reached[row, best], joint_vel[row, best])
+        best = torch.arange(len(pos)), torch.where(square > 0.0, cost, torch.inf).argmin(-1)
+        return time[best], reached[best], (joint_vel / excess.clamp(min=1.0)).unflatten(0, time.shape)[best]
 
-    def _approach(self, meeting: Meeting, joint_pos: Tensor) -> Float[Tensor, "num_envs num_joints"]:
-        """Return joint velocities towards a run-up of constant acceleration that ends at the meeting."""
-        run = (RUN_UP + LEAD - meeting.time).clamp(min=0.0)[:, None]
-        reference = meeting.joint_pos + 0.5 * meeting.joint_vel * (run.square() / RUN_UP - RUN_UP)
-        return meeting.joint_vel * run / RUN_UP + GAIN * (reference - joint_pos)
-
-    def _closed_share(self, action: Float[Tensor, "num_envs num_fingers"]) -> Float[Tensor, " num_envs"]:
-        """Return the share by which a hand's action closes it; 0 at the start, when all actions are 0."""
-        way = self.closed - self.cup
-        share = ((action - self.cup) @ way / way.square().sum()).clamp(0.0, 1.0)
-        return torch.where((action == 0.0).all(-1) | (share < 0.5 * CLOSING_STEP), 0.0, share)
-
-
-def _hand_postures(workcell: WorkcellSpec) -> tuple[Tensor, ...]:
-    """Return the hand's joints at the start, before the meeting and closed [rad], and where fingers point.
-
-    That is a direction in the frame of the palm.
-    """
-    (palm,) = workcell.palms
-    home = _tensor([joint.home for joint in workcell.joints])
-    limits = _tensor([[joint.lower for joint in workcell.joints], [joint.upper for joint in workcell.joints]])
-    limits[:, palm.carriers] = home[palm.carriers]
-    chain, columns = chain_to(workcell, palm.spec.site)
-    pose = pose_and_slopes(chain.matrices, home[None, columns])[0][0]
-    axis, place = pose[:3, :3] @ _tensor(palm.spec.normal), pose[:3, 3]
-    cup, closed, tips = home.clone(), home.clone(), list[Tensor]()
-    for finger in palm.spec.fingers:
-        chain, columns = chain_to(workcell, finger.tip)
-        start, point = home[None, columns], (place + GRIP * axis)[None]
-        tips.append(pose_and_slopes(chain.matrices, start)[0][0, :3, 3])
-        bent = joints_reaching(chain.matrices, start, limits[:, columns], point, num_steps=60)[0]
-        own = [column for column in columns if column >= palm.stop]
-        closed[own] = bent[-len(own) :]
-        share = _tensor([CUP_FIRST] + [CUP_OTHERS] * (len(own) - 1))
-        cup[own] = home[own] + share * (closed[own] - home[own])
-    way = torch.stack(tips).mean(dim=0) - place
-    fingers = nn.functional.normalize(way - (way @ axis) * axis, dim=0)
-    return home[palm.stop :], cup[palm.stop :], closed[palm.stop :], pose[:3, :3].T @ fingers
+    def _reaching(self, start: Joints, point: Vectors, axis: Vectors, num_steps: int = 8) -> Joints:
+        return joints_reaching(self._chain, start, self._limits, point, axis, self._normal, num_steps)
 
 
 def _tensor(values: Any) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
-
-
-def _gravity(like: Tensor) -> Float[Tensor, " 3"]:
-    return like.new_tensor((0.0, 0.0, -GRAVITY))
 
 
 class AnalyticPolicy(Policy):
