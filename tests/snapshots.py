@@ -72,7 +72,7 @@ def transition(
     action: Tensor | None = None,
     joint_pos_target: Tensor | None = None,
     held_steps: tuple[int, ...] | None = None,
-    was_success: tuple[bool, ...] | None = None,
+    rested_steps: tuple[int, ...] | None = None,
     episode_steps: tuple[int, ...] | None = None,
 ) -> Transition:
     """A control step after which nothing is held, unless told otherwise."""
@@ -84,7 +84,7 @@ def transition(
         action=torch.zeros(num_envs, NUM_JOINTS) if action is None else action,
         joint_pos_target=torch.zeros(num_envs, NUM_JOINTS) if joint_pos_target is None else joint_pos_target,
         held_steps=torch.tensor(held_steps or (0,) * num_envs),
-        was_success=torch.tensor(was_success or (False,) * num_envs),
+        rested_steps=torch.tensor(rested_steps or (0,) * num_envs),
         episode_steps=torch.tensor(episode_steps or (1,) * num_envs),
         geometry=GEOMETRY,
     )

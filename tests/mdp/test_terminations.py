@@ -74,7 +74,8 @@ def test_robot_contact_ends_an_episode_if_configured(ends: bool):
     assert is_ended(step, EpisodeCfg(ends_on_robot_contact=ends)).tolist() == [False, ends]
 
 
-def test_an_episode_goes_on_for_rest_steps_after_a_success():
+def test_an_episode_ends_rest_steps_after_a_success_also_if_the_hold_was_interrupted():
     assert is_ended(steps(), EpisodeCfg(rest_steps=30)).tolist() == [False, True, True, False]
-    held = transition(now=privileged(object_pos=torch.ones(2, 3)), held_steps=(49, 50))
-    assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True]
+    now = privileged(object_pos=torch.ones(3, 3))
+    held = transition(now=now, held_steps=(49, 50, 1), rested_steps=(29, 30, 30))
+    assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True, True]

@@ -288,7 +288,7 @@ class CatchEnv:
             action=command[0],
             joint_pos_target=command[1],
             held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
-            was_success=record.is_success,
+            rested_steps=torch.where(record.is_success, record.rested_steps + 1, 0),
             episode_steps=record.steps + 1,
             geometry=self.world.geometry,
         )

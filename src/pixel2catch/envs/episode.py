@@ -58,6 +58,7 @@ class EpisodeRecord:
     steps: Int[Tensor, " num_envs"]  #: Control steps.
     #: Consecutive control steps with the object near the palm, up to now.
     held_steps: Int[Tensor, " num_envs"]
+    rested_steps: Int[Tensor, " num_envs"]  #: Control steps since the first success.
     is_tracked: Bool[Tensor, " num_envs"]  #: Whether the palm reached the object (T.R.).
     is_success: Bool[Tensor, " num_envs"]  #: Whether it was held long enough (S.R.).
     is_palm_contact: Bool[Tensor, " num_envs"]  #: Whether a palm itself touched it.
@@ -85,7 +86,7 @@ class EpisodeRecord:
         """Return records of episodes that have just begun."""
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
         begun = {name: no if name.startswith("is_") else none.float() for name in cls.__dataclass_fields__}
-        counts = dict.fromkeys(("steps", "held_steps", "contact_steps"), none)
+        counts = dict.fromkeys(("steps", "held_steps", "rested_steps", "contact_steps"), none)
         return cls(**(begun | counts | {"object_id": object_id}))
 
     def advanced(
@@ -102,6 +103,7 @@ class EpisodeRecord:
             object_id=self.object_id.clone(),
             steps=transition.episode_steps,
             held_steps=transition.held_steps,
+            rested_steps=transition.rested_steps,
             is_tracked=self.is_tracked | is_near(now),
             is_success=self.is_success | is_success(transition),
             is_palm_contact=self.is_palm_contact | take(log.is_touching, palms).any(dim=-1),

@@ -135,7 +135,8 @@ class Transition:
     joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The commanded joint targets [rad].
     #: Consecutive control steps, this one included, with the object in the palm's reach.
     held_steps: Int[Tensor, " num_envs"]
-    was_success: Bool[Tensor, " num_envs"]  #: Whether there was a success in an earlier step of the episode.
+    #: Control steps since the first success of the episode, this one included; 0 up to that success.
+    rested_steps: Int[Tensor, " num_envs"]
     #: Control steps since the start of the episode, this one included.
     episode_steps: Int[Tensor, " num_envs"]
     geometry: WorkcellGeometry  #: Forward kinematics of palms and arms.

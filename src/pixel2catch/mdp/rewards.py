@@ -88,7 +88,7 @@ def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"
 
     Ours: for an object that needs all palms, the share of the palms that have reached it.
     """
-    return (is_success(transition) & ~transition.was_success) * palm_share(transition.now)
+    return (is_success(transition) & (transition.rested_steps == 0)) * palm_share(transition.now)
 
 
 def nearness(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:

@@ -85,4 +85,5 @@ def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs
     """Return whether an episode ends by success, loss or time-out, all terminations. Source: release."""
     lost = is_lost if cfg.ends_on_robot_contact else is_dropped
     ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
-    return ended | (transition.held_steps >= HOLD_STEPS + cfg.rest_steps)
+    is_caught = is_success(transition) | (transition.rested_steps > 0)
+    return ended | (is_caught & (transition.rested_steps >= cfg.rest_steps))

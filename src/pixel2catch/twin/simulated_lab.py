@@ -219,7 +219,7 @@ class SimulatedLab:
             action=torch.zeros(1, 0),
             joint_pos_target=torch.zeros(1, 0),
             held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
-            was_success=self.record.is_success,
+            rested_steps=torch.where(self.record.is_success, self.record.rested_steps + 1, 0),
             episode_steps=self.record.steps + 1,
             geometry=self._world.geometry,
         )
