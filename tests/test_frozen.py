@@ -123,13 +123,10 @@ def packed(workcell: str, arrays: Arrays) -> Arrays:
 
 
 def frozen_outcomes(workcell: str) -> dict[str, dict[str, str]]:
-    """The frozen outcomes of the policies for a work cell."""
+    """The frozen outcomes of the first policy for a work cell: a further policy changes no behaviour."""
+    name = DEFAULT_POLICY if workcell == HOME else workcell
     found = json.loads(THROWS.read_text())
-    return {
-        name: found[name]
-        for name in sorted(shipped_policies())
-        if load_policy(Path(name))[0].contract.workcell == workcell
-    }
+    return {name: found[name]} if name in found else {}
 
 
 def frozen_hash(workcell: str) -> str:
