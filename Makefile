@@ -42,12 +42,13 @@ catch: $(READY) ## catch a thrown object with the shipped policy
 test: $(READY) ## run the tests
 	@$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-check: $(READY) ## formatting, lint, types, import rules, spelling
+check: $(READY) ## formatting, lint, types, import rules, spelling, tables of results
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/basedpyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/codespell
+	@$(BIN)/pixel2catch results --check
 
 docs: $(READY) ## build the site of docs/ into site/; warnings are errors
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
