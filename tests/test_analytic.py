@@ -23,6 +23,8 @@ from pixel2catch.robots.inverse import chain_to, joints_reaching, pose_and_slope
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.shipped import policy_folder
+from pixel2catch.twin import RehearsalCfg
+from pixel2catch.twin.stepped import rehearse_stepped
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -94,6 +96,16 @@ def test_a_name_catches_with_every_arm(name: str, cell: str):
     record = run_round(cfg.make_env(method), policy).record
     assert record.is_tracked.sum() >= 6
     assert record.is_success.sum() >= 3
+
+
+def test_a_rehearsal_ends_without_a_fault_of_the_servo():
+    """The cup is made early enough that the servo does not take contact for a finger that is astray."""
+    policy, _ = load_policy(Path("analytic"))
+    cfg = RehearsalCfg(throws=1, seed=180500, plain=True)
+    report = rehearse_stepped(cfg, task_of(policy, 120.0), policy, lambda _: None)
+    (throw,) = report["throws"]
+    assert throw["is_tracked"]
+    assert throw["stops"] == []
 
 
 def waiting(policy: Policy) -> Measurement:
