@@ -4,11 +4,17 @@ from dataclasses import replace
 import pytest
 import torch
 from rich.console import Console
-from scipy.stats import binomtest
+from scipy.stats import binomtest, ttest_ind
 
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.evaluation.metrics import metrics, paired_difference, pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import (
+    metrics,
+    paired_difference,
+    pooled_counts,
+    welch_difference,
+    wilson_interval,
+)
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
@@ -46,6 +52,7 @@ def five_trials() -> Trials:
         torque_squares=squares,
         limit_steps=torch.tensor([3, 0, 12, 0, 0]),
         closed_loop=torch.tensor([1, -1, 0, -1, 0]),
+        is_reachable=flags(1, 1, 0, 1, 0),
     )
 
 
@@ -59,6 +66,15 @@ def test_intervals_and_p_values_are_those_of_scipy():
             failures = trials - successes
             found = paired_difference("1" * successes + "0" * failures, "0" * successes + "1" * failures)
             assert found["p_value"] == pytest.approx(test.pvalue)
+
+
+def test_a_difference_of_means_is_that_of_scipy():
+    values, others = (0.90, 0.95, 0.91), (0.80, 0.94, 0.85, 0.70)
+    found = welch_difference(values, others)
+    test = ttest_ind(values, others, equal_var=False).confidence_interval()
+    assert found["difference"] == pytest.approx(0.92 - 0.8225)
+    assert found["difference_interval"] == pytest.approx([test.low, test.high])
+    assert welch_difference((0.5, 0.5), (0.4, 0.4))["difference_interval"] == pytest.approx([0.1, 0.1])
 
 
 def test_a_paired_difference_by_hand():
@@ -81,6 +97,8 @@ def test_metrics_by_hand():
     assert result["palm_contact_rate"] == 2 / 5
     assert result["verified_hold_rate"] == 1 / 5
     assert (result["closed_loop_hold_rate"], result["closed_loop_hold_rate_trials"]) == (1 / 3, 3)
+    assert (result["reachable_rate"], result["reachable"]["trials"]) == (3 / 5, 3)
+    assert result["reachable"]["success_rate"] == 2 / 3
     assert pooled_counts([result, {"closed_loop_hold_rate": 0.5, "trials": 2}], "closed_loop_hold_rate") == (
         2,
         5,
@@ -112,8 +130,10 @@ def test_metrics_without_contact_are_valid_json():
         torque_squares=squares,
         limit_steps=none,
         closed_loop=none - 1,
+        is_reachable=flags(1),
     )
     result = metrics(trials, UR5E_ALLEGRO)
+    assert (result["reachable_rate"], "reachable" in result) == (1.0, False)
     assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
@@ -126,7 +146,7 @@ def test_divergence_is_an_error():
 
 
 def shown(*tables: object) -> str:
-    console = Console(width=100, highlight=False)
+    console = Console(width=110, highlight=False)
     with console.capture() as capture:
         for table in tables:
             console.print(table)

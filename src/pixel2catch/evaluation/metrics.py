@@ -106,6 +106,8 @@ def assess(
 def metrics(trials: Trials, workcell: WorkcellSpec) -> Metrics:
     """Return the metrics of all trials by name, and the rates of each object under `objects`.
 
+    If an arm can reach only some throws in time, `reachable` has the rates of these.
+
     Speed and torques of the holds are None without a success: of each finger joint the root mean square
     over all of them, as a share of its limit. The median force on the object is that of trials in which the
     hand touched it, None in engines that report no forces. What is not finite raises NonFiniteError.
@@ -122,8 +124,11 @@ def metrics(trials: Trials, workcell: WorkcellSpec) -> Metrics:
     fingers = [joint.name for group in workcell.groups if group.role == "hand" for joint in group.joints]
     tested = trials.closed_loop[trials.closed_loop >= 0]
     name, num_held = "closed_loop_hold_rate", int(tested.sum())
+    num_reachable = int(trials.is_reachable.sum())
     return {
         **_rates(trials, everything),
+        "reachable_rate": num_reachable / num_trials,
+        **({"reachable": _rates(trials, trials.is_reachable)} if 0 < num_reachable < num_trials else {}),
         **(rate(name, num_held, len(tested)) | {f"{name}_trials": len(tested)} if len(tested) else {}),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
         "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,

@@ -17,7 +17,7 @@ from pixel2catch.reports import Cells, Section
 KEPT = (
     *("trials", *EVENTS, *(f"{name}_interval" for name in EVENTS), "failures", "max_penetration"),
     *(f"closed_loop_hold_rate{kind}" for kind in ("", "_interval", "_trials")),
-    *("seed", "revision", "hardware", "behaviour"),
+    *("reachable_rate", "reachable", "seed", "revision", "hardware", "behaviour"),
 )
 """Metrics in the rows."""
 

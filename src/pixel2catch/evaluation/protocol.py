@@ -29,6 +29,7 @@ from pixel2catch.agents import commands_of
 from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, LiveState, Observation, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
+from pixel2catch.evaluation.reach import is_reachable
 from pixel2catch.mdp.control_step import JointCommand, put, take
 from pixel2catch.mdp.tensors import clone, mapped, select, write
 from pixel2catch.mdp.terminations import EpisodeCfg
@@ -113,6 +114,7 @@ class Trials:
     limit_steps: Int[Tensor, " num_trials"]  #: Control steps with an arm joint at its torque limit.
     #: Whether the closed-loop hold passed; -1 where it was not tested.
     closed_loop: Int[Tensor, " num_trials"]
+    is_reachable: Bool[Tensor, " num_trials"]  #: Whether an arm can reach the throw in time.
 
     @classmethod
     def concatenate(cls, several: "list[Trials]") -> "Trials":
@@ -171,6 +173,7 @@ class RoundState(Trials):
             torque_squares=self.torque_squares + is_held[:, None] * hands.square(),
             limit_steps=self.limit_steps + is_limited.long(),
             closed_loop=self.closed_loop,
+            is_reachable=self.is_reachable,
             action=action,
         )
 
@@ -205,14 +208,16 @@ def evaluate(
             if is_seeded:
                 env.seed(cfg.seed + number)
             steps = itertools.count(number * length + 1)
-            hold = ClosedLoopHold(env, actor)
+            hold, reachable = ClosedLoopHold(env, actor), list[Tensor]()
 
-            def watch(_: Step, state: RoundState, hold=hold, steps=steps) -> None:
+            def watch(_: Step, state: RoundState, hold=hold, steps=steps, reachable=reachable) -> None:
+                if not reachable:  # no object is lost in the first step
+                    reachable.append(is_reachable(env.episode, env.workcell))
                 hold.watch(state)
                 on_share(next(steps) / num_steps)
 
             trials = run_round(env, actor, watch)
-            rounds.append(replace(trials, closed_loop=hold.result()))
+            rounds.append(replace(trials, closed_loop=hold.result(), is_reachable=reachable[0]))
             on_round(rounds[-1])
             on_share((number + 1) / cfg.trials)
     finally:
@@ -383,5 +388,6 @@ def _round_start(env: CatchEnv) -> RoundState:
         torque_squares=take(action, env.workcell.of_role("hand")),
         limit_steps=none,
         closed_loop=none - 1,
+        is_reachable=yes,
         action=action,
     )
