@@ -45,6 +45,8 @@ SIZES = {
     "proposed_local_critic": {"arm": 50, "hand": 78},
     "single_agent_local_critic": {"robot": 2 * (6 + 7 + 19 + 19)},
     "agent_per_robot": {"robot": 2 * (6 + 7 + 19 + 19)},
+    "analytic": {"robot": 2 * (6 + 19 + 19)},
+    "analytic_told": {"robot": 2 * (6 + 19 + 19)},
 }
 
 
