@@ -82,6 +82,7 @@ def test_evaluate_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["evaluate", str(tmp_path), *args, *given]) == 0
     output = capsys.readouterr()
     assert "trained for another camera" in output.err
+    assert f"next: pixel2catch play {tmp_path}" in output.err
     metrics = json.loads(output.out)
     assert metrics["trials"] == 4
     assert metrics["objects_thrown"] == ["cube_s", "cone_l"]

@@ -15,7 +15,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive
-from pixel2catch.cli.console import results_console, say, saying_changes
+from pixel2catch.cli.console import results_console, say, saying_changes, suggest
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
@@ -144,6 +144,7 @@ class Calibrate:
         result.file.save(self.out)
         _print_result(result, comparison)
         say(f"wrote {self.out}")
+        suggest("evaluate", "--camera", self.out)
 
     def _lens(self, path: Path) -> "CameraFile":
         """The lens; InvalidValueError if its images have another size than the policies'."""

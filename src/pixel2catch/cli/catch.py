@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pixel2catch.checks import Count, FilmPath
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import say, suggest
 from pixel2catch.cli.evaluate import Evaluate, print_tables
 from pixel2catch.cli.play import Play
 from pixel2catch.errors import DeviceUnavailableError
@@ -32,3 +32,4 @@ class Catch:
             Play(out=self.video, throws=2).run()
         except DeviceUnavailableError as error:
             print(f"no film: {error}")
+        suggest("play", "--web")

@@ -1,6 +1,7 @@
 """What commands begin with, and what they print: results on standard output, progress on standard error."""
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,6 +24,11 @@ def results_console() -> Console:
 def say(text: str) -> None:
     """Print a line of progress; the network's part of it may have control characters."""
     print(printable(text), file=sys.stderr, flush=True)
+
+
+def suggest(*words: object) -> None:
+    """Print the command that one usually gives next."""
+    say(f"next: pixel2catch {shlex.join(map(str, words))}")
 
 
 def progress_bar(name: str) -> ProgressBar:

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, OutputFile, Seed
-from pixel2catch.cli.console import prepare, progress_bar, results_console
+from pixel2catch.cli.console import prepare, progress_bar, results_console, suggest
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.files import json_text
 from pixel2catch.reports import circumstances
-from pixel2catch.shipped import PolicyPath
+from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,7 @@ class Evaluate:
             print_tables({" ".join(self.objects): result}, result["method"])
         if self.out:
             write_files(self.out.parent, {self.out.name: json_text(result)})
+        suggest("play", self.policy or DEFAULT_POLICY)
 
     def result(self) -> dict[str, Any]:
         """Evaluate; return the metrics and the files that decide them."""

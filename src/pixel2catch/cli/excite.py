@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pixel2catch.checks import AtMostFull, DynamicsPath, NewFolder, OutputFile, Positive, Seed, Within
-from pixel2catch.cli.console import results_console, say, working
+from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.cli.identify import print_checks
 from pixel2catch.files import require_free_file
 
@@ -76,6 +76,8 @@ class Excite:
             _print(trajectory, assessment)
         written = [*outs, *([self.rehearse] if self.rehearse else [])]
         say(f"wrote {', '.join(map(str, written)) or 'nothing: no --out, no --rehearse'}")
+        if outs:
+            suggest("record", outs[0], "--out", "recording")
 
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.console import prepare
+from pixel2catch.cli.console import prepare, suggest
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import require_free_file, write_atomically
 from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
@@ -42,3 +42,4 @@ class Export:
             f"wrote {out}: {policy.contract.method}, {len(data) / 1e6:.1f} MB; actions differ from the "
             f"original's by {difference:.1e} at most, on 10,000 random inputs"
         )
+        suggest("evaluate", out)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, NewFolder
-from pixel2catch.cli.console import results_console, say, working
+from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.reports import circumstances, terminal_table
 
@@ -82,6 +82,7 @@ class Identify:
             write_report(self.out, result, circumstances())
         _print_result(result)
         say(f"wrote {self.out / DYNAMICS} and the report {self.out / REPORT}")
+        suggest("evaluate", "--dynamics", self.out / DYNAMICS)
 
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
         from pixel2catch.identification.recording import Recording, joints_of

@@ -9,6 +9,7 @@ from typing import Any
 from tyro.conf import Fixed, Positional, Suppress
 
 from pixel2catch.checks import CameraPath, DynamicsPath, ResultsFolder, require_valid
+from pixel2catch.cli.console import suggest
 from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
@@ -118,6 +119,7 @@ class Train:
         result = run(experiment, method, folder, resume=self.resume, preset=self.preset)
         if result.status == "interrupted":
             raise KeyboardInterrupt
+        suggest("evaluate", folder)
 
 
 def _folder(method: str, seed: int | str) -> Path:
