@@ -206,13 +206,18 @@ def decoded(kind: Any, value: Any, name: str = "") -> Any:
     return found
 
 
+def take_version(content: dict[str, Any], readable: int) -> None:
+    """Take the version out of a file's content; raise InvalidValueError if it is not the readable one."""
+    version = content.pop("format_version", None)
+    if type(version) is not int or version != readable:
+        raise InvalidValueError(f"format_version is {shown(version)}, this code reads {readable}")
+
+
 def _other_type(kind: Any, value: Any) -> Any:
     """Convert a value to a type that msgspec does not have: a path or an array."""
     if kind is Path:
         return Path(value) if isinstance(value, str) else value
-    if not isinstance(value, list) or not all(
-        each is None or isinstance(each, float | int) for each in value
-    ):
+    if not isinstance(value, list) or not all(each is None or type(each) in (float, int) for each in value):
         raise ValueError(f"Expected a list of numbers, got {shown(value)}")
     return np.array([np.inf if each is None else each for each in value], dtype=float)
 
@@ -243,7 +248,7 @@ def require_free_folder(folder: Path, option: str = "--out") -> None:
 
 def require_place(name: str, folder: Path) -> None:
     """Raise InvalidValueError if nothing can be written in a folder, which may have to be made."""
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InvalidValueError(f"{name}: nothing can be written in '{there}'; choose another place.")
 

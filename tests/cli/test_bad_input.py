@@ -62,7 +62,10 @@ BAD = [
     ("operate /dev/null --keys 35 35 1", "give three different ones"),
     ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
     ("stress --restitution 0", "--engines"),
+    ("deploy --checkpoint sam2", "add --segmenter sam2"),
+    ("release nowhere", "unknown place 'nowhere'"),
     # places
+    ("stress --out {broken}/x", "nothing can be written in"),
     ("deploy --write-profile {text}", "end the file's name in .yaml"),
     ("deploy --profile nobody --write-profile my_lab.yaml", "unknown profile 'nobody'"),
     ("evaluate --out .", "out is '.', a folder; name a file in it"),
@@ -100,7 +103,7 @@ SOURCES = {
 def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Files and folders of the wrong kind, by what the command lines call them."""
     folder = tmp_path_factory.mktemp("places")
-    names = ("file", "empty", "full", "list", "text", "list_policy", "new", "pipe")
+    names = ("file", "empty", "full", "list", "text", "list_policy", "new", "pipe", "broken")
     found = {name: folder / name for name in names}
     for name in ("empty", "full", "list_policy"):
         found[name].mkdir()
@@ -110,6 +113,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         file.write_text("[1]")
     found["text"].write_text("not JSON")
     os.mkfifo(found["pipe"])
+    (folder / "broken").symlink_to("nowhere")
     for name, source in SOURCES.items():
         found[name] = folder / f"{name}.py"
         found[name].write_text(source)

@@ -15,7 +15,7 @@ from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.checks import Share, Within, require_valid
 from pixel2catch.devices import constant
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
+from pixel2catch.files import decoded, json_text, read_json_object, reading, take_version, write_atomically
 from pixel2catch.scene.constants import CAMERAS, CameraSpec
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
@@ -75,9 +75,7 @@ class CameraFile:
             return cls(camera=CAMERAS[str(path)])
         with reading("camera file", path, "Calibrate again, or correct that entry."):
             content = read_json_object(path)
-            version = content.pop("format_version")
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            take_version(content, FORMAT_VERSION)
             camera = decoded(cls, content)
             require_valid(camera)
             return camera

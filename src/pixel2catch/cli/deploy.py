@@ -111,7 +111,7 @@ class Deploy:
         with ExitStack() as stack:
             executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             limits, place = self.link.limits(profile), self.after_catch
-            cycle = ThrowCycle(pipeline, profile, limits, camera, place) if place else None
+            cycle = ThrowCycle(pipeline, profile, limits, camera, place) if place is not None else None
             connection = self.link.connect(
                 profile, limits, stack, self.record, "jpeg", is_dry_run=self.dry_run
             )

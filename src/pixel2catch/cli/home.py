@@ -37,6 +37,8 @@ def move_once(link: Link, what: str, place: str | None) -> None:
     profile, slow = link.robot.load(), replace(link, speed=QUARTER * link.speed)
     limits = slow.limits(profile)
     finder, hear = PathFinder(profile, limits, EVEN), saying_changes()
+    if place:
+        finder.pose_over(place)  # refuses an unknown place before anything starts
     with ExitStack() as stack:
         connection = slow.connect(profile, limits, stack)
         stop = stack.enter_context(StopRequest())

@@ -6,6 +6,7 @@ from tyro.conf import Positional
 
 from pixel2catch.cli.home import move_once
 from pixel2catch.cli.link import Link
+from pixel2catch.errors import InvalidValueError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,5 +20,6 @@ class Release:
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
     def run(self) -> None:
-        what = f"release over {self.place}" if self.place else "release"
-        move_once(self.link, what, self.place or None)
+        if self.place == "":
+            raise InvalidValueError("the place is empty; give its name, or leave it out.")
+        move_once(self.link, f"release over {self.place}" if self.place else "release", self.place)

@@ -17,10 +17,10 @@ from pixel2catch.reports import terminal_table
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """Compute what is missing of the studies behind the documents, and write their tables, in a checkout.
+    """Compute missing studies of the documents, and write their tables.
 
-    Studies are declared in experiments/studies.toml. What has a file is not computed again: delete the file
-    to measure again. Studies for a GPU are computed where there is one.
+    The working directory is a checkout; its experiments/studies.toml declares the studies. What has a file
+    is not computed again: delete the file to measure again. Studies for a GPU are computed where one is.
     """
 
     studies: Positional[tuple[str, ...]] = ()  #: Names of studies. Default: all.

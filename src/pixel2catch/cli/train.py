@@ -89,7 +89,7 @@ class Train:
             start = {"start": Path(given.start)} if given.start else {}
             experiment = preset(
                 given.preset or ("fast" if device.startswith("cuda") else "cpu"),
-                given.task or "nominal",
+                "nominal" if given.task is None else given.task,
                 workcell=given.workcell,
                 device=device,
                 **start,

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Shaped
 
 from pixel2catch.arrays import read_arrays, write_arrays
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
-from pixel2catch.files import json_object, reading
+from pixel2catch.files import json_object, reading, take_version
 from pixel2catch.robots.spec import JointGroup, JointSpec
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import SPEED_MARGIN
@@ -280,9 +280,7 @@ class Trajectory:
         with reading("trajectory", path, "Write it again with 'pixel2catch excite'."):
             arrays = read_arrays(path, ("header", "joints", "times", "positions"))
             header = json_object(str(arrays["header"]))
-            version = header.pop("format_version")
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            take_version(header, FORMAT_VERSION)
             return Trajectory(
                 workcell=known_workcell(header.pop("workcell")),
                 joints=_texts(arrays["joints"]),

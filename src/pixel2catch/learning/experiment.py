@@ -71,7 +71,7 @@ def preset(
         env = replace(env, scene=replace(env.scene, **FAST_CONTACTS))
     if not isinstance(task, str):
         options = {"physics_stages": ()} | options
-    if workcell:
+    if workcell is not None:
         env = env.with_workcell(find_workcell(workcell))
     if options.get("start"):
         options = {"hidden": Policy.load(policy_folder(Path(options["start"]))).hidden} | options

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 from pixel2catch.checks import Range, Within, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
+from pixel2catch.files import decoded, json_text, read_json_object, reading, take_version, write_atomically
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -88,9 +88,8 @@ class DynamicsFile:
             return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
         with reading("dynamics file", path, "Identify again, or correct that entry."):
             content = read_json_object(path)
-            version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            take_version(content, FORMAT_VERSION)
+            ranges = content.pop("gain_ranges", {})
             worse = tuple(content.pop("worse_than_command", ()))
             dynamics = JointDynamics.from_dict(content)
             dynamics.require(workcell.joints)

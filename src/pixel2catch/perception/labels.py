@@ -16,7 +16,7 @@ import numpy as np
 from pixel2catch.camera.camera_file import LARGEST_IMAGE
 from pixel2catch.camera.image import Edges
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import decoded, parse_json, read_json_object, read_text, reading
+from pixel2catch.files import decoded, parse_json, read_json_object, read_text, reading, take_version
 from pixel2catch.perception.sources import Size, images_of
 
 FORMAT_VERSION = 1  #: Version of this package's own files. Raised when an older one can no longer be read.
@@ -78,9 +78,7 @@ class Labels:
         """Read a file of this package's own format, or raise InvalidValueError."""
         with reading("label file", path, "Label the video again, or correct that entry."):
             content = read_json_object(path)
-            version = content.pop("format_version", None)
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            take_version(content, FORMAT_VERSION)
             return decoded(cls, content)
 
 
