@@ -25,6 +25,7 @@ from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, largest_radius, select_objects
 from pixel2catch.shipped import policy_folder
+from pixel2catch.sim.factory import require_cuda
 from pixel2catch.workcells import find_workcell
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
@@ -106,6 +107,8 @@ def evaluate(
     let_torch_sleep()
     if policy is None or isinstance(policy, str | Path):
         policy = load_policy(policy)
+    if device.startswith("cuda"):
+        require_cuda(device)
     policy = policy.to(device)
     cfg = EvaluationCfg(
         objects=_selected(objects),
