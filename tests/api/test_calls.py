@@ -38,11 +38,11 @@ OWN = p2c.CatchEnvCfg(
     [
         ({"method": None}, "method is None"),
         ({"task": None}, "task is None"),
-        ({"task": replace(OWN, throws=replace(OWN.throws, spin=-1.0))}, "env.throws.spin is -1"),
+        ({"task": replace(OWN, throws=replace(OWN.throws, spin=-1.0))}, "task.throws.spin is -1"),
         ({"num_envs": 1.5}, "num_envs is 1.5"),
         ({"num_envs": 0}, "num_envs is 0"),
         ({"seed": None}, "seed is None"),
-        ({"workcell": 5}, "name is 5"),
+        ({"workcell": 5}, "workcell is 5"),
         ({"objects": [3]}, "name is 3"),
         ({"device": "gpu"}, "device is 'gpu'"),
     ],

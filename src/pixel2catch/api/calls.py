@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from pixel2catch.api.threads import let_torch_sleep
-from pixel2catch.checks import require_valid
+from pixel2catch.checks import require, require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -29,8 +31,25 @@ from pixel2catch.sim.factory import require_cuda
 from pixel2catch.workcells import find_workcell
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
+def _typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Return a function that refuses arguments of another type than it declares."""
+
+    @wraps(function)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Result:
+        kinds = get_type_hints(function, include_extras=True)
+        for name, value in signature(function).bind(*args, **kwargs).arguments.items():
+            if name not in ("options", "objects"):  # checked where they are used
+                require(kinds[name], name, value)
+        return function(*args, **kwargs)
+
+    return checked
+
+
+@_typed
 def make(
     method: str | Method = "proposed",
     *,
@@ -57,8 +76,6 @@ def make(
         InvalidValueError: A value is of another type or out of range.
     """
     let_torch_sleep()
-    _require_named("method", method, Method)
-    _require_named("task", task, CatchEnvCfg)
     cfg = find_task(task) if isinstance(task, str) else task
     if workcell is not None:
         cfg = cfg.with_workcell(find_workcell(_known(workcell)))
@@ -67,6 +84,7 @@ def make(
     return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
 
 
+@_typed
 def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
     """Read a policy: a shipped one by its name (default: catch_alone+fit), or from its folder or its run's.
 
@@ -76,6 +94,7 @@ def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
     return loading.load_policy(None if name is None else Path(name), device)[0]
 
 
+@_typed
 def evaluate(
     policy: Policy | str | Path | None = None,
     method: Method | None = None,
@@ -121,6 +140,7 @@ def evaluate(
     return assess(policy, method or method_of(policy.contract), cfg)
 
 
+@_typed
 def train(
     method: str | Method,
     out: str | Path,
