@@ -123,7 +123,7 @@ def test_what_collides_is_not_drawn_of_a_body_that_has_looks():
 
 
 def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "_draws", lambda _backend: False)
+    monkeypatch.setattr(module, "_draws", lambda *_: False)
     find_gl_backend.cache_clear()
     try:
         with pytest.raises(DeviceUnavailableError, match="apt-get install libegl1 libgl1"):
