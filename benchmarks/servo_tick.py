@@ -54,7 +54,7 @@ def main() -> None:
             publishers[name].publish(data)
         elif name == TARGETS.name:
             row = messages.read_float_array(data)
-            loop.send(JointTargets.recorded(row, setup.limits.num_joints))
+            loop.send(JointTargets.of(row))
         elif name == SERVO.name:
             clock.time = Command.of(messages.read_float_array(data)).time
             begun, worked = perf_counter(), thread_time()
