@@ -36,11 +36,8 @@ DERIVED = ("plugin", "bvh_", "oct_", "mesh_")
 METHODS = ("proposed", "catch_alone+fit", "catch_teacher+age", "catch_alone+anycamera")
 """Methods whose observations together have every term."""
 
-NUM_ENVS, NUM_STEPS, EVERY = (
-    2,
-    25,
-    5,
-)  #: Environments, control steps, and steps from one observation to the next.
+NUM_ENVS, NUM_STEPS, EVERY = 2, 25, 5
+"""Environments, control steps, and steps from one observation to the next."""
 MODEL_TOLERANCE = {"rtol": 1e-9, "atol": 1e-12}
 OBSERVATION_TOLERANCE = {"rtol": 1e-4, "atol": 1e-4}  #: Of 32-bit numbers, by other processors' rounding.
 HASH = 12  #: Characters of a hash.

@@ -13,7 +13,6 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import (
     CLOSED_LOOP_EVERY,
     HOLD_TEST_STEPS,
-    ROUND_STEPS,
     TEST_STEPS,
     TRIAL_STEPS,
     EvaluationCfg,
@@ -37,6 +36,7 @@ NUM_ENVS = 8
 ARM_COMMANDS = commands_of(UR5E_ALLEGRO)[:6]
 
 
+ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
 NEVER = 6 * ROUND_STEPS
 
 

@@ -22,10 +22,15 @@ if TYPE_CHECKING:
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
 """Where the classes of the task's fields are."""
 
-HIDDEN = (
+LOSSES = (
     *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip", "value_loss"),
-    *("value_loss_scale", "entropy_scale", "gradient_clip", "report_seconds", "start_transitions"),
-    *("teacher_share", "final_teacher_weight", "final_learning_rate", "staggered", "checkpoint_seconds"),
+    *("value_loss_scale", "entropy_scale", "gradient_clip"),
+)
+"""Options of the losses and of their gradients."""
+HIDDEN = (
+    *LOSSES,
+    *("report_seconds", "start_transitions", "teacher_share", "final_teacher_weight"),
+    *("final_learning_rate", "staggered", "checkpoint_seconds"),
 )
 """Options of `train` that --help leaves out and --help-all has."""
 
@@ -33,7 +38,7 @@ GROUPS = {
     "task": ("task", "workcell", "dynamics", "camera", "rewards", "physics_stages"),
     "learner": (
         *("rollout_steps", "epochs", "mini_batches", "staggered", "learning_rate", "final_learning_rate"),
-        *("hidden", "initial_log_std", "start", "start_transitions", *HIDDEN[:10]),
+        *("hidden", "initial_log_std", "start", "start_transitions", *LOSSES),
     ),
     "imitation": ("teacher", "teacher_share", "final_teacher_weight"),
     "machine": ("device", "num_envs", "fuse", "wandb", "checkpoint_seconds", "report_seconds"),

@@ -35,9 +35,8 @@ from pixel2catch.scene.objects import OBJECT_GROUPS
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")  #: Extremes over all throws of all seeds.
 FILE = "study.json"
-EVALUATION_SEED = (
-    200_000  #: Seed of evaluations of training seed 0. Source: ours, see experiments/studies.toml.
-)
+EVALUATION_SEED = 200_000
+"""Seed of evaluations of training seed 0. Source: ours, see experiments/studies.toml."""
 
 COLUMNS = ("transitions", "episodes", *MAIN_RATES.values())  #: Columns of `metrics.csv` for the curves.
 NUM_BINS = 60  #: Most bins from the start to the end of the longest training. Source: ours.

@@ -139,11 +139,9 @@ def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file
     trials = throw_rounds(*load_policy(folder, device), replace(cfg, device=device), is_alone=is_alone)
     workcell = find_workcell(cfg.task.scene.workcell)
     happened = vars(trials.record) | vars(trials)
-    throws = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
+    digits = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
     of_row = {"seed": cfg.seed, **provenance(circumstances(), workcell.name)}
-    content = origin | {
-        "metrics": metrics(trials, workcell) | {"throws": throws} | of_row
-    }  # texts of 0 and 1
+    content = origin | {"metrics": metrics(trials, workcell) | {"throws": digits} | of_row}
     write_files(file.parent, {file.name: json_text(content)})
 
 

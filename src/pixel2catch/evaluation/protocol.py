@@ -45,7 +45,6 @@ CLOSED_LOOP_STEPS = 60  #: Control steps of the closed-loop hold: 2.0 s. Source:
 CLOSED_LOOP_EVERY = 3  #: One in every third environment takes a fifth more time. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
-ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
 
 LIMIT_SHARE = 0.99  #: Share of its limit from which a torque counts as at it. Source: ours.
 
