@@ -15,7 +15,7 @@ MAKEFLAGS += --no-print-directory
 # Bytecode is kept whatever the shell says; else each worker and each command of a test compiles everything anew.
 unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
-.PHONY: setup catch test check docs wheel format help
+.PHONY: setup catch test check docs wheel results format help
 .DELETE_ON_ERROR:
 
 setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
@@ -48,13 +48,16 @@ check: $(READY) ## formatting, lint, types, import rules, spelling, tables of re
 	@$(BIN)/basedpyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/codespell
-	@$(BIN)/pixel2catch results --check
+	@$(BIN)/python companions/results/results.py --check
 
 docs: $(READY) ## build the site of docs/ into site/; warnings are errors
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 wheel: $(READY) ## build the wheel, and try it away from here
 	@.ci/try_wheel
+
+results: $(READY) ## compute missing studies of the documents (all, or STUDIES="NAMES"), and write their tables
+	@$(BIN)/python companions/results/results.py $(STUDIES)
 
 format: $(READY) ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format --quiet .

@@ -1,12 +1,16 @@
-"""The studies behind the documents: what was asked, by which commands, and the tables made of their files.
+"""Compute the studies behind the documents, and write the tables that are made of their files.
 
 `experiments/studies.toml` declares studies and tables, `experiments/waivers.toml` what may be shown although
 it was measured under another behaviour of the simulation. A document has a table between
 `<!-- table: NAME -->` and `<!-- end -->`.
 """
 
+import argparse
 import datetime
 import re
+import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,14 +18,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import torch
+from rich.console import Console
+
+import pixel2catch as p2c
 from pixel2catch.behaviour import HASHES
 from pixel2catch.errors import StudyError, UnknownNameError
 from pixel2catch.evaluation.grid import read_row
 from pixel2catch.evaluation.report import Row, difference, percent, spread
-from pixel2catch.files import decoded, read_text, reading
-from pixel2catch.reports import DASH, Cells, markdown, provenance
+from pixel2catch.files import decoded, read_text, reading, write_atomically
+from pixel2catch.reports import DASH, Cells, markdown, provenance, terminal_table
 
-FOLDER = Path("experiments")  #: Folder of the declarations, in the root of a checkout.
+ROOT = Path(__file__).parents[2]  #: Root of the checkout.
+FOLDER = Path("experiments")  #: Folder of the declarations, in the root.
 MOST_WAIVERS = 5  #: Largest number of waivers. Source: ours.
 PAGES = ("*.md", "docs/**/*.md", "companions/*/README.md")  #: Documents that may have tables.
 PLACE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -78,7 +87,7 @@ class Studies:
         content: dict[str, Any] = {"root": str(root)}
         for name in ("studies", "waivers"):
             file = root / FOLDER / f"{name}.toml"
-            with reading(name, file, "Run the command in the root of a checkout.", StudyError):
+            with reading(name, file, "Correct the file.", StudyError):
                 content |= tomllib.loads(read_text(file))
         return decoded(cls, content)
 
@@ -115,12 +124,12 @@ class Studies:
     def _table_problems(self) -> Iterator[str]:
         for path, text in self.pages.items():
             if text != path.read_text("utf-8"):
-                yield f"{path.relative_to(self.root)} differs from the files; run 'pixel2catch results'"
+                yield f"{path.relative_to(self.root)} differs from the files; run 'make results'"
         shown = {name for text in self.pages.values() for _, name, *_ in PLACE.findall(text)}
         yield from (f"no document has the table '{name}'" for name in self.tables if name not in shown)
         for name in sorted({table.study for table in self.tables.values()}):
             if (state := self.state(name)) == "outdated" or state.startswith("missing"):
-                yield f"study '{name}' is {state}; delete its files and run 'pixel2catch results {name}'"
+                yield f"study '{name}' is {state}; delete its files and run 'make results STUDIES={name}'"
 
     def _waiver_problems(self, today: datetime.date) -> Iterator[str]:
         if len(self.waivers) > MOST_WAIVERS:
@@ -207,3 +216,57 @@ def _text(rows: list[Row], column: str) -> str:
                 return spread(value) if "deviation" in value else difference(value)
             return f"{value:.3g}" if isinstance(value, float) else DASH if value is None else str(value)
     return DASH
+
+
+def main(words: list[str] | None = None, root: Path = ROOT) -> None:
+    """Compute missing studies and write the tables; or list the studies, or check the documents."""
+    parser = argparse.ArgumentParser(
+        description="Compute missing studies of the documents, and write their tables. What has a file is "
+        "not computed again: delete the file to measure again. Studies for a GPU are computed where one is."
+    )
+    parser.add_argument("studies", nargs="*", help="names of studies; default: all")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--list", action="store_true", help="only show each study with its state")
+    mode.add_argument("--check", action="store_true", help="only compare the documents with the files")
+    args = parser.parse_args(words)
+    try:
+        declared = Studies.load(root)
+        chosen = {name: declared.study(name) for name in args.studies or declared.studies}
+        if args.list:
+            rows = [
+                {"study": name, "state": declared.state(name), "device": each.device}
+                | {"hours": f"{each.hours:g}", "question": each.question}
+                for name, each in chosen.items()
+            ]
+            Console(width=150).print(terminal_table("studies", rows))
+        elif args.check:
+            if problems := [*declared.problems(datetime.datetime.now(datetime.UTC).date())]:
+                raise StudyError("\n".join(problems))
+            print(f"{len(declared.tables)} tables agree with their files")
+        else:
+            failed = [file for name in chosen for file in compute_missing(declared, name)]
+            write_atomically({path: text.encode() for path, text in Studies.load(root).pages.items()})
+            if failed:
+                raise StudyError(f"no result: {', '.join(failed)}; the other files were computed.")
+    except p2c.Pixel2CatchError as error:
+        sys.exit(f"error: {error}")
+
+
+def compute_missing(declared: Studies, name: str) -> Iterator[str]:
+    """Run the commands of a study whose files are missing; yield the files that they did not write."""
+    study = declared.study(name)
+    missing = {file: text for file, text in study.commands.items() if not declared.file(file).exists()}
+    if missing and study.device == "cuda" and not torch.cuda.is_available():
+        print(f"study '{name}' needs a GPU: run 'make results STUDIES={name}' on a machine with one")
+        return
+    for file, text in missing.items():
+        print(f"{name}: {text}", flush=True)
+        program, *options = shlex.split(text)
+        start = [] if program == "python" else ["-m", program]
+        ended = subprocess.run([sys.executable, *start, *options], cwd=declared.root)
+        if ended.returncode or not declared.file(file).exists():
+            yield file
+
+
+if __name__ == "__main__":
+    main()
