@@ -33,7 +33,7 @@ BAD = [
     ("evaluate {empty}", "has no policy"),
     ("evaluate {list_policy}", "it must be a JSON object"),
     # numbers
-    ("bench --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
+    ("evaluate --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
     ("evaluate --num-envs 9999999", "num_envs is 9,999,999; at most"),
     ("excite --recordings 100000", "recordings is 100,000; it must be from 1 to 1000"),
     ("evaluate --seed -1", "seed is -1; it must be from 0 to 4,294,967,295"),

@@ -100,7 +100,7 @@ def test_a_field_holds_beneath_every_disturbance(folder: Path, tmp_path: Path):
     assert run(*command) == 2  # the results that are there are of another task
 
 
-@pytest.mark.parametrize("command", ["evaluate", "play", "stress", "bench"])
+@pytest.mark.parametrize("command", ["evaluate", "play", "stress"])
 def test_wrong_fields_are_named(
     command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], opengl: None
 ):
@@ -108,9 +108,8 @@ def test_wrong_fields_are_named(
     with pytest.raises(SystemExit):
         parse([command, "--env.throws.peak", "1", "2"])
     assert "throws.peak-z" in capsys.readouterr().err
-    if command != "bench":
-        assert run(command, folder, "--out", tmp_path / "out.mp4", "--env.objects", "cross") == 2
-        assert "--env.objects" in capsys.readouterr().err
+    assert run(command, folder, "--out", tmp_path / "out.mp4", "--env.objects", "cross") == 2
+    assert "--env.objects" in capsys.readouterr().err
 
 
 def test_weights_reach_teammates_and_unknown_terms_are_refused():

@@ -146,7 +146,7 @@ def default_of(command: Any, args: Sequence[str]) -> Any:
     """Return the instance of a command whose values hold where options are not given; None for its own.
 
     A command with an attribute `default_for` makes it from the arguments. Where fields of the task are given,
-    the `TaskOptions` of another command have the paper's task.
+    the `SimulatedTask` of another command has the paper's task.
     """
     if hasattr(command, "default_for"):
         return command.default_for(args)
@@ -154,10 +154,9 @@ def default_of(command: Any, args: Sequence[str]) -> Any:
         return None
     from pixel2catch.envs.cfg import CatchEnvCfg
 
-    kinds = {field.name: field.default_factory for field in dataclasses.fields(command)}
-    kind: Any = kinds.get("task")
-    is_changed = isinstance(kind, type) and issubclass(kind, TaskOptions)
-    return command(task=kind(env=CatchEnvCfg(), given=given)) if is_changed else None
+    if SimulatedTask not in (field.default_factory for field in dataclasses.fields(command)):
+        return None
+    return command(task=SimulatedTask(env=CatchEnvCfg(), given=given))
 
 
 def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
@@ -175,37 +174,12 @@ def with_given(task: Any, source: Any, given: Sequence[str]) -> Any:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TaskOptions:
-    """Options that change the task of an evaluation."""
+class SimulatedTask:
+    """What is simulated."""
 
     #: Any field of the task, such as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
     env: TaskFields = None
     given: Given = ()  #: Which of them are given.
-
-    def change(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
-        """Return the changed task of an evaluation.
-
-        Raises:
-            InvalidValueError: The protocol of evaluations sets a given field itself, or the work cell has
-                other joints than the policy's.
-        """
-        for name in self.given:
-            if name.partition(".")[0] in OF_THE_PROTOCOL:
-                raise InvalidValueError(f"the policy and --objects set --env.{name}; leave it out.")
-        changed = with_given(task, self.env, self.given)
-        _require_same_joints(task, changed)
-        return changed
-
-    def beneath(self, setting: "Setting") -> "Setting":
-        """Return a setting that disturbs the changed task."""
-        change = partial(_disturbed, self, setting.level.change)
-        return replace(setting, level=replace(setting.level, change=change))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class SimulatedTask(TaskOptions):
-    """What is simulated."""
-
     #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
     #: for a policy that was trained with a dynamics file.
     dynamics: DynamicsPath | None = None
@@ -214,8 +188,24 @@ class SimulatedTask(TaskOptions):
     camera: CameraPath | None = None
 
     def change(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
-        """Return the task with the files' robot and camera, and other changes."""
-        return super().change(task.with_files(self.dynamics, self.camera))
+        """Return the task with the files' robot and camera, and the given fields.
+
+        Raises:
+            InvalidValueError: The protocol of evaluations sets a given field itself, or the work cell has
+                other joints than the policy's.
+        """
+        for name in self.given:
+            if name.partition(".")[0] in OF_THE_PROTOCOL:
+                raise InvalidValueError(f"the policy and --objects set --env.{name}; leave it out.")
+        task = task.with_files(self.dynamics, self.camera)
+        changed = with_given(task, self.env, self.given)
+        _require_same_joints(task, changed)
+        return changed
+
+    def beneath(self, setting: "Setting") -> "Setting":
+        """Return a setting that disturbs the changed task."""
+        change = partial(_disturbed, self, setting.level.change)
+        return replace(setting, level=replace(setting.level, change=change))
 
     def make(self, policy: "Policy") -> "CatchEnvCfg":
         """Return the task in which a policy acts; print what its camera means."""
@@ -227,7 +217,7 @@ class SimulatedTask(TaskOptions):
         return task
 
 
-def _disturbed(options: TaskOptions, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
+def _disturbed(options: SimulatedTask, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
     return then(options.change(task))
 
 

@@ -25,7 +25,7 @@ GROUPS = {
     "Learning and simulation": ("train", "evaluate", "stress", "reproduce", "play", "catch"),
     "Models of a laboratory": ("excite", "record", "identify", "calibrate", "track"),
     "Robot and twin": ("deploy", "home", "release", "operate", "trials", "twin", "rehearse", "replay"),
-    "Tools": ("export", "scene", "bench", "doctor"),
+    "Tools": ("export", "scene", "doctor"),
 }
 """Commands. Each is a module beside this one with a class of its name, loaded where it is needed."""
 
