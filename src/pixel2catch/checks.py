@@ -129,6 +129,9 @@ CONTROL_RATE_MULTIPLE = Meets(
 PhysicsRate = Annotated[float, Within(30.0, 30_000.0), CONTROL_RATE_MULTIPLE]  #: Physics steps in a second.
 DEVICE = Meets(re.compile(r"cpu|cuda(:\d{1,3})?").fullmatch, "it must be cpu, cuda, or cuda:1 and so on")
 Device = Annotated[str, DEVICE]  #: Where something is computed.
+JOB_OPTION = Meets(re.compile(r"\w+=\S+").fullmatch, "it must be NAME=VALUE, such as timeout_min=60")
+JobOptions = Annotated[tuple[Annotated[str, JOB_OPTION], ...], NOT_EMPTY]
+"""What each job of a cluster asks for, by names of submitit."""
 
 NewFolder = Annotated[Path, OutputFolder(is_empty=True)]  #: A folder for results, which is made or empty.
 ResultsFolder = Annotated[Path, OutputFolder()]  #: A folder for results, in which there may be some.

@@ -1,11 +1,13 @@
 """Studies through the real command: real trainings and evaluations, as small as they can be."""
 
 import json
+import os
 import shlex
 import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,9 +15,14 @@ import torch
 
 from domains import PATIENCE
 from pixel2catch.behaviour import HASHES
+from pixel2catch.cli import studies
 from pixel2catch.cli.main import main
 from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
+from pixel2catch.cli.reproduce import TRAINING
+from pixel2catch.cli.train import Train
+from pixel2catch.evaluation import grid as grids
 from pixel2catch.evaluation.comparison import EVALUATION_SEED
+from pixel2catch.evaluation.grid import StudyGrid
 from pixel2catch.methods import METHODS
 
 TINY = shlex.split(
@@ -112,6 +119,12 @@ def test_a_missing_device_and_another_configuration_are_refused(
         (("--methods", "propose"), "proposed"),
         (("--training", "seed=4"), "'seed'"),
         (("--training", "num_envs=0"), "num_envs is 0"),
+        (("--training", "epochs=4", "--sweep", "epochs", "1", "2"), "'epochs' is given twice"),
+        (("--sweep", "epochs", "1"), "two values"),
+        (("--sweep", "learning-rate", "1e-3", "0.001"), "learning_rate=0.001 twice"),
+        (("--sweep", "env.sensing.latency-steps", "0 0", "-1 3"), "latency_steps is -1"),
+        (("--slurm", ""), "timeout_min=60"),
+        (("--slurm",), "slurm is empty"),
     ],
 )
 def test_bad_input_leaves_nothing(
@@ -120,4 +133,43 @@ def test_bad_input_leaves_nothing(
     out = tmp_path / "out"
     assert main(["reproduce", "--device", "cpu", "--out", str(out), *args]) == 2
     assert words in capsys.readouterr().err
-    assert not list(out.glob("*.json"))
+    assert not list(out.glob("*"))
+
+
+def test_every_combination_of_sweeps_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    trained: dict[str, Train] = {}
+
+    def run_grid(grid: StudyGrid, *_: object) -> None:
+        for cell in grid.missing:
+            if cell.kind == TRAINING and isinstance(cell.work, partial):
+                trained[cell.name] = cell.work.args[0]
+
+    monkeypatch.setattr(studies, "run_grid", run_grid)
+    sweeps = ["--sweep", "train.learning-rate", "3e-4", "1e-3", "--sweep", "env.sensing.latency-steps"]
+    assert main(["reproduce", *TINY, *sweeps, "0 0", "3 4", "--out", str(tmp_path)]) == 0
+    found = {n: (each.train.learning_rate, each.env.sensing.latency_steps) for n, each in trained.items()}
+    assert found == {
+        f"only_wh-learning_rate={rate}-env.sensing.latency_steps={low},{high}-seed0": (value, (low, high))
+        for rate, value in (("3e-4", 3e-4), ("1e-3", 1e-3))
+        for low, high in ((0, 0), (3, 4))
+    }
+    assert {each.method for each in trained.values()} == {"only_wh"}
+    plan = read(tmp_path / "study.json")["plan"]
+    assert plan["methods"][0] == "only_wh learning_rate=3e-4 env.sensing.latency_steps=0,0"
+    assert "training learning_rate" not in plan["configuration"]
+    assert plan["configuration"]["training epochs"] == 5
+
+
+def test_a_training_is_a_job_of_a_cluster(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(grids, "CLUSTER", "local")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    tiny = "--preset cpu --num-envs 4 --transitions 64 --rollout-steps 16 --hidden 8 --physics-stages 60"
+    command = ["train", "only_wh", *tiny.split(), "--out", str(tmp_path / "run"), "--slurm", "timeout_min=5"]
+    assert main(command) == 0
+    log = tmp_path / "run" / "logs" / "run.log"
+    assert str(log) in capsys.readouterr().err
+    assert "finished: 64 transitions" in log.read_text()
+    assert main(command) == 2
+    assert "--resume" in capsys.readouterr().err

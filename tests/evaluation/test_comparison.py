@@ -20,6 +20,7 @@ from pixel2catch.evaluation.comparison import (
     Training,
     all_curves,
     binned,
+    difference_rows,
     learning_curves,
     pooled,
     quality_table,
@@ -156,6 +157,22 @@ def test_rates_stand_beside_the_paper(study: ComparisonFolder):
     assert quality["deepest penetration [mm]"] == "4.0"
     assert rows[2]["success_rate"]["interval"][0] == pytest.approx(0.24074, abs=1e-5)
     assert rows[2]["paper"]["success_rate"]["mean"] == 0.8413
+
+
+def test_differences_of_a_sweep_are_in_one_thing(tmp_path: Path):
+    methods = ("only_wh", *(f"{name} epochs={each}" for name in ("only_wh", "proposed") for each in (1, 2)))
+    folder, swept = ComparisonFolder(tmp_path), plan(methods=methods)
+    for run in swept.runs():
+        write_evaluation(folder, run, "seen", successes=20)
+    pairs = [row["pair"] for row in difference_rows([*summary_rows(folder, swept)])]
+    assert pairs == [
+        "only_wh - only_wh epochs=1",
+        "only_wh - only_wh epochs=2",
+        "only_wh epochs=1 - only_wh epochs=2",
+        "only_wh epochs=1 - proposed epochs=1",
+        "only_wh epochs=2 - proposed epochs=2",
+        "proposed epochs=1 - proposed epochs=2",
+    ]
 
 
 def test_missing_results_have_no_row_and_missing_numbers_a_dash(study: ComparisonFolder):

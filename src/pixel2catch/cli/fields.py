@@ -41,7 +41,7 @@ GROUPS = {
         *("hidden", "initial_log_std", "start", "start_transitions", *LOSSES),
     ),
     "imitation": ("teacher", "teacher_share", "final_teacher_weight"),
-    "machine": ("device", "num_envs", "fuse", "wandb", "checkpoint_seconds", "report_seconds"),
+    "machine": ("device", "slurm", "num_envs", "fuse", "wandb", "checkpoint_seconds", "report_seconds"),
 }
 """Options of `train` by the group in which its help has them; the others come first."""
 

@@ -2,23 +2,25 @@
 
 import shutil
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import Count, Device, ResultsFolder, Within
+from tyro.conf import UseAppendAction
+
+from pixel2catch.checks import Count, Device, JobOptions, ResultsFolder, Within, require_valid
 from pixel2catch.cli.console import say
 from pixel2catch.cli.evaluate import Evaluate
-from pixel2catch.cli.train import Train
-from pixel2catch.errors import UnknownNameError
+from pixel2catch.cli.train import Train, train_on
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning.config import PresetName, TrainCfg
 from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison import ComparisonFolder, Plan, Training
-    from pixel2catch.evaluation.grid import Slot, StudyCell
+    from pixel2catch.evaluation.grid import Json, Slot, StudyCell
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
@@ -27,6 +29,8 @@ OWN = ("device", "seed")  #: Fields of `TrainCfg` that a study sets for each tra
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
 JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it.
 TRAINING, EVALUATION = "training", "evaluation"
+
+Settings = tuple[str, ...]  #: Options of trainings, as NAME=VALUE.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +48,9 @@ class Reproduce:
     #: Other options of `pixel2catch train`, as NAME=VALUE, such as transitions=50_000_000 num_envs=4096 or
     #: env.sensing.latency_steps=1,3.
     training: tuple[str, ...] = ()
+    #: Values to compare of such an option, such as --sweep learning_rate 3e-4 1e-3. Given again, with
+    #: another option: each method is trained with each combination, which has rows of its own.
+    sweep: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
     device: tuple[Device, ...] = ()
     #: Trainings and evaluations side by side on a GPU, which is faster where NVIDIA's Multi-Process Service
@@ -52,7 +59,7 @@ class Reproduce:
     jobs_per_device: Count | None = None
     #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
     #: timeout_min=240 cpus_per_task=4 gpus_per_node=1 slurm_partition=gpu.
-    slurm: tuple[str, ...] = ()
+    slurm: JobOptions | None = None
     num_envs: Count = 100  #: Throws in a round of an evaluation.
     trials: Count = 10  #: Rounds of an evaluation.
     #: Where to evaluate: cpu, or one or several CUDA devices.
@@ -65,15 +72,15 @@ class Reproduce:
         from pixel2catch.evaluation.grid import StudyGrid, held
         from pixel2catch.sim.factory import require_cuda
 
-        folder, train = ComparisonFolder(self.out), self._train()
-        plan = self._plan(train)
-        grid = StudyGrid([cell for each in plan.runs() for cell in self._cells(folder, each, train)])
+        folder, commands = ComparisonFolder(self.out), self._commands()
+        plan = self._plan(commands)
+        grid = StudyGrid([cell for each in plan.runs() for cell in self._cells(folder, each, commands)])
         for device in {place for cell in grid.missing for place in self._places[cell.kind]}:
             if device != "cpu" and not self.slurm:  # jobs of a cluster look for themselves
                 require_cuda(device)
+        slots = [slot for kind in self._places for slot in self._slots(kind)]
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path):
-            slots = [slot for kind in self._places for slot in self._slots(kind)]
             folder.open(replace(plan, sessions=(circumstances(),)) if grid.missing else plan)
             run_grid(grid, slots, "reproduce", folder.path / "logs")
         rates = write_comparison(folder)
@@ -100,26 +107,41 @@ class Reproduce:
         options = {"kind": kind, "has_one_thread": not is_cpu, "is_reused": is_evaluation}
         return make_slots(devices, number, self.slurm, self.out, **options)
 
-    def _train(self) -> Train:
-        """Return the command of all trainings; the device decides on the preset if none is given."""
+    def _commands(self) -> dict[Settings, Train]:
+        """Return the command of the trainings of each combination of the sweeps."""
+        if any(len(each) < 3 for each in self.sweep):
+            raise InvalidValueError(
+                "--sweep needs a name and two values, as in --sweep learning_rate 3e-4 1e-3."
+            )
+        options = [[f"{_field(n)}={','.join(v.split())}" for v in values] for n, *values in self.sweep]
+        settings = [*product(*options)]
+        commands = [self._train(each) for each in settings]
+        for number, command in enumerate(commands):
+            if command in commands[:number]:
+                raise InvalidValueError(f"--sweep has {' '.join(settings[number])} twice; leave one out.")
+        return dict(zip(settings, commands, strict=True))
+
+    def _train(self, settings: Settings) -> Train:
+        """Return the command of trainings; the device decides on the preset if none is given."""
         from pixel2catch.cli.main import parse_options
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
         default = "fast" if self._places[TRAINING][0].startswith("cuda") else "cpu"
         args = ["--device", "cpu", "--preset", self.preset or default]
-        for option in self.training:
+        for option in (*self.training, *settings):
             name, _, value = option.partition("=")
+            name = _field(name)
             if name not in free and name != "task" and not name.startswith("env."):
-                raise UnknownNameError("option in --training", name, [*sorted(free), "task", "env.FIELD"])
-            args += [f"--{name.replace('_', '-')}", *value.split(",")]
-        return parse_options("train", args)
+                raise UnknownNameError("option of the trainings", name, [*sorted(free), "task", "env.FIELD"])
+            if (flag := f"--{name.replace('_', '-')}") in args:
+                raise InvalidValueError(f"'{name}' is given twice; leave out one of them.")
+            args += [flag, *value.split(",")]
+        command = parse_options("train", args)
+        require_valid(command)
+        return command
 
-    def _plan(self, command: Train) -> "Plan":
-        """Return methods and seeds, with everything that changes results."""
-        from pixel2catch.evaluation.comparison import EVALUATION_SEED, Plan
-        from pixel2catch.evaluation.loading import PHYSICS_HZ
-        from pixel2catch.methods import find_method
-
+    def _configuration(self, command: Train) -> "Json":
+        """Return everything of trainings that changes results, by name."""
         train, env = command.train, command.env
         given = [option.partition("=") for option in self.training]
         options = {name: value.split(",") for name, _, value in given if name.startswith("env.")}
@@ -131,6 +153,16 @@ class Reproduce:
             "env.scene.multiccd": env.scene.multiccd,
             "env.sensing.latency_steps": env.sensing.latency_steps,
         }
+        return {f"training {name}": value for name, value in options.items() if value is not None}
+
+    def _plan(self, commands: dict[Settings, Train]) -> "Plan":
+        """Return methods and seeds, with everything that changes results and is the same for all."""
+        from pixel2catch.evaluation.comparison import EVALUATION_SEED, Plan
+        from pixel2catch.evaluation.loading import PHYSICS_HZ
+        from pixel2catch.methods import find_method
+
+        first, *others = map(self._configuration, commands.values())
+        methods = dict.fromkeys(find_method(name).name for name in self.methods)
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,
@@ -139,19 +171,23 @@ class Reproduce:
             "physics_hz": PHYSICS_HZ,
         }
         return Plan(
-            methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
+            methods=tuple(" ".join((method, *settings)) for method in methods for settings in commands),
             seeds=self.seeds,
-            configuration={f"training {name}": value for name, value in options.items() if value is not None}
+            configuration={n: v for n, v in first.items() if all(each.get(n) == v for each in others)}
             | {f"evaluation {name}": value for name, value in evaluation.items()},
         )
 
-    def _cells(self, folder: "ComparisonFolder", run: "Training", train: Train) -> "Iterator[StudyCell]":
+    def _cells(
+        self, folder: "ComparisonFolder", run: "Training", commands: dict[Settings, Train]
+    ) -> "Iterator[StudyCell]":
         """Yield the training of a run, and the evaluations of its policy."""
         from pixel2catch.evaluation.comparison import EVALUATION_SEED, GROUPS
         from pixel2catch.evaluation.grid import StudyCell
 
-        cfg = replace(train.train, seed=run.seed)
-        train = replace(train, method=run.method, out=folder.run(run), train=cfg)
+        method, *settings = run.method.split()
+        command = commands[tuple(settings)]
+        cfg = replace(command.train, seed=run.seed)
+        train = replace(command, method=method, out=folder.run(run), train=cfg)
         yield StudyCell(
             name=run.name,
             kind=TRAINING,
@@ -171,6 +207,10 @@ class Reproduce:
             )
 
 
+def _field(option: str) -> str:
+    return option.removeprefix("train.").replace("-", "_")
+
+
 def evaluate_run(evaluate: Evaluate, device: str) -> None:
     """Evaluate the policy of a run on a device."""
     replace(evaluate, device=device).run()
@@ -181,6 +221,4 @@ def train_run(train: Train, folder: Path, device: str) -> None:
     has_checkpoint = (folder / "checkpoint.pt").exists()
     if not has_checkpoint:
         shutil.rmtree(folder, ignore_errors=True)
-    cfg = replace(train.train, device=device)
-    with suppress(KeyboardInterrupt):  # it was stopped in order
-        replace(train, train=cfg, resume=has_checkpoint, resumed=folder if has_checkpoint else None).run()
+    train_on(replace(train, resume=has_checkpoint, resumed=folder if has_checkpoint else None), device)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, Device, ResultsFolder, Seed, Share
+from pixel2catch.checks import Count, Device, JobOptions, ResultsFolder, Seed, Share
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
@@ -44,7 +44,7 @@ class Stress:
     jobs: Count = 1  #: Cells that are computed at once on the CPU, each in a process with one thread.
     #: Compute on a SLURM cluster: what each job asks for, as NAME=VALUE with submitit's names, such as
     #: timeout_min=60 cpus_per_task=1 slurm_partition=cpu.
-    slurm: tuple[str, ...] = ()
+    slurm: JobOptions | None = None
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated, before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
 

@@ -51,7 +51,7 @@ def run_grid(grid: StudyGrid, slots: Sequence[Slot], name: str, logs: Path | Non
 def make_slots(
     devices: Sequence[str],
     number: int | None,
-    slurm: tuple[str, ...],
+    slurm: tuple[str, ...] | None,
     out: Path,
     *,
     kind: str = "",
@@ -59,7 +59,8 @@ def make_slots(
     is_reused: bool = True,
 ) -> list[Slot]:
     """Return slots for cells of a kind, on all devices in turn: jobs of a cluster, or workers."""
-    if executor := cluster_executor(slurm, out):
+    if slurm:
+        executor = cluster_executor(slurm, out)
         return [
             ClusterJob(kind, each, executor) for _ in range(number or JOBS_ON_CLUSTER) for each in devices
         ]

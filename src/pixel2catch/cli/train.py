@@ -2,14 +2,16 @@
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tyro.conf import Fixed, Positional, Suppress
 
-from pixel2catch.checks import CameraPath, DynamicsPath, ResultsFolder, require_valid
-from pixel2catch.cli.console import suggest
+from pixel2catch.checks import CameraPath, DynamicsPath, JobOptions, ResultsFolder, require_valid
+from pixel2catch.cli.console import say, suggest
 from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
@@ -49,6 +51,9 @@ class Train:
     #: task that draws cameras has this one instead. Default: the release's camera, known exactly.
     camera: CameraPath | None = None
     out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
+    #: Train in a job of a SLURM cluster, and wait for its end: what the job asks for, as NAME=VALUE with
+    #: submitit's names, such as timeout_min=240 gpus_per_node=1 slurm_partition=gpu; and give --device cuda.
+    slurm: JobOptions | None = None
     resume: bool = False  #: Go on from the last checkpoint in that folder, with its configuration.
     train: TrainCfg = field(default_factory=TrainCfg)  #: How the policy learns.
     #: Any field of the task, such as --env.sensing.latency-steps 1 3. All fields: train --env.help.
@@ -112,14 +117,49 @@ class Train:
         folder = self.out or _folder(self.method, self.train.seed)
         if self.resume and folder != self.resumed:
             raise InvalidValueError("the run to resume is not clear; name its folder by --out.")
-        if self.train.device.startswith("cuda"):
+        if self.train.device.startswith("cuda") and not self.slurm:  # a job looks for itself
             require_cuda(self.train.device)
         method = find_method(self.method, find_workcell(self.env.scene.workcell))
         experiment = Experiment(env=self.env, train=self.train)
+        if self.slurm:
+            require_valid(experiment)
+            self._submit(folder)
+            return
         result = run(experiment, method, folder, resume=self.resume, preset=self.preset)
         if result.status == "interrupted":
             raise KeyboardInterrupt
         suggest("evaluate", folder)
+
+    def _submit(self, folder: Path) -> None:
+        """Train in a job of a cluster, and wait for its end."""
+        from pixel2catch.cli.studies import make_slots, run_grid
+        from pixel2catch.errors import StudyError
+        from pixel2catch.evaluation.grid import StudyCell, StudyGrid, read_row
+        from pixel2catch.learning.checkpoint import RunFolder
+
+        slots = make_slots((self.train.device,), 1, self.slurm, folder)
+        with RunFolder(folder).open(resume=self.resume):
+            pass  # it can be used
+        summary, log = folder / "summary.json", folder / "logs" / f"{folder.name}.log"
+        before = read_row(summary)
+
+        def is_done() -> bool:
+            row = read_row(summary) or {}
+            return row != before and row.get("status") == "finished"
+
+        work = partial(train_on, replace(self, slurm=None))
+        grid = StudyGrid([StudyCell(name=folder.name, work=work, is_done=is_done)])
+        say(f"run folder: {folder}; log: {log}; if it is stopped, add --resume")
+        run_grid(grid, slots, "train", log.parent)
+        if grid.errors:
+            raise StudyError(f"the job failed: {grid.errors[folder.name]} Log: '{log}'.")
+        suggest("evaluate", folder)
+
+
+def train_on(train: Train, device: str) -> None:
+    """Train on a device; a training that is stopped in order raises nothing."""
+    with suppress(KeyboardInterrupt):
+        replace(train, train=replace(train.train, device=device)).run()
 
 
 def _folder(method: str, seed: int | str) -> Path:

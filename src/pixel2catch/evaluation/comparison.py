@@ -71,7 +71,7 @@ CURVES_NOTE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """One training: name of the method and seed of the training."""
+    """One training: name of the method, with the settings of a sweep behind it, and seed."""
 
     method: str
     seed: int
@@ -79,14 +79,14 @@ class Training:
     @property
     def name(self) -> str:
         """Name of the training and of its folder."""
-        return f"{self.method}-seed{self.seed}"
+        return f"{self.method.replace(' ', '-').replace('/', '%2F')}-seed{self.seed}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """The size and the configuration of a study."""
 
-    methods: tuple[str, ...]  #: Names of the methods, in the order of the tables.
+    methods: tuple[str, ...]  #: The methods of `Training`, in the order of the tables.
     seeds: int  #: Seeds of every method, from 0.
     configuration: Mapping[str, Any]  #: Everything else that changes results, by name.
     sessions: tuple[dict[str, Any], ...] = ()  #: Time, command and machine of each session of the study.
@@ -215,10 +215,14 @@ def summary_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
 
 
 def difference_rows(rows: Sequence[Row]) -> Iterator[Row]:
-    """Yield the differences of each two methods with several seeds, by set of objects."""
+    """Yield the differences of each two methods with several seeds, by set of objects.
+
+    With sweeps: of each two that differ in the method alone, or in one setting alone.
+    """
     for (first, second), group in product(combinations(dict.fromkeys(r["method"] for r in rows), 2), GROUPS):
         pair = [row for row in rows if row["method"] in (first, second) and row["objects"] == group]
-        if len(pair) == 2 and min(row["seeds"] for row in pair) > 1:
+        is_close = len({*first.split()} ^ {*second.split()}) <= 2
+        if is_close and len(pair) == 2 and min(row["seeds"] for row in pair) > 1:
             yield {
                 "pair": f"{first} - {second}",
                 "objects": group,

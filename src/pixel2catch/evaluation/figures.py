@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
+from math import ceil
 from typing import Any
 
 import matplotlib
@@ -42,8 +43,9 @@ def curves_picture(
     `edges` are those of the bins, `curves` have mean and deviation by method and name of the rate.
     """
     millions = (edges[1:] + edges[:-1]) / 2e6
+    columns = min(6, len(curves), 100 // max(map(len, curves))) or 1
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.1), layout="constrained")
+        figure = Figure(figsize=(9.0, 3.9 + 0.2 * ceil(len(curves) / columns)), layout="constrained")
         panels: Sequence[Axes] = figure.subplots(1, len(MAIN_RATES), sharey=True)
         for axes, (title, name) in zip(panels, MAIN_RATES.items(), strict=True):
             for number, (method, rates) in enumerate(curves.items()):
@@ -65,7 +67,7 @@ def curves_picture(
             axes.grid()
         panels[0].set_ylabel("% of episodes")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
+        figure.legend(handles, labels, loc="outside upper center", ncols=columns)
         return png(figure)
 
 

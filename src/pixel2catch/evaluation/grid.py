@@ -142,8 +142,8 @@ def error_of(task: Any) -> str | None:
         return next((line for line in reversed(lines) if "Error: " in line), lines[0] if lines else "")
 
 
-def cluster_executor(asked: tuple[str, ...], folder: Path) -> "AutoExecutor | None":
-    """Return the executor for jobs of a cluster, or nothing if nothing is asked of one.
+def cluster_executor(asked: Sequence[str], folder: Path) -> "AutoExecutor":
+    """Return the executor for jobs of a cluster.
 
     Args:
         asked: What every job asks for, as NAME=VALUE with names of submitit, such as timeout_min=240.
@@ -152,8 +152,6 @@ def cluster_executor(asked: tuple[str, ...], folder: Path) -> "AutoExecutor | No
     Raises:
         StudyError: There is no cluster, submitit is missing, or a name or value is invalid.
     """
-    if not asked:
-        return None
     with needs_extra("slurm", "--slurm needs submitit", StudyError):
         from submitit import AutoExecutor
     values = {name: value for name, _, value in (each.partition("=") for each in asked)}
