@@ -44,7 +44,6 @@ COMMANDS |= {line: script.name for script in EXAMPLES for line in commands(scrip
 QUICK = (
     "pixel2catch doctor",
     "pixel2catch scene scene.xml",
-    "pixel2catch scene sight.png --camera people",
 )
 """Commands of the documents that take a second or two, as they stand there."""
 

@@ -1,6 +1,9 @@
 """Which throws a camera sees, and how well: shares of flights in view, sizes, and times."""
 
+import argparse
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -9,7 +12,11 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
 
+import pixel2catch as p2c
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import is_in_view, project
+from pixel2catch.checks import CAMERA_NAMES, InputFile, OutputFile
+from pixel2catch.envs.tasks import PEOPLE_THROWS
 from pixel2catch.evaluation.figures import HEAT, STYLE, png
 from pixel2catch.mdp.throws import ThrowCfg, sample_paths, sample_throws
 from pixel2catch.scene.constants import CameraSpec
@@ -78,3 +85,30 @@ def _throw(distance: float, peak: float, aim: tuple[float, float]) -> ThrowCfg:
     fixed = {"release_x": x + distance, "release_y": 0.0, "release_z": RELEASE_HEIGHT}
     fixed |= {"aim_x": x, "aim_y": 0.0, "aim_z": z, "peak_z": peak}
     return replace(ThrowCfg(), clearance=0.05, **{name: (value, value) for name, value in fixed.items()})
+
+
+def main(words: list[str] | None = None) -> None:
+    """Print how a camera sees the paper's throws and those of people, and draw the chart."""
+    parser = argparse.ArgumentParser(description="Show which throws a camera sees.")
+    parser.add_argument("camera", type=Path, help="file of `calibrate`, or release, or people")
+    parser.add_argument("file", type=Path, help="picture to write, FILE.png")
+    args = parser.parse_args(words)
+    try:
+        InputFile(CAMERA_NAMES).require("camera", args.camera)
+        OutputFile((".png",)).require("file", args.file)
+        camera = CameraFile.load(args.camera).camera
+    except p2c.Pixel2CatchError as error:
+        sys.exit(f"error: {error}")
+    for name, throws in (("the paper's throws", ThrowCfg()), ("throws of people", PEOPLE_THROWS)):
+        found = sight(camera, throws)
+        print(
+            f"{name}: {found.share:.0%} of a flight is in view, all of it in {found.whole:.0%} of the "
+            f"throws, the catch in {found.catch:.0%}; {found.time:.2f} s from first sight to catch; "
+            f"{found.release_size:.1f} px/cm at the release, {found.catch_size:.1f} at the catch"
+        )
+    args.file.write_bytes(chart(camera))
+    print(f"wrote {args.file}")
+
+
+if __name__ == "__main__":
+    main()

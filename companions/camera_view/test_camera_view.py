@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from pixel2catch.cli.scene import Scene
+from camera_view import main, sight
 from pixel2catch.envs.tasks import PEOPLE_THROWS
-from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.sight import sight
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, PEOPLE_CAMERA, RGB_CAMERA
 
@@ -30,7 +28,9 @@ def test_sizes_and_times_by_hand():
     assert 0.5 < found.share < 2.0 / 2.3  # it passes above the image, then the camera
 
 
-def test_a_picture_needs_a_camera_and_a_model_has_none(tmp_path):
-    for file, camera in (("a.png", None), ("a.xml", Path("people"))):
-        with pytest.raises(InvalidValueError, match="--camera"):
-            Scene(file=tmp_path / file, camera=camera).run()
+def test_the_command_prints_and_draws_what_a_camera_sees(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    main(["people", str(tmp_path / "view.png")])
+    assert "throws of people: 9" in capsys.readouterr().out
+    assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(SystemExit, match="camera is 'nowhere', which is not there"):
+        main(["nowhere", str(tmp_path / "view.png")])
