@@ -1,11 +1,13 @@
 """What is printed of work that takes long."""
 
 import io
+from threading import Event
 
 import pytest
 from rich.console import Console
 
-from pixel2catch.progress import ProgressBar
+from domains import PATIENCE
+from pixel2catch.progress import ProgressBar, heartbeat
 
 
 @pytest.mark.parametrize(
@@ -24,3 +26,21 @@ def test_time_before_the_first_report_tells_no_speed(reports: list[tuple[float, 
         for clock[0], done in reports:
             bar.show(done)
     assert out.getvalue().splitlines() == lines
+
+
+def test_a_long_step_is_named_until_the_next():
+    """The thread prints the name and the time of the step; nothing of a step that has ended."""
+    printed = Event()
+
+    class Out(io.StringIO):
+        def write(self, text: str) -> int:
+            printed.set()
+            return super().write(text)
+
+    clock, out = [100.0], Out()
+    with heartbeat(Console(file=out, get_time=lambda: clock[0]), seconds=0.001) as begin:
+        begin("compiling kernels")
+        clock[0] = 140.0
+        assert printed.wait(PATIENCE)
+        begin("")
+    assert {*out.getvalue().splitlines()} <= {"compiling kernels: 0 s", "compiling kernels: 40 s"}

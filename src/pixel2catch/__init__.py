@@ -13,6 +13,7 @@ import ast
 import os
 import sys
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 #: Whether idle threads of PyTorch, which was imported before, wait in a loop; see `api.threads`.
@@ -82,10 +83,17 @@ __all__ = [*_WHERE]  # pyright: ignore[reportUnsupportedDunderAll] (it reads the
 
 
 def __getattr__(name: str) -> Any:
-    """Import the module that defines a name."""
+    """Import the module that defines a name; a function gets a check of its arguments."""
     if name not in _WHERE:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
+    value = getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
+    if isinstance(value, FunctionType):
+        from pixel2catch.checks import typed
+
+        value = typed(value)
+        value.__module__ = __name__  # where pickle finds it
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

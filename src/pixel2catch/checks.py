@@ -7,14 +7,18 @@ import typing
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, wraps
+from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, final, get_args, get_origin
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, final, get_args, get_origin
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import require_free_file, require_free_folder, require_place
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 LARGEST = 1e12  #: Largest number where a field states no other bound.
 
@@ -168,6 +172,19 @@ def require(kind: Any, name: str, value: Any) -> None:
         requirement.require(name, value)
 
 
+def typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Return a function that refuses arguments of another type than it declares."""
+
+    @wraps(function)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Result:
+        kinds = typing.get_type_hints(function, include_extras=True)
+        for name, value in signature(function).bind(*args, **kwargs).arguments.items():
+            require(kinds.get(name, Any), name, value)
+        return function(*args, **kwargs)
+
+    return checked
+
+
 def _contents(kind: Any, name: str, value: Any) -> Iterator[tuple[Any, str, Any]]:
     """Yield what a value consists of: declared types, names and values."""
     if get_origin(kind) in (Union, UnionType):
@@ -177,7 +194,7 @@ def _contents(kind: Any, name: str, value: Any) -> Iterator[tuple[Any, str, Any]
     elif isinstance(value, Mapping):
         inner = get_args(kind)[1] if get_args(kind) else Any
         yield from ((inner, f"{name}.{key}", entry) for key, entry in value.items())
-    elif isinstance(value, tuple):
+    elif isinstance(value, tuple) and get_origin(kind) in (tuple, None):
         for index, (each, entry) in enumerate(zip(_entries(kind, len(value)), value, strict=True)):
             yield each, f"{name}[{index}]" if is_dataclass(entry) else name, entry
 
@@ -228,7 +245,11 @@ def _fits(kind: Any, value: Any) -> bool:
         return isinstance(value, tuple) and len(_entries(kind, len(value))) == len(value)
     if origin in (dict, Mapping):
         return isinstance(value, Mapping)
-    return not (isinstance(kind, type) and is_dataclass(kind)) or isinstance(value, kind)
+    if origin is Callable:
+        return callable(value)
+    if kind is Any or getattr(kind, "_is_protocol", False):
+        return True
+    return not isinstance(kind, type) or isinstance(value, kind)
 
 
 def _in_words(kind: Any) -> str:
@@ -240,6 +261,8 @@ def _in_words(kind: Any) -> str:
         return f"one of {', '.join(map(str, inner))}"
     if origin is tuple:
         return "a tuple" if inner[-1:] == (Ellipsis,) else f"a tuple of {len(inner)} entries"
+    if origin is Callable:
+        return "a function"
     return PLAIN[kind][1] if kind in PLAIN else getattr(kind, "__name__", str(kind))
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Literal
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
+from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import Measurement, Transition
@@ -29,6 +30,7 @@ class Method:
     value_input: Literal["state", "observation"] = "state"
 
     def __post_init__(self) -> None:
+        require_valid(self)
         names = [agent.name for agent in self.agents]
         if not names or len(set(names)) < len(names):
             raise InvalidValueError(

@@ -1,6 +1,9 @@
 """Progress of work: a bar on a terminal, otherwise a line from time to time."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import timedelta
+from threading import Event, Thread
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -53,3 +56,24 @@ class ProgressBar:
             left = "" if task.time_remaining is None else f"{timedelta(seconds=task.time_remaining)} left"
             parts = [f"{task.description}: {task.percentage:.1f} %", text, left]
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)
+
+
+@contextmanager
+def heartbeat(console: Console, seconds: float = 10.0) -> Iterator[Callable[[str], None]]:
+    """Yield a function that begins a step; every `seconds` its name and time are printed until the next."""
+    ended, step, begun = Event(), "", 0.0
+
+    def begin(name: str) -> None:
+        nonlocal step, begun
+        step, begun = name, console.get_time()
+
+    def run() -> None:
+        while not ended.wait(seconds):
+            if step:
+                console.print(f"{step}: {console.get_time() - begun:.0f} s", markup=False, soft_wrap=True)
+
+    Thread(target=run, daemon=True).start()
+    try:
+        yield begin
+    finally:
+        ended.set()

@@ -33,24 +33,29 @@ OWN = p2c.CatchEnvCfg(
 )
 
 
-@pytest.mark.parametrize(
-    ("given", "name"),
-    [
-        ({"method": None}, "method is None"),
-        ({"task": None}, "task is None"),
-        ({"task": replace(OWN, throws=replace(OWN.throws, spin=-1.0))}, "task.throws.spin is -1"),
-        ({"num_envs": 1.5}, "num_envs is 1.5"),
-        ({"num_envs": 0}, "num_envs is 0"),
-        ({"seed": None}, "seed is None"),
-        ({"workcell": 5}, "workcell is 5"),
-        ({"objects": [3]}, "name is 3"),
-        ({"device": "gpu"}, "device is 'gpu'"),
-    ],
+WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
+    (lambda: p2c.make(None), "method is None; it must be a text or Method"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.make(task=replace(OWN, throws=replace(OWN.throws, spin=-1.0))), "task.throws.spin is -1"),
+    (lambda: p2c.make(num_envs=0), "num_envs is 0"),
+    (lambda: p2c.make(objects=[3]), "name is 3"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.make(device="gpu"), "device is 'gpu'"),
+    (lambda: p2c.find_method(5), "name is 5; it must be a text"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.preset(task=5), "task is 5; it must be a text or CatchEnvCfg"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.evaluate(5), "policy is 5"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.evaluate(change=5), "change is 5; it must be a function"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.CatchParallelEnv(None), "env is None; it must be CatchEnv"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.Method(name="own", agents=("arm",), pixel_features=()), "agents is 'arm'"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.make().seed(-1), "seed is -1"),
+    (lambda: p2c.load_policy().act({}), "observation of agent 'robot' is None; it must be of shape"),
+    (lambda: p2c.make().step({"arm": torch.zeros(1, 6)}), r"action of agent 'hand' is None; .* \(1, 13\)"),
 )
-def test_a_wrong_argument_of_make_is_named(given: dict[str, Any], name: str):
+
+
+@pytest.mark.parametrize(("call", "words"), WRONG)
+def test_a_wrong_argument_is_named(call: Callable[[], Any], words: str):
     config.update("jaxtyping_disable", True)  # as for users
-    with pytest.raises(InvalidValueError, match=name):
-        p2c.make(**given)
+    with pytest.raises(InvalidValueError, match=words):
+        call()
 
 
 OWN_TERMS: tuple[tuple[str, Callable[..., Any], str], ...] = (
@@ -77,7 +82,12 @@ def test_a_wrong_term_of_ones_own_is_named(kind: str, term: Callable[..., Any], 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path):
+def height(frame: p2c.observations.ObservationInputs) -> torch.Tensor:
+    """A user's term that reads what no camera measures."""
+    return frame.now.object_pos[:, 2:]
+
+
+def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "dynamics.json"
     arm = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(latency=0.02)
     DynamicsFile(dynamics=arm).save(file)
@@ -89,10 +99,20 @@ def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path):
     assert run.experiment.env.dynamics == arm
     assert read_run(out).experiment.env.with_files(file, None) == run.experiment.env
     assert p2c.load_policy(out).contract.task == "own"
+    assert "in 3D" not in capsys.readouterr().out
     with pytest.raises(CheckpointError, match="'own', and 'nominal' is given"):
         p2c.train("only_center", out, task="nominal", resume=True)
     p2c.train("only_center", out, resume=True, transitions=16)
     assert read_run(out).experiment.env == run.experiment.env
+
+
+def test_an_observation_in_3d_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    method = p2c.find_method("single_agent")
+    agent = replace(method.agents[0], observation=(*method.agents[0].observation, height))
+    p2c.train(replace(method, name="own", agents=(agent,)), tmp_path / "run", **SMALL)
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first == "training own on 1 x cpu, 4 environments, preset: cpu"
+    assert "in 3D, by height: for comparisons, 'deploy' refuses it" in second
 
 
 def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):

@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import wraps
-from inspect import signature
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import Any
 
 from pixel2catch.api.threads import let_torch_sleep
-from pixel2catch.checks import require, require_valid
+from pixel2catch.checks import Device, PhysicsRate, require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation import loading
 from pixel2catch.evaluation.metrics import Metrics, assess
 from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -24,6 +22,7 @@ from pixel2catch.learning.train import train as train_policy
 from pixel2catch.methods import Method, find_method
 from pixel2catch.own_files import add, import_files
 from pixel2catch.policy import Policy, contract_of, method_of
+from pixel2catch.policy.contract import unmeasured_terms
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, largest_radius, select_objects
 from pixel2catch.shipped import policy_folder
@@ -31,25 +30,8 @@ from pixel2catch.sim.factory import require_cuda
 from pixel2catch.workcells import find_workcell
 
 Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
 
 
-def _typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Return a function that refuses arguments of another type than it declares."""
-
-    @wraps(function)
-    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Result:
-        kinds = get_type_hints(function, include_extras=True)
-        for name, value in signature(function).bind(*args, **kwargs).arguments.items():
-            if name not in ("options", "objects"):  # checked where they are used
-                require(kinds[name], name, value)
-        return function(*args, **kwargs)
-
-    return checked
-
-
-@_typed
 def make(
     method: str | Method = "proposed",
     *,
@@ -57,7 +39,7 @@ def make(
     task: str | CatchEnvCfg = "nominal",
     objects: Objects | None = None,
     workcell: str | WorkcellSpec | None = None,
-    device: str = "cpu",
+    device: Device = "cpu",
     seed: int = 0,
 ) -> CatchEnv:
     """Make environments that act on tensors; the views for other libraries wrap them.
@@ -84,17 +66,17 @@ def make(
     return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
 
 
-@_typed
-def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
+def load_policy(name: str | Path | None = None, device: Device = "cpu") -> Policy:
     """Read a policy: a shipped one by its name (default: catch_alone+fit), or from its folder or its run's.
 
     Raises:
         PolicyMismatchError: There is none, or it does not fit this code.
     """
+    if device.startswith("cuda"):
+        require_cuda(device)
     return loading.load_policy(None if name is None else Path(name), device)[0]
 
 
-@_typed
 def evaluate(
     policy: Policy | str | Path | None = None,
     method: Method | None = None,
@@ -103,8 +85,8 @@ def evaluate(
     num_envs: int = 100,
     trials: int = 10,
     seed: int = 0,
-    device: str = "cpu",
-    physics_hz: float = loading.PHYSICS_HZ,
+    device: Device = "cpu",
+    physics_hz: PhysicsRate = loading.PHYSICS_HZ,
     change: Callable[[CatchEnvCfg], CatchEnvCfg] = lambda task: task,
 ) -> Metrics:
     """Evaluate a policy as `pixel2catch evaluate --json` does; the same numbers, by name.
@@ -140,7 +122,6 @@ def evaluate(
     return assess(policy, method or method_of(policy.contract), cfg)
 
 
-@_typed
 def train(
     method: str | Method,
     out: str | Path,
@@ -173,8 +154,6 @@ def train(
         Pixel2CatchError: As `learning.train.train`.
     """
     let_torch_sleep()
-    if unknown := [*(options.keys() - TrainCfg.__dataclass_fields__.keys())]:
-        raise UnknownNameError("option", unknown[0], TrainCfg.__dataclass_fields__)
     given = {"dynamics": dynamics, "camera": camera}
     files = {key: Path(file) for key, file in given.items() if file is not None}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
@@ -192,7 +171,7 @@ def train(
     else:
         name = name or "cpu"
         experiment = preset_of(name, "nominal" if task is None else task, workcell=cell, **files, **options)
-    experiment = replace(experiment, train=replace(experiment.train, **options))
+    experiment = replace(experiment, train=experiment.train.changed(options))
     found = _method(method, experiment.env)
     return run(experiment, found, Path(out), resume=resume, preset=name)
 
@@ -236,7 +215,9 @@ def run(
     )
     agents = {agent.name: agent.to_dict() for agent in method.agents}
     record = {"env": asdict(env), "agents": agents, "preset": preset}
-    return train_policy(cfg, make_env, contract, out, resume=resume, record=record)
+    terms = ", ".join(dict.fromkeys(unmeasured_terms(method, workcell)))
+    remark = f"\nobserves the object in 3D, by {terms}: for comparisons, 'deploy' refuses it" if terms else ""
+    return train_policy(cfg, make_env, contract, out, resume=resume, record=record, remark=remark)
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:

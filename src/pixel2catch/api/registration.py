@@ -15,16 +15,14 @@ ENVIRONMENT = "pixel2catch/Catch-v1"
 
 def single(render_mode: str | None = None, method: str = "single_agent", **options: Any) -> "CatchSingleEnv":
     """Return one robot; options are those of `pixel2catch.make`."""
-    from pixel2catch.api.calls import make
-    from pixel2catch.api.views import CatchSingleEnv
+    from pixel2catch import CatchSingleEnv, make
 
     return CatchSingleEnv(make(method, **options), render_mode)
 
 
 def vector(render_mode: str | None = None, method: str = "single_agent", **options: Any) -> "CatchVectorEnv":
     """Return robots side by side, for `gymnasium.make_vec`; likewise."""
-    from pixel2catch.api.calls import make
-    from pixel2catch.api.views import CatchVectorEnv
+    from pixel2catch import CatchVectorEnv, make
 
     return CatchVectorEnv(make(method, **options), render_mode)
 

@@ -23,6 +23,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 from torch import Tensor
 
+from pixel2catch.checks import require
 from pixel2catch.envs.catch_env import CatchEnv, Observation, Step
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.rendering.film import WIDE
@@ -51,13 +52,12 @@ def array(values: Tensor) -> ndarray:
     return values.detach().cpu().numpy().copy()
 
 
-def action_tensor(env: CatchEnv, agent: str, action: Any) -> Tensor:
-    """Return actions (num_envs, num_joints) of an agent as a tensor; refuse another shape."""
-    values, expected = np.asarray(action, dtype=np.float32), (env.num_envs, env.action_sizes[agent])
-    if values.shape != expected:
-        shapes = [shape[1:] if env.num_envs == 1 else shape for shape in (values.shape, expected)]
-        raise InvalidValueError(f"action of agent '{agent}' has shape {shapes[0]}; it must be {shapes[1]}")
-    return torch.tensor(values, device=env.device)
+def action_tensor(env: CatchEnv, actions: Any) -> Tensor:
+    """Return actions (num_envs, num_joints) of an agent as a tensor."""
+    try:
+        return torch.tensor(np.asarray(actions, dtype=np.float32), device=env.device)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(f"an action is no array of numbers ({error}).") from error
 
 
 def outcome(step: Step) -> Arrays:
@@ -65,6 +65,13 @@ def outcome(step: Step) -> Arrays:
     record = step.record
     found = {"is_tracked": record.is_tracked, "is_success": record.is_success, "episode_steps": record.steps}
     return {name: array(values) for name, values in found.items()}
+
+
+def _require_env(env: Any, one: str = "") -> None:
+    """Raise InvalidValueError for what is no environment, or several where there must be one."""
+    require(CatchEnv, "env", env)
+    if one and env.num_envs != 1:
+        raise InvalidValueError(f"num_envs is {env.num_envs}; {one}.")
 
 
 class Pictures:
@@ -111,6 +118,7 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         Raises:
             InvalidValueError: Their method has several agents.
         """
+        _require_env(env)
         self._agent, *others = [agent.name for agent in env.method.agents]
         if others:
             raise InvalidValueError(
@@ -140,7 +148,7 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         Raises:
             InvalidValueError: Actions have another shape, or one is NaN.
         """
-        step = self._env.step({self._agent: action_tensor(self._env, self._agent, actions)})
+        step = self._env.step({self._agent: action_tensor(self._env, actions)})
         ended = array(step.terminated)
         infos: Values = {}
         for name, values in outcome(step).items() if ended.any() else ():
@@ -158,8 +166,9 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         return self._pictures.draw()
 
     def close_extras(self, **_: Any) -> None:
-        """Free simulation and pictures."""
-        self._pictures.close()
+        """Free simulation and pictures, if `__init__` came to its end."""
+        if hasattr(self, "_pictures"):
+            self._pictures.close()
 
 
 class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
@@ -173,8 +182,7 @@ class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
         Raises:
             InvalidValueError: There are several environments or agents.
         """
-        if env.num_envs != 1:
-            raise InvalidValueError(f"num_envs is {env.num_envs}; it must be 1, or take CatchVectorEnv.")
+        _require_env(env, "it must be 1, or take CatchVectorEnv")
         self._vector = CatchVectorEnv(env, render_mode)
         self.render_mode = render_mode
         self.observation_space = self._vector.single_observation_space
@@ -228,8 +236,7 @@ class CatchParallelEnv:
         Raises:
             InvalidValueError: There are several.
         """
-        if env.num_envs != 1:
-            raise InvalidValueError(f"num_envs is {env.num_envs}; it must be 1 for PettingZoo.")
+        _require_env(env, "it must be 1 for PettingZoo")
         self._env, self._pictures, self.render_mode = env, Pictures(env, render_mode), render_mode
         self.possible_agents = [agent.name for agent in env.method.agents]
         self.agents: list[str] = []
@@ -284,8 +291,8 @@ class CatchParallelEnv:
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        acting = {agent: self._action(agent, actions) for agent in self.agents}
-        step = self._env.step(acting)
+        require(Mapping, "actions", actions)
+        step = self._env.step({name: action_tensor(self._env, [each]) for name, each in actions.items()})
         is_over = bool(step.terminated.item())
         names = list(self.agents)
         infos = {name: values[0].item() for name, values in outcome(step).items()} if is_over else {}
@@ -317,13 +324,6 @@ class CatchParallelEnv:
         if agent not in self.possible_agents:
             raise UnknownNameError("agent", agent, self.possible_agents)
         return agent
-
-    def _action(self, agent: str, actions: Mapping[str, ndarray]) -> Tensor:
-        if agent not in actions:
-            raise InvalidValueError(
-                f"no action for agent '{agent}'; each step needs {', '.join(self.agents)}"
-            )
-        return action_tensor(self._env, agent, np.asarray(actions[agent])[None])
 
     def _observe(self, observation: Observation) -> Arrays:
         self._state = array(observation.state)[0]

@@ -124,10 +124,10 @@ class Reproduce:
     def _train(self, settings: Settings) -> Train:
         """Return the command of trainings; the device decides on the preset if none is given."""
         from pixel2catch.cli.main import parse_options
+        from pixel2catch.learning.experiment import preset_for
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
-        default = "fast" if self._places[TRAINING][0].startswith("cuda") else "cpu"
-        args = ["--device", "cpu", "--preset", self.preset or default]
+        args = ["--device", "cpu", "--preset", self.preset or preset_for(self._places[TRAINING][0])]
         for option in (*self.training, *settings):
             name, _, value = option.partition("=")
             name = _field(name)

@@ -34,7 +34,7 @@ class Train:
     #: with a memory METHOD+age, +boxes, +boxes5 (any number), +fit or +anycamera.
     method: Positional[str] = METHOD
     #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
-    #: CUDA, else cpu.
+    #: CUDA, large on several GPUs by torchrun, else cpu.
     preset: PresetName | None = None
     #: What is thrown, and what disturbs the robot: nominal, the paper's task; wide, with the disturbances of
     #: laboratories; wide_sharp, the same with boxes to 2 px; people, throws of people before any camera of a
@@ -74,7 +74,7 @@ class Train:
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
         import torch
 
-        from pixel2catch.learning.experiment import preset, require_run
+        from pixel2catch.learning.experiment import preset, preset_for, require_run
         from pixel2catch.workcells import find_workcell
 
         import_files()
@@ -88,12 +88,13 @@ class Train:
             workcell = find_workcell(given.workcell).name if given.workcell else None
             names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
             run = require_run(folder, **files, **names)
-            experiment, method = run.experiment, run.method
+            experiment, method, name = run.experiment, run.method, given.preset
         else:
             device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
+            name: Any = given.preset or preset_for(device)
             start = {"start": Path(given.start)} if given.start else {}
             experiment = preset(
-                given.preset or ("fast" if device.startswith("cuda") else "cpu"),
+                name,
                 "nominal" if given.task is None else given.task,
                 workcell=given.workcell,
                 device=device,
@@ -105,7 +106,8 @@ class Train:
                 raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
         resumed = folder if given.resume else None
-        return cls(method=method or METHOD, train=experiment.train, env=experiment.env, resumed=resumed)
+        method, train, env = method or METHOD, experiment.train, experiment.env
+        return cls(method=method, preset=name, train=train, env=env, resumed=resumed)
 
     def run(self) -> None:
         from pixel2catch.api.calls import run
@@ -141,13 +143,12 @@ class Train:
         with RunFolder(folder).open(resume=self.resume):
             pass  # it can be used
         summary, log = folder / "summary.json", folder / "logs" / f"{folder.name}.log"
-        before = read_row(summary)
+        work, before = partial(train_on, replace(self, slurm=None)), read_row(summary)
 
         def is_done() -> bool:
             row = read_row(summary) or {}
             return row != before and row.get("status") == "finished"
 
-        work = partial(train_on, replace(self, slurm=None))
         grid = StudyGrid([StudyCell(name=folder.name, work=work, is_done=is_done)])
         say(f"run folder: {folder}; log: {log}; if it is stopped, add --resume")
         run_grid(grid, slots, "train", log.parent)

@@ -16,11 +16,11 @@ from pixel2catch.errors import DeploymentError, PolicyMismatchError
 from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.methods import Method
 from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.tracker import ObjectTracker, Prompter
 from pixel2catch.policy import Policy, contract_of, method_of
+from pixel2catch.policy.contract import unmeasured_terms
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
@@ -52,8 +52,11 @@ class PolicyController:
         self.history: History | None = None  #: Measurements of this throw; None before its first step.
         self._action: Batch = torch.zeros(1, len(self.joints))
         self._target: Batch | None = None
-        nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
-        _refuse_unmeasured_terms(self.method, self._measure(torch.zeros(1, len(self.joints)), nowhere))
+        if unmeasured := unmeasured_terms(self.method, workcell):
+            raise PolicyMismatchError(
+                f"a policy of method '{self.method.name}' reads {', '.join(unmeasured)}, which one camera "
+                "does not measure; deploy a policy that reads pixel features, such as 'proposed'."
+            )
 
     def reset(self, joint_pos_target: Batch | None = None) -> None:
         """Start a new throw from these joint targets [rad]; None for the measured positions."""
@@ -85,17 +88,6 @@ class PolicyController:
             palm_quat=palm_quat,
             action=self._action,
         )
-
-
-def _refuse_unmeasured_terms(method: Method, measurement: Measurement) -> None:
-    for layout in method.layouts.values():
-        frame, terms = layout.inputs(measurement, measurement), (*layout.terms, *layout.memory)
-        unmeasured = [term.__name__ for term in terms if not term(frame).isfinite().all()]
-        if unmeasured:
-            raise PolicyMismatchError(
-                f"a policy of method '{method.name}' reads {', '.join(unmeasured)}, which one camera does "
-                "not measure; deploy a policy that reads pixel features, such as 'proposed'."
-            )
 
 
 LONGEST_GAP = 0.7  #: Age of a box from which the policy is not stepped [s]. Source: ours, rehearsals.

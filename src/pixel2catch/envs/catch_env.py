@@ -29,7 +29,7 @@ from pixel2catch.mdp.control_step import (
 from pixel2catch.mdp.observations import observe, privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.tensors import DelayLine, assign, clone, select, write
+from pixel2catch.mdp.tensors import DelayLine, assign, clone, require_shapes, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method, require_terms
 from pixel2catch.sim.graphs import fused
@@ -156,6 +156,7 @@ class CatchEnv:
 
     def seed(self, seed: int) -> None:
         """Seed all draws; the next `reset` begins the episodes of this seed."""
+        require(Seed, "seed", seed)
         self._generator.manual_seed(seed)
 
     def reset(self, *, is_staggered: bool = False) -> Observation:
@@ -177,6 +178,7 @@ class CatchEnv:
 
         The next step overwrites the returned tensors, except `observation` and `rewards`.
         """
+        require_shapes("action", actions, {name: (self.num_envs, n) for name, n in self.action_sizes.items()})
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
         if self.device.type == "cpu":

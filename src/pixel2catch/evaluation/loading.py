@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.region import REGION
+from pixel2catch.checks import PhysicsRate
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, analytic, contract_of, method_of
@@ -63,7 +64,10 @@ def sha256(file: Path) -> str:
 
 
 def task_of(
-    policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None, camera: Path | None = None
+    policy: Policy,
+    physics_hz: PhysicsRate = PHYSICS_HZ,
+    dynamics: Path | None = None,
+    camera: Path | None = None,
 ) -> CatchEnvCfg:
     """Return the paper's task with the robot and the camera that a policy was trained with.
 

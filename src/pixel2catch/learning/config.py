@@ -1,11 +1,12 @@
 """How a policy learns, and the presets; imports nothing heavy, as the command line reads it."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pixel2catch.checks import Count, Device, PhysicsRate, Seed, Share, Within, require_valid
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 
 Transitions = Annotated[int, Within(1, 1_000_000_000_000)]  #: Control steps of all environments.
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
@@ -114,6 +115,12 @@ class TrainCfg:
                 f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
             )
+
+    def changed(self, options: Mapping[str, Any]) -> "TrainCfg":
+        """Return the configuration with other values of fields; raise UnknownNameError for an unknown one."""
+        if unknown := [name for name in options if name not in self.__dataclass_fields__]:
+            raise UnknownNameError("option", unknown[0], self.__dataclass_fields__)
+        return dataclasses.replace(self, **options)
 
     def rate_at(self, transitions: int) -> float | None:
         """Return the physics rate after that many transitions [1/s]; None means the environment's own."""

@@ -1,14 +1,17 @@
 """The configuration of a training: its environments and how it learns, by a preset or from a run folder."""
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
 from pixel2catch.files import decoded, read_json_object
-from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg
+from pixel2catch.learning.config import CONFIG_FILE, PRESETS, PresetName, TrainCfg
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
 from pixel2catch.shipped import policy_folder
@@ -17,6 +20,11 @@ from pixel2catch.workcells import find_workcell, known_workcell
 FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
 """Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn
 as much with them. Evaluations have elliptic cones and several points. Source: ours."""
+
+
+LARGE_BYTES = 16 * 2**30
+"""Memory of a GPU from which each of several has the preset large [bytes]. Source: ours; 8,192 environments
+use 6.3 GB (`benchmarks/results/bench_h100.json`), and each of two GPUs has 16,384."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +42,15 @@ class RunRecord:
     experiment: Experiment
     method: str  #: Name of the method.
     preset: str | None  #: Name of the preset; None where Python gave the experiment itself.
+
+
+def preset_for(device: str) -> PresetName:
+    """Return the preset for a device: cpu, fast on a GPU, large in torchrun's processes on large GPUs."""
+    if not device.startswith("cuda"):
+        return "cpu"
+    is_several = int(os.environ.get("WORLD_SIZE", "1")) > 1 and torch.cuda.is_available()
+    is_large = is_several and torch.cuda.get_device_properties(0).total_memory >= LARGE_BYTES
+    return "large" if is_large else "fast"
 
 
 def preset(
@@ -75,7 +92,7 @@ def preset(
         env = env.with_workcell(find_workcell(workcell))
     if options.get("start"):
         options = {"hidden": Policy.load(policy_folder(Path(options["start"]))).hidden} | options
-    train = replace(PRESETS[name], **options)
+    train = PRESETS[name].changed(options)
     has_camera = env.sensing.camera != RELEASE_CAMERA
     if (dynamics and env.dynamics) or (camera and has_camera):
         raise InvalidValueError(

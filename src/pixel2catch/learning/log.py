@@ -28,10 +28,10 @@ class TrainingLog:
     """A bar or lines, CSV and TensorBoard; a full disk is reported and does not end the training."""
 
     def __init__(
-        self, cfg: TrainCfg, folder: Path, transitions: int, run: Any = None, *, is_silent: bool = False
+        self, cfg: TrainCfg, folder: Path, transitions: int, console: Console, run: Any = None
     ) -> None:
-        """Start after some transitions, with a run of Weights & Biases; a silent log writes nothing."""
-        self._console = Console(highlight=False, quiet=is_silent)
+        """Start after some transitions, with a run of Weights & Biases; a quiet console writes nothing."""
+        self._console = console
         self._bar = ProgressBar(
             "training",
             cfg.transitions,
@@ -41,7 +41,7 @@ class TrainingLog:
         )
         self._sinks: dict[str, Callable[[Row], object]] = {}
         self._closing: dict[str, Callable[[], None]] = {}
-        if is_silent:
+        if console.quiet:
             return
         # TensorBoard hides later points of older event files.
         events = SummaryWriter(str(folder), purge_step=transitions or None)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from rich.console import Console
 from torch import Tensor
 
 from pixel2catch.devices import DeviceTime
@@ -23,8 +24,10 @@ from pixel2catch.learning.distributed import Workers, start_workers
 from pixel2catch.learning.log import Row, TrainingLog, start_wandb, wandb_package
 from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.progress import heartbeat
 from pixel2catch.shipped import policy_folder
 
+BeginStep = Callable[[str], None]  #: Names the step that goes on; an empty name ends it.
 MakeEnv = Callable[..., CatchEnv]
 """Makes environments from a share of the `TrainCfg` and a physics rate [1/s], or None for their own rate."""
 
@@ -49,6 +52,7 @@ def train(
     *,
     resume: bool = False,
     record: Mapping[str, Any] | None = None,
+    remark: str = "",
 ) -> TrainResult:
     """Train a method and write its run folder; in a process that torchrun started, together with the others.
 
@@ -59,6 +63,7 @@ def train(
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
         record: Other entries of `config.json`: the environments, the agents, the preset.
+        remark: What is printed behind the first line.
 
     Raises:
         NonFiniteError: NaN or infinity appeared; the message names the quantity, the last checkpoint is good.
@@ -70,8 +75,10 @@ def train(
     """
     if cfg.wandb:
         wandb_package()
-    folder = RunFolder(out_dir)
+    folder, record = RunFolder(out_dir), record or {}
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
+        console = Console(highlight=False, quiet=not workers.is_first)
+        begin_step = stack.enter_context(heartbeat(console))
         with workers.sync_errors():
             share = workers.share(cfg)
             if workers.is_first:
@@ -79,7 +86,12 @@ def train(
         with workers.sync_errors():
             checkpoint = Checkpoint.load(folder.checkpoint, share.device) if resume else None
             progress = checkpoint.progress if checkpoint else Progress()
-            training = _Training(cfg, make_env, contract, folder, workers, record or {}, progress)
+            name = "cpu" if workers.device == "cpu" else torch.cuda.get_device_name(workers.device)
+            where = f"{workers.size} x {name}, {cfg.num_envs:,} environments"
+            text = f"training {contract.method} on {where}, preset: {record.get('preset') or 'none'}{remark}"
+            console.print(text, markup=False, soft_wrap=True)
+            begin_step("making the environments")
+            training = _Training(cfg, make_env, contract, folder, workers, record, progress)
             stack.enter_context(contextlib.closing(training))
             if checkpoint:
                 checkpoint.restore(training.mappo)
@@ -88,7 +100,7 @@ def train(
                 start.contract.require(contract)
                 training.mappo.adopt(start)
             workers.diverge(cfg.seed, progress.transitions)
-        return training.run()
+        return training.run(console, begin_step)
 
 
 class _Training:
@@ -117,15 +129,15 @@ class _Training:
         self.mappo.close()
         self.env.close()
 
-    def run(self) -> TrainResult:
+    def run(self, console: Console, begin_step: BeginStep) -> TrainResult:
         """Train to the end; in any case write how it ended."""
         status: Literal["failed", "interrupted", "finished"] = "failed"
         with contextlib.ExitStack() as stack:
             with self.workers.sync_errors():
-                log = stack.enter_context(self._open_log())
+                log = stack.enter_context(self._open_log(console))
             try:
                 stop = stack.enter_context(StopRequest())
-                status = self._loop(log, stop)
+                status = self._loop(log, stop, begin_step)
                 with self.workers.sync_errors():
                     self._save_last(log, status)
             finally:
@@ -137,7 +149,7 @@ class _Training:
             status=status, **dataclasses.asdict(self.progress), policy=self.folder.policy, metrics=self.row
         )
 
-    def _open_log(self) -> TrainingLog:
+    def _open_log(self, console: Console) -> TrainingLog:
         is_first, run = self.workers.is_first, None
         if is_first:
             config = {"train": dataclasses.asdict(self.cfg), "policy": self.contract.to_dict(), **self.record}
@@ -145,9 +157,11 @@ class _Training:
                 run = start_wandb(self.cfg.wandb, self.folder.path, config)
             self.folder.describe(config, self.workers.size)
         transitions = self.progress.transitions
-        return TrainingLog(self.cfg, self.folder.path, transitions, run, is_silent=not is_first)
+        return TrainingLog(self.cfg, self.folder.path, transitions, console, run)
 
-    def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
+    def _loop(
+        self, log: TrainingLog, stop: StopRequest, begin_step: BeginStep
+    ) -> Literal["interrupted", "finished"]:
         observation = None
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         try:
@@ -155,6 +169,7 @@ class _Training:
                 started = time.monotonic()
                 with self.workers.sync_errors():
                     if self._change_rate() or observation is None:
+                        begin_step("first rollout; kernels that are not cached are compiled")
                         observation = self.env.reset(is_staggered=self.cfg.staggered)
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)
@@ -163,6 +178,7 @@ class _Training:
                     self.mappo.discard_rollout()
                     return "interrupted"
                 self._update(started, begun)
+                begin_step("")
                 if time.monotonic() >= next_checkpoint:
                     self._log_row(log)
                     log.attempt("checkpoint", self._save)

@@ -3,13 +3,15 @@
 None of them waits for the device.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from pixel2catch.errors import InvalidValueError
 
 T = TypeVar("T")
 
@@ -87,3 +89,14 @@ class DelayLine(Generic[T]):
     def filled(cls, value: T, longest: int) -> "DelayLine[T]":
         """Return a line for delays up to `longest` in which all values are equal: the start of an episode."""
         return cls((value,) * (longest + 1))
+
+
+def require_shapes(kind: str, values: Any, shapes: Mapping[str, tuple[int | None, int]]) -> None:
+    """Raise InvalidValueError unless each agent has a tensor of its shape, where None is any size."""
+    given = values if isinstance(values, Mapping) else {}
+    for agent, (rows, size) in shapes.items():
+        found = tuple(getattr(given.get(agent), "shape", ()))
+        if len(found) != 2 or found != (found[0] if rows is None else rows, size):
+            shown = f"of shape {found}" if found else f"{given.get(agent)!r:.200}"
+            shape = (rows or "num_envs", size)
+            raise InvalidValueError(f"the {kind} of agent '{agent}' is {shown}; it must be of shape {shape}.")

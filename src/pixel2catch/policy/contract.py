@@ -166,6 +166,19 @@ def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
     )
 
 
+def unmeasured_terms(method: Method, workcell: WorkcellSpec) -> list[str]:
+    """Return the names of a method's terms that read the object's position, which no camera measures."""
+    blank = _blank_measurement(method.num_boxes, workcell)
+    unknown = torch.full_like(blank.object_pos, torch.nan)
+    lost = dataclasses.replace(blank, object_pos=unknown, initial_object_pos=unknown)
+    return [
+        term.__name__
+        for layout in method.layouts.values()
+        for term in (*layout.terms, *layout.memory)
+        if (term(layout.inputs(lost, lost)).isnan() & ~term(layout.inputs(blank, blank)).isnan()).any()
+    ]
+
+
 def method_of(contract: PolicyContract) -> Method:
     """Return the method of a policy by its name, or else made from its contract, without rewards.
 

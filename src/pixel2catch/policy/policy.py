@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from pixel2catch import files
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.mdp.tensors import require_shapes
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.shipped import is_computed
 
@@ -99,6 +100,8 @@ class Policy(nn.Module):
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
         """Return the mean action of every agent, clipped to [-1, 1]."""
+        shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
+        require_shapes("observation", observations, shapes)
         return {name: agent(observations[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
 
     @property
@@ -117,7 +120,7 @@ class Policy(nn.Module):
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> "Policy":
         """Read what `save` wrote; raise PolicyMismatchError if it does not fit this code."""
-        if is_computed(folder):
+        if is_computed(folder := Path(folder)):
             raise PolicyMismatchError(f"policy '{folder}' has no networks to go on from; give a trained one.")
         fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
         with files.reading("policy", folder, fix, PolicyMismatchError):
