@@ -17,7 +17,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.checks import CAMERA_NAMES, InputFile, OutputFile
 from pixel2catch.envs.tasks import PEOPLE_THROWS
-from pixel2catch.evaluation.figures import HEAT, STYLE, png
+from pixel2catch.evaluation.figures import STYLE, png
 from pixel2catch.mdp.throws import ThrowCfg, sample_paths, sample_throws
 from pixel2catch.scene.constants import CameraSpec
 
@@ -72,7 +72,7 @@ def chart(camera: CameraSpec) -> bytes:
         figure = Figure(figsize=(6.4, 4.4), layout="constrained")
         axes = figure.subplots()
         shown = axes.contourf(
-            DISTANCES, PEAKS, 100.0 * share.numpy(), levels=np.arange(0, 101, 10), cmap=HEAT
+            DISTANCES, PEAKS, 100.0 * share.numpy(), levels=np.arange(0, 101, 10), cmap="viridis"
         )
         figure.colorbar(shown, label="share of the flight in view [%]")
         axes.set(xlabel="distance of the thrower from the hand [m]", ylabel="highest point of the throw [m]")

@@ -148,10 +148,7 @@ CameraPath = Annotated[Path, InputFile(CAMERA_NAMES)]  #: File that `calibrate` 
 def require_valid(values: Any, path: str = "") -> None:
     """Check all fields of a dataclass, and those of dataclasses in it, against their declared types.
 
-    Errors name a field by its path, such as `env.randomization.friction`, behind that of the dataclass.
-
-    Raises:
-        InvalidValueError: A value is of another type, outside its range, or in the wrong order.
+    InvalidValueError names a field by its path, such as `env.randomization.friction`, behind `path`.
     """
     for each in _fields(values, path):
         require(*each)

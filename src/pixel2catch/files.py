@@ -25,8 +25,8 @@ DAMAGE = (AttributeError, EOFError, LookupError, OSError, OverflowError, TypeErr
 """Exceptions that wrong content of a file can cause, besides this package's."""
 
 
-def write_atomically(contents: Mapping[Path, bytes]) -> None:
-    """Write one or several files whose folders exist; if any write fails, all keep their old content.
+def write_atomically(contents: Mapping[Path, str | bytes]) -> None:
+    """Write one or several files, and make their folders; if any write fails, all keep their old content.
 
     Each file is first written beside its place (`<name>.tmp`) and flushed to the disk, then the old files are
     replaced. Raises InvalidValueError for a path that is no regular file, OSError for what the disk refuses.
@@ -37,8 +37,9 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
     temporaries = {path: path.with_name(path.name + ".tmp") for path in contents}
     try:
         for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
             with open(temporaries[path], "wb") as file:
-                file.write(content)
+                file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
         for path, temporary in temporaries.items():
@@ -188,11 +189,8 @@ MISSING = "Object missing required field `"  #: How msgspec's message of a missi
 def decoded(kind: Any, value: Any, name: str = "") -> Any:
     """Convert what `parse_json` or `parse_yaml` returned to a declared type, such as a dataclass.
 
-    Where an array is declared, a list becomes an array of numbers, and null in it infinity.
-
-    Raises:
-        InvalidValueError: A field is unknown, missing, of another type, or has a bad value. The message has
-            the place of the field, below `name`.
+    Where an array is declared, a list becomes an array of numbers, and null in it infinity. An
+    InvalidValueError has the place of the bad, missing or unknown field, below `name`.
     """
     try:
         found = msgspec.convert(value, kind, dec_hook=_other_type)

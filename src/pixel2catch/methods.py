@@ -50,11 +50,7 @@ class Method:
         return any(agent.memory for agent in self.agents)
 
     def with_weights(self, weights: Mapping[str, float]) -> "Method":
-        """Return the method with other weights of reward terms, by names such as `arm.success`.
-
-        Raises:
-            UnknownNameError: No agent has such a term.
-        """
+        """Return the method with other weights of reward terms, by names such as `arm.success`."""
         agents = self.agents
         names = {f"{part.name}.{term.name}" for each in agents for part in each.parts for term in part.reward}
         for name in set(weights) - names:
@@ -91,11 +87,7 @@ class Method:
 
 
 def require_terms(method: Method, transition: Transition, before: Measurement, now: Measurement) -> None:
-    """Compute each term of a method once, before a device records or compiles them.
-
-    Raises:
-        InvalidValueError: A term fails, or returns numbers of another shape or that are not finite.
-    """
+    """Compute each term of a method once, before a device records or compiles them; raise as `computed`."""
     num_envs = len(transition.episode_steps)
     for agent in method.agents:
         inputs = method.layouts[agent.name].inputs(before, now)
@@ -106,44 +98,35 @@ def require_terms(method: Method, transition: Transition, before: Measurement, n
                 computed("reward term", reward.function, (transition, part), num_envs)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Memory:
-    """Boxes and terms that agents observe besides the paper's two frames."""
-
-    num_boxes: int  #: Number of measured boxes.
-    terms: tuple[observations.ObservationTerm, ...]  #: Terms of them.
-
-
-MEMORIES: dict[str, Memory] = {
-    "age": Memory(num_boxes=1, terms=(observations.box_age,)),
-    "boxes": Memory(num_boxes=8, terms=(observations.box_track,)),
-    "fit": Memory(num_boxes=observations.NUM_BOXES, terms=(observations.box_fit,)),
-    "anycamera": Memory(
-        num_boxes=observations.NUM_BOXES,
-        terms=(observations.box_fit, observations.camera_position, observations.palm_sight),
+MEMORIES: dict[str, tuple[int, tuple[observations.ObservationTerm, ...]]] = {
+    "age": (1, (observations.box_age,)),
+    "boxes": (8, (observations.box_track,)),
+    "fit": (observations.NUM_BOXES, (observations.box_fit,)),
+    "anycamera": (
+        observations.NUM_BOXES,
+        (observations.box_fit, observations.camera_position, observations.palm_sight),
     ),
-    "flight": Memory(num_boxes=45, terms=(observations.measured_boxes, observations.camera_position)),
+    "flight": (45, (observations.measured_boxes, observations.camera_position)),
 }
-"""Memories by name. Source: ours, for latencies that differ, for more of a flight than two frames, and for
-any calibrated camera: all boxes are then those of a level camera, see `camera.level`. `flight` has all
-boxes of a flight of 1.5 s."""
+"""Number of measured boxes, and terms that agents observe besides the paper's two frames, by memory.
+
+Source: ours, for latencies that differ, for more of a flight than two frames, and for any calibrated camera:
+all boxes are then those of a level camera, see `camera.level`. `flight` has all boxes of a flight of 1.5 s.
+"""
 
 
 def remembering(method: Method, memory: str) -> Method:
     """Return the method with a memory, such as `fit`, or `boxes5` with a number of boxes.
 
     Without pixel features the memory is the age of the images.
-
-    Raises:
-        UnknownNameError: With the valid names.
     """
     found = re.fullmatch(r"([a-z_]*)([1-9]\d?)?", memory)
     if not found or found[1] not in MEMORIES:
         valid = [*MEMORIES, "the same with a number of boxes, such as boxes5"]
         raise UnknownNameError("memory", memory, valid)
-    kept = MEMORIES[found[1] if method.pixel_features else "age"]
-    num_boxes = int(found[2]) if found[2] and method.pixel_features else kept.num_boxes
-    agents = tuple(replace(agent, memory=kept.terms) for agent in method.agents)
+    num_boxes, terms = MEMORIES[found[1] if method.pixel_features else "age"]
+    num_boxes = int(found[2]) if found[2] and method.pixel_features else num_boxes
+    agents = tuple(replace(agent, memory=terms) for agent in method.agents)
     return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=num_boxes)
 
 
@@ -216,9 +199,7 @@ PROPOSED = METHODS["proposed"]
 def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
     """Return the method of a name for a work cell; `NAME+MEMORY` has a memory, such as `catch+fit`.
 
-    Raises:
-        UnknownNameError: There is no such method.
-        InvalidValueError: A user's method is for other robots.
+    Raises UnknownNameError, and InvalidValueError for a user's method of other robots.
     """
     base, *memories = name.split("+")
     if base not in METHODS:

@@ -117,10 +117,7 @@ def computed(
 ) -> Any:
     """Return what a term, such as one of the user, computes: numbers in a shape, where a text is any size.
 
-    They must be finite, unless what is given is blank.
-
-    Raises:
-        InvalidValueError: It fails, or returns something else; the message names the term and its file.
+    They must be finite, unless what is given is blank. An InvalidValueError names the term and its file.
     """
     code = getattr(inspect.unwrap(term), "__code__", None)
     name = f"{kind} '{getattr(term, '__name__', term)}'"

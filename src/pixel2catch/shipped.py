@@ -31,13 +31,10 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def policy_folder(folder: Path | None) -> Path:
-    """Return the folder of a policy, for its folder, its run or a shipped name; ONNX files stay files.
+    """Return the folder of a policy, for its folder, its run or a shipped name (default: `DEFAULT_POLICY`).
 
-    The name of a computed policy is returned as it is.
-
-    Raises:
-        PolicyMismatchError: The folder has no policy.
-        UnknownNameError: There is no such folder and no such name.
+    ONNX files and names of computed policies are returned as they are. Raises PolicyMismatchError for a
+    folder without a policy, UnknownNameError for another name.
     """
     if folder is not None and is_computed(folder):
         return folder

@@ -143,7 +143,7 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     before = files(tmp_path)
     settings = ("nominal", "edge_noise-10")
     cells = {f"cells/{policy}/{name}.json" for policy in ("first", "second") for name in settings}
-    assert set(before) == cells | {"table.md", "heatmap.png"}
+    assert set(before) == cells | {"table.md"}
     assert before["table.md"].decode() == printed.out
     rows = json.loads((tmp_path / "table.json").read_text())["results"]
     assert [(row["setting"], row["policy"], row["method"], row["trials"]) for row in rows[:2]] == [

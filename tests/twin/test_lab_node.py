@@ -189,7 +189,8 @@ def test_a_twin_has_the_shipped_profile_of_its_work_cell(workcell: str, profile:
 
 def test_buttons_prepare_and_throw(bench: Bench):
     cfg = PageCfg(address=f"127.0.0.1:{free_port()}")
-    with closing(TwinPage(cfg, PROFILE, bench.node, bench.clock)) as page:
+    page = TwinPage(cfg, PROFILE, bench.node, bench.clock)
+    with closing(page.page):
 
         def after(do: str, num_cycles: int = 30) -> dict[str, Any]:
             """What the page shows of the twin, some cycles after a press."""
@@ -218,7 +219,7 @@ def test_one_button_throws_and_catches():
         assert page.trial is not None
         page.trial.join()
         page.update()
-        page.close()
+        page.page.close()
         assert (twin.lab.outcome, page.seed, page.page.state["tone"]) == ("caught", 4, "stopped")
         assert page.page.state["twin"]["result"] == "caught; 1 of 1 caught"
 

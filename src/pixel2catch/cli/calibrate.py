@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
@@ -21,6 +20,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
+from pixel2catch.reports import terminal_table
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
@@ -196,11 +196,12 @@ class Calibrate:
 
 def _print_result(result: "Calibration", comparison: "Comparison") -> None:
     """Print the errors of the images, the camera, and what to do."""
-    table = Table("image", "RMS [px]", "used", title="seen and computed corners")
-    for name, rms in sorted(result.errors.items(), key=lambda each: -each[1]):
-        table.add_row(Text(name), f"{rms:.2f}", "left out" if name in result.left_out else "yes")
+    rows = [
+        {"image": name, "RMS [px]": f"{rms:.2f}", "used": "left out" if name in result.left_out else "yes"}
+        for name, rms in sorted(result.errors.items(), key=lambda each: -each[1])
+    ]
     console = results_console()
-    console.print(table)
+    console.print(terminal_table("seen and computed corners", rows))
     for line in _sentences(result, comparison):
         console.print(Text(line))
 

@@ -62,9 +62,6 @@ def prepare(device: str, *, is_here: bool = True) -> str:
 
     On a CPU torch gets one thread, because its own threads slow down steps of these small tensors: with 100
     environments on two cores, 2.5 thousand control steps a second instead of 0.7 to 2.0 thousand.
-
-    Raises:
-        DeviceUnavailableError: If CUDA was asked for and is absent.
     """
     import torch
 

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import Count, Device, OutputFile, Seed
 from pixel2catch.cli.console import prepare, progress_bar, results_console, suggest
 from pixel2catch.cli.fields import SimulatedTask
-from pixel2catch.files import json_text
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.reports import circumstances
 from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 
@@ -33,15 +33,13 @@ class Evaluate:
     out: Annotated[Path, OutputFile()] | None = None
 
     def run(self) -> None:
-        from pixel2catch.evaluation.report import write_files
-
         result = self.result()
         if self.json:
             print(json_text(result), end="", flush=True)
         else:
             print_tables({" ".join(self.objects): result}, result["method"])
         if self.out:
-            write_files(self.out.parent, {self.out.name: json_text(result)})
+            write_atomically({self.out: json_text(result)})
         suggest("play", self.policy or DEFAULT_POLICY)
 
     def result(self) -> dict[str, Any]:

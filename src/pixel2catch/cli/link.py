@@ -48,7 +48,7 @@ class Robot:
         self.load()  # refuses a file that is no profile
         text = profile_file(self.profile).read_text(encoding="utf-8")
         text = re.sub(r"(?m)^name:.*$", lambda _: f"name: {json.dumps(path.stem)}", text, count=1)
-        write_atomically({path: text.encode()})
+        write_atomically({path: text})
         say(f"wrote {path}: change topics and joint names to yours, then run 'deploy --profile {path}'")
 
 

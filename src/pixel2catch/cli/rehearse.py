@@ -72,7 +72,7 @@ class Rehearse:
             report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
         report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
         print("\n".join(_lines(report)), flush=True)
-        write_atomically({self.out / REPORT: json_text(report).encode()})
+        write_atomically({self.out / REPORT: json_text(report)})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
 
 

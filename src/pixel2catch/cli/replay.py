@@ -47,7 +47,7 @@ class Replay:
             "deploy": statistics.summary(),
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
-        write_atomically({self.out / REPORT: json_text(report).encode()})
+        write_atomically({self.out / REPORT: json_text(report)})
         print("\n".join([*notes, *_lines(report)]))
 
 

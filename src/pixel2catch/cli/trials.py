@@ -46,7 +46,7 @@ class Trials:
             )
         self.out.mkdir(parents=True, exist_ok=True)
         with held(self.out):
-            write_atomically({file: json_text(before).encode()})
+            write_atomically({file: json_text(before)})
             for throw in before["throws"]:
                 while "outcome" not in read_throw(self.out, throw):
                     series.take(throw)

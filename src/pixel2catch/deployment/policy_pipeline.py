@@ -225,12 +225,8 @@ class PolicyPipeline:
 
         After `LONGEST_GAP` without a box the arm comes to rest and the hand holds, until the object is seen
         again. While it has been still for `STILL_TIME`, the targets stay. Raises DeploymentError if the
-        newest processed image is older than `LONGEST_PERCEPTION`.
-
-        Args:
-            joint_pos: Newest measured joint positions in joint order [rad]; not finite where unknown. As in
-                training they are measured at the time of the decision, not of the image.
-            now: The time [s].
+        newest processed image is older than `LONGEST_PERCEPTION`. As in training, joint positions [rad] are
+        measured at the time of the decision [s], not of the image; they are not finite where unknown.
         """
         if not (self._boxes and np.isfinite(joint_pos).all()):
             return None

@@ -51,14 +51,10 @@ def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
 def scored(
     sightings: Iterable[Sighting], labels: Labels, fit: ImageFit, begin: float, scores: list[Score]
 ) -> Iterator[Sighting]:
-    """Yield sightings, and add a score for each labelled image.
+    """Yield the sightings of a video, and add a score for each labelled image; labels are in its own pixels.
 
-    Args:
-        sightings: Sightings of a video.
-        labels: Labels of that video, in its own pixels.
-        fit: How its images were scaled; errors are in pixels of the scaled images.
-        begin: When the object was pointed out [s since the first image]; earlier images do not count.
-        scores: Gets the scores.
+    Errors are in pixels of the scaled images. Images before the object was pointed out do not count
+    (`begin` [s since the first image]).
     """
     for sighting in sightings:
         label = labels.at(sighting.tick.image.stamp)
@@ -98,10 +94,8 @@ def _summary(rows: list[Score]) -> dict[str, Any]:
 
 
 def reacquisition(scores: Sequence[Score], first: int) -> int | None:
-    """Return the number of images until the object is found; None if it is not found before the end.
+    """Return the number of images until the object is found, from the first in which it is visible again.
 
-    Args:
-        scores: Scores of a film.
-        first: The first image in which the object is visible again.
+    None if it is not found before the end of the film.
     """
     return next((i - first for i in range(first, len(scores)) if scores[i].is_good), None)

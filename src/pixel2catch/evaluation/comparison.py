@@ -25,10 +25,17 @@ from pixel2catch.evaluation.report import (
     Row,
     difference,
     spread,
-    write_files,
     write_report,
 )
-from pixel2catch.files import as_json, decoded, json_text, read_json_object, read_text, reading
+from pixel2catch.files import (
+    as_json,
+    decoded,
+    json_text,
+    read_json_object,
+    read_text,
+    reading,
+    write_atomically,
+)
 from pixel2catch.reports import Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
@@ -159,7 +166,7 @@ class ComparisonFolder:
             methods = tuple(dict.fromkeys((*longer, *shorter)))
             seeds, sessions = max(before.seeds, seeds), (*before.sessions, *sessions)
         asked = {"methods": methods, "seeds": seeds, "configuration": plan.configuration}
-        write_files(self.path, {FILE: json_text({"plan": asked, "sessions": sessions})})
+        write_atomically({self.path / FILE: json_text({"plan": asked, "sessions": sessions})})
 
 
 def _read(path: Path) -> Json | None:

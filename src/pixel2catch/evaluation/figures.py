@@ -1,6 +1,6 @@
-"""Pictures of results as PNG files: learning curves, and rates as a coloured table."""
+"""Pictures of results as PNG files: learning curves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from math import ceil
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pixel2catch.evaluation.report import MAIN_RATES, Row
+from pixel2catch.evaluation.report import MAIN_RATES
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours for readers with any kind of colour vision. Source: Okabe and Ito 2008; grey: ours."""
@@ -30,9 +30,6 @@ STYLE: dict[Any, Any] = {
 }
 
 DPI = 110  #: Pixels of an inch.
-HEAT = "viridis"  #: Colours of rates. Source: Smith and van der Walt 2015, Matplotlib.
-DARK = 60.0  #: Rate [%] below which a cell is dark and has white letters.
-ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.5  #: Size of a cell [inch].
 
 
 def curves_picture(
@@ -68,36 +65,6 @@ def curves_picture(
         panels[0].set_ylabel("% of episodes")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=columns)
-        return png(figure)
-
-
-def heat_map(rows: Sequence[Row], by: tuple[str, str], mark: Callable[[Row], str]) -> bytes:
-    """Draw the S.R. of rows as a coloured table.
-
-    Args:
-        rows: The results.
-        by: Fields whose values are the lines and the columns.
-        mark: Returns the text behind a rate.
-    """
-    down, across = (list(dict.fromkeys(row[field] for row in rows)) for field in by)
-    rates = np.full((len(down), len(across)), np.nan)
-    width = COLUMN_WIDTH + 0.09 * max(len(mark(row)) for row in rows)
-    figure = Figure(figsize=(3.0 + width * len(across), 2.0 + ROW_HEIGHT * len(down)), layout="constrained")
-    with matplotlib.rc_context({"font.size": 9}):
-        axes = figure.subplots()
-        for row in rows:
-            i, j, rate = down.index(row[by[0]]), across.index(row[by[1]]), 100.0 * row["success_rate"]
-            rates[i, j], color = rate, "white" if rate < DARK else "black"
-            text = f"{rate:.0f} {mark(row)}".rstrip()
-            axes.text(j + 0.5, i + 0.53, text, ha="center", va="center", color=color)
-        image = axes.pcolormesh(rates, cmap=HEAT, vmin=0.0, vmax=100.0, edgecolors="white", linewidth=0.8)
-        axes.set_yticks(np.arange(len(down)) + 0.5, down)
-        axes.set_xticks(np.arange(len(across)) + 0.5, across, rotation=50, ha="left")
-        axes.set_ylim(len(down), 0)
-        axes.tick_params(length=0, top=False, labeltop=True, labelbottom=False)
-        axes.spines[:].set_visible(False)
-        bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
-        bar.set_label("S.R. [% of throws]")
         return png(figure)
 
 

@@ -28,16 +28,10 @@ An object of 4.5 m/s moves 38 mm in a physics step at 120 Hz, and 8 mm at 600 Hz
 
 
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
-    """Read a policy and its method, and check that it fits this code.
+    """Read a policy (see `policy_folder`) and its method.
 
-    Args:
-        folder: Folder of a policy or of its run, an ONNX file, or the name of a shipped policy. Default:
-            the shipped default policy. Its camera may differ from the release's, see `task_of`.
-        device: Where it computes.
-
-    Raises:
-        PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
-            method that neither this package nor its contract defines.
+    Raises PolicyMismatchError for another robot, image size or format, or a method that neither this package
+    nor the contract defines. The camera may differ from the release's, see `task_of`.
     """
     found = policy_folder(folder)
     policy = AnalyticPolicy(str(found)).to(device) if is_computed(found) else load(found, device)
@@ -77,10 +71,6 @@ def task_of(
         dynamics: Dynamics file of the robot. Default: the nominal robot, also for a policy that was trained
             with such a file.
         camera: Camera file, in place of the policy's camera.
-
-    Raises:
-        InvalidValueError: If the rate does not divide a control step into whole physics steps, or a file
-            cannot be read.
     """
     task = CatchEnvCfg(scene=SceneCfg(workcell=policy.contract.workcell, physics_hz=physics_hz))
     return task.with_camera(CameraFile(camera=_camera_of(policy))).with_files(dynamics, camera)

@@ -5,8 +5,7 @@ result that was obtained otherwise is refused before anything is computed, and n
 """
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
@@ -19,9 +18,8 @@ from pixel2catch.evaluation.grid import Json, StudyCell, differences, read_row
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
-from pixel2catch.evaluation.report import write_files
 from pixel2catch.evaluation.stress import Axis, Level, Setting, part, together
-from pixel2catch.files import as_json, json_text
+from pixel2catch.files import as_json, json_text, write_atomically
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 from pixel2catch.reports import circumstances, provenance
@@ -101,17 +99,9 @@ def policy_cells(
     *,
     is_alone: bool = True,
 ) -> list[StudyCell]:
-    """Return the cells of a study, setting by setting.
+    """Return the cells of a study, setting by setting; the task of `cfg` is replaced by that of each policy.
 
-    Args:
-        policies: The policies.
-        settings: The settings.
-        out: Folder of the study.
-        cfg: The evaluation; its task is replaced by that of each policy.
-        is_alone: Whether one cell at a time is computed and may use all processors.
-
-    Raises:
-        StudyError: If a result was obtained otherwise or is damaged.
+    A cell that is alone may use all processors. Raises StudyError if a result was obtained otherwise.
     """
     cells = []
     for setting, entry in product(settings, policies):
@@ -142,7 +132,7 @@ def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file
     digits = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
     of_row = {"seed": cfg.seed, **provenance(circumstances(), workcell.name)}
     content = origin | {"metrics": metrics(trials, workcell) | {"throws": digits} | of_row}
-    write_files(file.parent, {file.name: json_text(content)})
+    write_atomically({file: json_text(content)})
 
 
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
@@ -151,20 +141,14 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     Disturbances are drawn after the throws, which are therefore those of the nominal setting. A policy that
     is alone may use all processors, others use one each.
     """
-    with nullcontext() if is_alone else _one_processor():
-        env = cfg.make_env(method)
-    return evaluate(actor, method, cfg, env=env, is_seeded=True)
-
-
-@contextmanager
-def _one_processor() -> Iterator[None]:
-    """Physics that is built within steps in the calling thread alone, later on any free processor."""
     processors = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(processors)})
+    if not is_alone:  # physics that is built on one processor has one thread, later on any free processor
+        os.sched_setaffinity(0, {min(processors)})
     try:
-        yield
+        env = cfg.make_env(method)
     finally:
         os.sched_setaffinity(0, processors)
+    return evaluate(actor, method, cfg, env=env, is_seeded=True)
 
 
 def _require_same(file: Path, origin: Json) -> None:

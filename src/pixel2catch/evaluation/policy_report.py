@@ -6,7 +6,6 @@ from pathlib import Path
 from statistics import fmean
 
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.evaluation.figures import heat_map
 from pixel2catch.evaluation.grid import Json, read_row
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, cell_file
@@ -72,9 +71,8 @@ def stress_sections(rows: Sequence[Row]) -> list[Section]:
     means = {name: fmean(r["success_rate"] for r in rows if r["policy"] == name) for name in policies}
     lines.append({"title": "mean over settings", **{n: f"{100 * mean:.1f}" for n, mean in means.items()}})
     sources = {row["title"]: row["source"] for row in rows}
-    pictures = {"heatmap.png": heat_map(rows, ("title", "policy"), _mark)}
     return [
-        Section(title="Success rates", text=text, rows=lines, pictures=pictures),
+        Section(title="Success rates", text=text, rows=lines),
         Section(title="Sources", rows=[{"title": name, "source": each} for name, each in sources.items()]),
     ]
 
@@ -86,19 +84,13 @@ def transfer_sections(rows: Sequence[Row]) -> list[Section]:
         "with their 95 % interval; difference of S.R. from home in points with its 95 % interval, number of "
         "throws lost and won by it, and p value of McNemar's exact test. Failures in % of the throws."
     )
-    ordered = sorted(rows, key=lambda row: row["policy"])
-    places = [{**row, "place": f"{row['policy']}, restitution {row['level']}"} for row in ordered]
-    pictures = {"heatmap.png": heat_map(places, ("place", "axis"), _difference)}
-    lines = [_transfer_line(row) for row in ordered]
-    return [Section(title="Engines", text=text, rows=lines, pictures=pictures)]
-
-
-def _mark(row: Row) -> str:
-    return "" if row["is_trained_on"] else UNTRAINED
+    lines = [_transfer_line(row) for row in sorted(rows, key=lambda row: row["policy"])]
+    return [Section(title="Engines", text=text, rows=lines)]
 
 
 def _percent(row: Row) -> str:
-    return f"{percent(row['success_rate'], row['success_rate_interval'])} {_mark(row)}".rstrip()
+    mark = "" if row["is_trained_on"] else f" {UNTRAINED}"
+    return percent(row["success_rate"], row["success_rate_interval"]) + mark
 
 
 def _transfer_line(row: Row) -> Cells:
@@ -119,8 +111,3 @@ def difference_cells(change: Row | None) -> Cells:
         "lost, won": f"{change['lost']}, {change['won']}",
         "p": f"{change['p_value']:.2g}",
     }
-
-
-def _difference(row: Row) -> str:
-    change = row.get("success_rate_change")
-    return f"{100.0 * change['difference']:+.1f}" if change else ""

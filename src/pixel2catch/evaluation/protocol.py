@@ -187,17 +187,11 @@ def evaluate(
     env: CatchEnv | None = None,
     is_seeded: bool = False,
 ) -> Trials:
-    """Evaluate a policy.
+    """Evaluate a policy in environments, by default those of `cfg.make_env`; close them at the end.
 
-    Args:
-        actor: The policy.
-        method: Its method.
-        cfg: The throws.
-        on_round: Called with the trials of every round.
-        on_share: Called after every control step with the share of all rounds that is done.
-        env: Environments, which are closed at the end. Default: those of `cfg.make_env`.
-        is_seeded: Whether each round has its own seed, one after the other, so that all policies get the same
-            throws. Otherwise the throws of later rounds depend on when the holds of earlier ones are decided.
+    `on_round` gets the trials of every round, `on_share` after every control step the share of all rounds
+    that is done. Seeded rounds have seeds of their own, one after the other, so that all policies get the
+    same throws. Otherwise the throws of later rounds depend on when the holds of earlier ones are decided.
     """
     env, rounds = env or cfg.make_env(method), []
     length = env.cfg.trial_steps + TEST_STEPS

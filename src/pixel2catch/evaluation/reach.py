@@ -36,16 +36,8 @@ def _palm_places(workcell: WorkcellSpec) -> tuple[KDTree, np.ndarray, np.ndarray
     Positions of the joints are drawn; those in which the arm is in the table are left out.
     """
     generator, geometry = torch.Generator().manual_seed(0), WorkcellGeometry(workcell)
-    home, lower, upper, speed, lag = (
-        torch.tensor([[value(joint) for joint in workcell.joints]])
-        for value in (
-            lambda joint: joint.home,
-            lambda joint: joint.lower,
-            lambda joint: joint.upper,
-            lambda joint: joint.velocity_limit,
-            lambda joint: joint.damping / joint.stiffness,
-        )
-    )
+    joints = [(j.home, j.lower, j.upper, j.velocity_limit, j.damping / j.stiffness) for j in workcell.joints]
+    home, lower, upper, speed, lag = torch.tensor(joints).T[:, None]
     rows = []
     for i, palm in enumerate(workcell.palms):
         draws = torch.rand(NUM_POSES, len(workcell.joints), generator=generator)

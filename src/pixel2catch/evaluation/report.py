@@ -41,20 +41,10 @@ RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics tha
 
 
 def write_report(folder: Path, title: str, sections: Sequence[Section], data: Mapping[str, Any]) -> str:
-    """Write a report: all of its files or none.
-
-    Args:
-        folder: Gets table.md, table.json and the pictures.
-        title: Title of the study.
-        sections: What people read.
-        data: The rows behind it, by kind, for table.json.
-
-    Returns:
-        The names of the files.
-    """
+    """Write table.md, its pictures, and table.json with the rows behind them; return the files' names."""
     files = {"table.md": as_markdown(title, sections), "table.json": json_text(data)}
     pictures = {name: content for each in sections for name, content in each.pictures.items()}
-    write_files(folder, files | pictures)
+    write_atomically({folder / name: content for name, content in (files | pictures).items()})
     return ", ".join([*files, *pictures])
 
 
@@ -85,13 +75,6 @@ def difference(change: Row) -> str:
     """Return the difference of two rates with its interval, in points."""
     low, high = (100 * bound for bound in change["difference_interval"])
     return f"{100 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
-
-
-def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files by name, all or none."""
-    folder.mkdir(parents=True, exist_ok=True)
-    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
-    write_atomically({folder / name: content for name, content in contents.items()})
 
 
 def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:

@@ -239,17 +239,9 @@ BOTH_LATE = {"2.5 and 0.5": together(_latency(2.5), _delay(0.5)), "3 and 1": tog
 RESTITUTIONS = {f"{e:g}": part("randomization", restitution=(e, e)) for e in (0, 0.25, 0.5, 0.75)}
 LATENCIES = {f"{steps:g}": _latency(steps) for steps in (0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5)}
 
-ANY_CAMERA = {
-    "any": part("sensing", any_camera=True, camera=RELEASE_CAMERA),
-    "any with errors": part(
-        "sensing",
-        any_camera=True,
-        camera=RELEASE_CAMERA,
-        camera_offset=0.01,
-        camera_turn=radians(0.5),
-        focal_error=0.01,
-    ),
-}
+_ANY = part("sensing", any_camera=True, camera=RELEASE_CAMERA)
+_CALIBRATED = part("sensing", camera_offset=0.01, camera_turn=radians(0.5), focal_error=0.01)
+ANY_CAMERA = {"any": _ANY, "any with errors": together(_ANY, _CALIBRATED)}
 _PEOPLE = together(_as("throws", PEOPLE_THROWS), _as("randomization", LIGHT))
 OF_PEOPLE = {
     "aimed": together(_PEOPLE, part("throws", speed_deviation=0.0, angle_deviation=0.0)),

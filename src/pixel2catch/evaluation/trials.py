@@ -16,7 +16,7 @@ from pixel2catch.evaluation.metrics import paired_difference, rate, wilson_inter
 from pixel2catch.evaluation.policy_report import difference_cells
 from pixel2catch.evaluation.report import Row, percent, table, write_report
 from pixel2catch.files import json_text, write_atomically
-from pixel2catch.reports import Cells, Section, as_markdown, circumstances
+from pixel2catch.reports import Section, as_markdown, circumstances
 
 REPEAT = "repeat"  #: Outcome of a throw that does not count.
 EVENTS = {"T.R.": ("caught", "reached"), "S.R.": ("caught",)}  #: Outcomes that each rate counts.
@@ -52,7 +52,7 @@ def read_throw(out: Path, throw: Row) -> Row:
 def write_throw(out: Path, throw: Row) -> None:
     """Write the row of a throw; set one that is repeated aside, with its recording."""
     folder = folder_of(out, throw)
-    write_atomically({folder / "row.json": json_text(throw).encode()})
+    write_atomically({folder / "row.json": json_text(throw)})
     if throw["outcome"] == REPEAT:
         number = len([*folder.parent.glob(f"{folder.name}-*")]) + 1
         folder.rename(folder.with_name(f"{folder.name}-repeated-{number}"))
@@ -87,13 +87,17 @@ def write_trials(out: Path, throws: Sequence[Row], plan: Json) -> str:
     share = percent(right / len(throws), wilson_interval(right, len(throws)))
     num_repeated = len([*out.glob("throws/*-repeated-*")])
     cells = [{"proposed": one, "outcome": two, "count": n} for (one, two), n in sorted(counts.items())]
+    pair_lines = [
+        {**{name: f"{row[name]}" for name in ("policy", "event", "pairs")}, **difference_cells(row)}
+        for row in pairs
+    ]
     tables = [
         Section(
             title="Rates",
             text=RATES,
             rows=table(rates, "rate", "object", lambda row: percent(row["share"], row["share_interval"])),
         ),
-        Section(title="Pairs", text=PAIRS, rows=[_pair(row) for row in pairs]),
+        Section(title="Pairs", text=PAIRS, rows=pair_lines),
         Section(
             title="Proposals",
             text=f"{share} % of {len(throws)} outcomes were proposed (down); {num_repeated} throws repeated.",
@@ -110,7 +114,3 @@ def write_trials(out: Path, throws: Sequence[Row], plan: Json) -> str:
     data = {"results": rates, "pairs": pairs, "throws": throws, "plan": plan["configuration"]}
     write_report(out, "Trials", tables + pages, data | {"circumstances": circumstances()})
     return as_markdown("Trials", tables)
-
-
-def _pair(row: Row) -> Cells:
-    return {**{name: f"{row[name]}" for name in ("policy", "event", "pairs")}, **difference_cells(row)}

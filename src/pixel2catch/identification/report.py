@@ -158,7 +158,6 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
     for each in sections:
         files |= each.pictures
     require_free_folder(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     write_atomically({folder / name: content for name, content in files.items()})
     result.file.save(folder / DYNAMICS)
 

@@ -65,7 +65,15 @@ class Checkpoint:
     def load(cls, path: Path, device: str) -> "Checkpoint":
         """Read what `save_checkpoint` wrote. Raise CheckpointError if the file is missing or damaged."""
         with files.reading("checkpoint", path, FIX, CheckpointError):
-            state = _read(path, device)
+            data = files.read_bytes(path, files.MOST_WEIGHTS)
+            try:
+                open_archive(data, files.MOST_WEIGHTS).close()
+                state = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+            except (RuntimeError, EOFError, pickle.UnpicklingError, BadZipFile) as error:
+                raise InvalidValueError(f"it is damaged ({error})") from error
+            version = state.get("format_version") if isinstance(state, dict) else None
+            if version != FORMAT_VERSION:
+                raise InvalidValueError(f"it has format {version}, this code reads {FORMAT_VERSION}")
             return cls(
                 path=path,
                 contract=PolicyContract.from_dict(files.json_object(state["contract"])),
@@ -88,19 +96,6 @@ class Checkpoint:
                     torch.cuda.set_rng_state(random["cuda"].cpu(), device)
             except RuntimeError as error:
                 raise InvalidValueError(f"it does not fit this configuration: {error}") from error
-
-
-def _read(path: Path, device: str) -> dict[str, Any]:
-    data = files.read_bytes(path, files.MOST_WEIGHTS)
-    try:
-        open_archive(data, files.MOST_WEIGHTS).close()
-        state = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
-    except (RuntimeError, EOFError, pickle.UnpicklingError, BadZipFile) as error:
-        raise InvalidValueError(f"it is damaged ({error})") from error
-    version = state.get("format_version") if isinstance(state, dict) else None
-    if version != FORMAT_VERSION:
-        raise InvalidValueError(f"it has format {version}, this code reads {FORMAT_VERSION}")
-    return state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,4 +148,4 @@ class RunFolder:
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
-        files.write_atomically({self.path / name: files.json_text(content).encode()})
+        files.write_atomically({self.path / name: files.json_text(content)})

@@ -133,10 +133,6 @@ def start_workers(device: str) -> Iterator[Workers]:
     """Join the processes that torchrun started; any other process trains alone.
 
     The device is "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
-
-    Raises:
-        DeviceUnavailableError: There is no such device, or none for this process.
-        InvalidValueError: One CUDA device is named for several processes.
     """
     is_alone = not dist.is_torchelastic_launched() or int(os.environ["WORLD_SIZE"]) == 1
     local = _own_device(device, None if is_alone else int(os.environ["LOCAL_RANK"]))

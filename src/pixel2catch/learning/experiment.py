@@ -77,9 +77,7 @@ def preset(
             of that policy.
 
     Raises:
-        UnknownNameError: There is no such preset, task, work cell or policy to start from.
-        InvalidValueError: No training is possible with the values, or a file cannot be read.
-        PolicyMismatchError: The policy to start from cannot be read.
+        Pixel2CatchError: A name is unknown, a value is out of range, or a file cannot be read.
     """
     if name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
@@ -119,16 +117,9 @@ def read_run(folder: Path) -> RunRecord:
 def require_run(
     folder: Path, dynamics: Path | None = None, camera: Path | None = None, **given: str | None
 ) -> RunRecord:
-    """Read the run that goes on, and check that what is given is what it was started with.
+    """Read the run that goes on; raise CheckpointError if it was started with something else than is given.
 
-    Args:
-        folder: The run folder.
-        dynamics: Dynamics file; None where none is given.
-        camera: Camera file; likewise.
-        **given: Names by option: method, preset, task, workcell; None where the option is not given.
-
-    Raises:
-        CheckpointError: There is no run, or it was started with something else.
+    `given` are names by option: method, preset, task, workcell; None where an option or a file is not given.
     """
     if not (folder / CONFIG_FILE).is_file():
         raise CheckpointError(f"'{folder}' holds no run to resume; start without --resume.")

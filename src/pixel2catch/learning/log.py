@@ -46,7 +46,9 @@ class TrainingLog:
         # TensorBoard hides later points of older event files.
         events = SummaryWriter(str(folder), purge_step=transitions or None)
         self._sinks["metrics"] = CsvLog(folder / METRICS_FILE, transitions).write
-        self._sinks["TensorBoard events"] = partial(_add_scalars, events)
+        self._sinks["TensorBoard events"] = lambda row: [
+            events.add_scalar(name, value, int(row["transitions"])) for name, value in row.items()
+        ]
         self._closing["TensorBoard events"] = events.close
         if run:
             self._sinks["metrics to Weights & Biases"] = run.log
@@ -111,7 +113,7 @@ def start_wandb(project: str, folder: Path, config: Mapping[str, Any]) -> Any:
             f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
             "WANDB_MODE=offline."
         ) from error
-    write_atomically({file: run.id.encode()})
+    write_atomically({file: run.id})
     run.define_metric("*", step_metric="transitions")
     return run
 
@@ -134,7 +136,7 @@ class CsvLog:
         columns = list(dict.fromkeys(name for row in (self._rows[0], self._rows[-1]) for name in row))
         if columns != self._columns:
             text = ",".join(columns) + "\n" + _format(self._rows, columns)
-            write_atomically({self._path: text.encode()})
+            write_atomically({self._path: text})
         else:
             self._append(_format(self._rows[self._num_written :], columns).encode())
         self._columns, self._num_written = columns, len(self._rows)
@@ -148,11 +150,6 @@ class CsvLog:
         except OSError:
             os.truncate(self._path, size)
             raise
-
-
-def _add_scalars(writer: SummaryWriter, row: Row) -> None:
-    for name, value in row.items():
-        writer.add_scalar(name, value, int(row["transitions"]))
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

@@ -6,7 +6,7 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, frozen policies, several processes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -35,17 +35,7 @@ METRICS = ("policy_loss", "value_loss", "kl", "action_std", "learning_rate")
 
 
 class Mappo:
-    """Acts, records and updates. Between two updates nothing waits for the device.
-
-    Attributes:
-        agents: Names of the agents.
-        networks: Networks of every agent.
-        steps: Gradient steps of every agent.
-        rollout: Observations, actions and so on since the last update, (rollout_steps, num_envs, ...).
-        rewards: Rewards of every agent since the last update, (rollout_steps, num_envs).
-        is_done: Whether an episode ended at that step, (rollout_steps, num_envs).
-        next_states: Input of every agent's value network after the last step.
-    """
+    """Acts, records and updates. Between two updates nothing waits for the device."""
 
     def __init__(
         self, cfg: TrainCfg, env: CatchEnv, contract: PolicyContract, workers: Workers | None = None
@@ -53,9 +43,6 @@ class Mappo:
         """Build untrained networks; the global torch generator decides on their weights.
 
         Configuration and environments are those of this process; updates are one with those of all `workers`.
-
-        Raises:
-            PolicyMismatchError: The teacher moves other joints.
         """
         self.cfg, self.contract, self.workers = cfg, contract, workers or Workers(device=cfg.device)
         self.agents = tuple(contract.agents)
@@ -72,8 +59,10 @@ class Mappo:
 
         seen = {agent: buffer(env.observation_sizes[agent]) for agent in self.agents}
         states = seen if self._is_local else dict.fromkeys(self.agents, buffer(env.state_size))
+        #: Input of every agent's value network after the last step.
         self.next_states = {agent: states[agent][0].clone() for agent in self.agents}
-        self.is_done = buffer(fill=False)
+        self.is_done = buffer(fill=False)  #: Whether an episode ended at a step, (rollout_steps, num_envs).
+        #: What every agent saw and did since the last update, (rollout_steps, num_envs, ...).
         self.rollout = {
             agent: Batch(
                 observations=seen[agent],
@@ -90,21 +79,20 @@ class Mappo:
         self.steps = {
             name: GradientStep(cfg, each, self.rollout[name]) for name, each in self.networks.items()
         }
-        self.rewards = {agent: buffer() for agent in self.agents}
+        self.rewards = {agent: buffer() for agent in self.agents}  #: (rollout_steps, num_envs).
         self._num_steps = 0
         stream = partial(torch.cuda.Stream, cfg.device) if cfg.device.startswith("cuda") else lambda: None
         self._streams = {agent: stream() for agent in self.agents}  #: On which each is differentiated.
-        self._draw = {agent: self._fused(networks.act) for agent, networks in self.networks.items()}
+        self._draw = {
+            agent: self._recorded(torch.compile(networks.act, dynamic=False)) if cfg.fuse else networks.act
+            for agent, networks in self.networks.items()
+        }
         self._record_update()
 
     def _record_update(self) -> None:
         """Record the parts of the next update again: advantages, first epoch, other epochs."""
         self._estimate = self._recorded(self._estimate_advantages)
         self._epochs = [self._recorded(partial(self._epoch, is_first=is_first)) for is_first in (False, True)]
-
-    def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the function as one launch of few kernels, if steps are fused; else the function."""
-        return self._recorded(torch.compile(function, dynamic=False)) if self.cfg.fuse else function
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return the function as a single launch on a CUDA device, where small kernels wait for the host."""
@@ -158,7 +146,7 @@ class Mappo:
         """Discard the transitions since the last update."""
         self._num_steps = 0
 
-    def named(self, metrics: list[list[float]]) -> dict[str, float]:
+    def named(self, metrics: Iterable[Iterable[Any]]) -> dict[str, Any]:
         """Return metrics by name, from the `METRICS` of every agent."""
         return {
             f"{name}/{agent}": value

@@ -22,7 +22,7 @@ from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, sav
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
 from pixel2catch.learning.log import Row, TrainingLog, start_wandb, wandb_package
-from pixel2catch.learning.mappo import METRICS, Mappo
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.progress import heartbeat
 from pixel2catch.shipped import policy_folder
@@ -68,10 +68,7 @@ def train(
     Raises:
         NonFiniteError: NaN or infinity appeared; the message names the quantity, the last checkpoint is good.
         CheckpointError: The folder cannot be used, or the last checkpoint could not be written.
-        DeviceUnavailableError: The machine does not have `cfg.device`.
         WorkerError: Another process failed; only in the first, which alone reports it.
-        InvalidValueError: The environments cannot be split over the processes.
-        PolicyMismatchError: The policy to start from is absent or does not fit.
     """
     if cfg.wandb:
         wandb_package()
@@ -103,24 +100,21 @@ def train(
         return training.run(console, begin_step)
 
 
+@dataclasses.dataclass
 class _Training:
-    def __init__(
-        self,
-        cfg: TrainCfg,
-        make_env: MakeEnv,
-        contract: PolicyContract,
-        folder: RunFolder,
-        workers: Workers,
-        record: Mapping[str, Any],
-        progress: Progress,
-    ) -> None:
-        self.cfg, self.contract, self.folder, self.workers = cfg, contract, folder, workers
-        self.record, self.progress = record, progress
-        self.share, self.make_env = workers.share(cfg), make_env
-        self.rate = cfg.rate_at(progress.transitions)
-        self.env = make_env(self.share, self.rate)
-        torch.manual_seed(cfg.seed)
-        self.mappo = Mappo(self.share, self.env, contract, workers)
+    cfg: TrainCfg
+    make_env: MakeEnv
+    contract: PolicyContract
+    folder: RunFolder
+    workers: Workers
+    record: Mapping[str, Any]
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        self.share, self.rate = self.workers.share(self.cfg), self.cfg.rate_at(self.progress.transitions)
+        self.env = self.make_env(self.share, self.rate)
+        torch.manual_seed(self.cfg.seed)
+        self.mappo = Mappo(self.share, self.env, self.contract, self.workers)
         self.row: Row = {}
         self._is_unlogged = False
 
@@ -141,13 +135,11 @@ class _Training:
                 with self.workers.sync_errors():
                     self._save_last(log, status)
             finally:
-                result = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
+                result: Any = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
                 if self.workers.is_first:
                     with contextlib.suppress(OSError):
                         self.folder.write_json("summary.json", result)
-        return TrainResult(
-            status=status, **dataclasses.asdict(self.progress), policy=self.folder.policy, metrics=self.row
-        )
+        return TrainResult(policy=self.folder.policy, **result)
 
     def _open_log(self, console: Console) -> TrainingLog:
         is_first, run = self.workers.is_first, None
@@ -245,11 +237,7 @@ class _Training:
         self._is_unlogged = True
 
     def _require_finite(self, named: Mapping[str, float]) -> None:
-        """Check that quantities are finite; where one is not, write the state into the run folder.
-
-        Raises:
-            NonFiniteError: Some are not; the message names them, and the reward terms that are not.
-        """
+        """Write the state into the run folder and raise NonFiniteError if a quantity is not finite."""
         if all(map(math.isfinite, named.values())):
             return
         terms = {name: v for name, v in self.env.statistics.pop().items() if name.startswith("reward_term/")}
@@ -316,12 +304,7 @@ def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tens
 
 def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
     """Return parameters and `METRICS` of every agent after an update, by name."""
-    named = zip(mappo.agents, metrics, strict=True)
-    found = {
-        f"loss or metric '{name}/{agent}'": value
-        for agent, row in named
-        for name, value in zip(METRICS, row, strict=True)
-    }
+    found = {f"loss or metric '{name}'": value for name, value in mappo.named(metrics).items()}
     for agent, networks in mappo.networks.items():
         for role, parameters in networks.parts.items():
             norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])

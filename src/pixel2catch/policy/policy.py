@@ -111,7 +111,6 @@ class Policy(nn.Module):
 
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither."""
-        folder.mkdir(parents=True, exist_ok=True)
         text = self.description
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self.state_dict().items()}
         weights = safetensors.torch.save(tensors, metadata={"policy": text})

@@ -109,17 +109,10 @@ class JointLimits:
         is_identified: bool = True,
         parts: Iterable[RobotPart] = (),
     ) -> "JointLimits":
-        """Return the limits of a work cell's robots.
+        """Return the limits of a work cell's robots at a share of the full speed, up to 1.
 
-        Args:
-            workcell: The robots.
-            share: Share of the full speed, more than 0 and up to 1.
-            dynamics: Of all joints, for their lag; nominal if absent.
-            is_identified: Whether the dynamics are known; if not, commands are no faster than the joints.
-            parts: Drivers, whose `limits` may lower the full speed.
-
-        Raises:
-            InvalidValueError: The share is out of range.
+        The lag of joints is that of the dynamics, by default nominal; of joints that are not identified,
+        commands are no faster than the joints. The `limits` of drivers may lower the full speed.
         """
         if not 0.0 < share <= 1.0:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
@@ -131,11 +124,14 @@ class JointLimits:
         arm_acceleration, arm_jerk = (1000.0, 200e3) if is_identified else (300.0, 60e3)
         acceleration = np.minimum(part * each(arm_acceleration, 2000.0), most["acceleration"])
         jerk = np.minimum(part * each(arm_jerk, 2e6), most["jerk"])
-        fastest = np.minimum(most["command_speed"], _stoppable_speed(acceleration, jerk))
+        stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
+        fastest = np.minimum(most["command_speed"], stoppable)  # braking ends within the stop time
         even_speed = np.minimum(SPEED_MARGIN * own_speed, fastest)
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
-        margin = each(TRAVEL_MARGIN, 0.0) * _are_ends_of_travel(ends)
+        half_turns = np.rint(ends / pi)
+        are_of_travel = (half_turns != 0.0) & (np.abs(ends - half_turns * pi) <= 1e-6)
+        margin = each(TRAVEL_MARGIN, 0.0) * are_of_travel
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
@@ -180,17 +176,6 @@ def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Jo
     accepted = (1.0 - ROUNDING) * most["step"] / ((1.0 + most["missed_cycles"]) * ServoLimits.dt)
     accepted = np.minimum(most["command_speed"], accepted)
     return most | {"command_speed": accepted, "period": np.array(periods)}
-
-
-def _stoppable_speed(acceleration: Joints, jerk: Joints) -> Joints:
-    """Return the speed from which braking ends within `STOP_TIME` [rad/s]."""
-    return acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
-
-
-def _are_ends_of_travel(ends: np.ndarray) -> np.ndarray:
-    """Return which limits [rad] are a whole number of half turns."""
-    half_turns = np.rint(ends / pi)
-    return (half_turns != 0.0) & (np.abs(ends - half_turns * pi) <= 1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -41,7 +41,9 @@ class PlayPage:
         self._closed, self._wanted = Event(), Event()
         self.server = open_server(cfg, "Pixel2Catch")
         site = self.server.viser
-        site.on_client_connect(lambda _: self._welcome())
+        site.on_client_connect(
+            lambda _: self._wanted.set() if self.is_repeated.value or not thrower.num_throws else None
+        )
         self.stage = Stage(site, scene, self.playback)  #: The throw on the page.
         self._add_controls(site.gui, first)
 
@@ -103,10 +105,6 @@ class PlayPage:
         self.stage.close()
         self._thrower.close()
         self.server.close()
-
-    def _welcome(self) -> None:
-        if self.is_repeated.value or not self._thrower.num_throws:
-            self._wanted.set()
 
     def _throw(self) -> None:
         order, played = self.order, None

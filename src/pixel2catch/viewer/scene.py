@@ -147,15 +147,10 @@ class SceneView:
         **pose: Any,
     ) -> None:
         corners, faces = np.unique(part.faces.reshape(-1, 3), axis=0, return_inverse=True)
-        faces = faces.reshape(-1, 3)
+        faces, (red, green, blue) = faces.reshape(-1, 3), (round(255 * float(value)) for value in rgb)
         self._nodes.add_mesh_simple(
-            name, corners, faces, color=_levels(rgb), flat_shading=not is_smooth, **pose
+            name, corners, faces, color=(red, green, blue), flat_shading=not is_smooth, **pose
         )
-
-
-def _levels(rgb: tuple[float, ...] | np.ndarray) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * float(value)) for value in rgb)
-    return red, green, blue
 
 
 def _move(frame: viser.FrameHandle, pos: np.ndarray, quat: np.ndarray) -> None:

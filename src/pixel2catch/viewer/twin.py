@@ -94,24 +94,16 @@ class TwinPage:
                 self.catch()
             case {"do": "seed", "seed": int(seed)} if 0 <= seed < 2**31:
                 self.seed = seed
+            case {"do": "show"} if box := self.operator.truth.get("box"):
+                self.operator.point(box)
             case {"do": "show"}:
-                self._point()
+                raise DeploymentError("the camera sees no object: prepare a throw first")
             case {"do": "prepare"}:
                 self.operator.request(do="prepare", seed=self._next_seed())
             case {"do": "throw" | "protective_stop" | "resume" as name}:
                 self.operator.request(do=name)
             case _:
                 raise DeploymentError(f"{request} is no request; valid: {REQUESTS}")
-
-    def _point(self) -> None:
-        box = self.operator.truth.get("box")
-        if not box:
-            raise DeploymentError("the camera sees no object: prepare a throw first")
-        self.operator.point(box)
-
-    def close(self) -> None:
-        """End the page."""
-        self.page.close()
 
 
 @contextmanager

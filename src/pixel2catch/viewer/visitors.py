@@ -88,11 +88,7 @@ class Visitors:
         self._state, self._image = written, image
         if self._loop and self._news:
             with suppress(RuntimeError):  # the server has ended
-                self._loop.call_soon_threadsafe(self._wake)
-
-    def _wake(self) -> None:
-        for news in self._news.values():
-            news.set()
+                self._loop.call_soon_threadsafe(lambda: [news.set() for news in self._news.values()])
 
     async def talk(self, visitor: Visitor) -> None:
         """Serve a browser until it leaves; close the connection after a message that is no request."""
