@@ -15,7 +15,7 @@ from pixel2catch.shipped import DEFAULT_POLICY
 class Catch:
     """Evaluate the default policy, and write a short film."""
 
-    throws: Count = 300  #: Number of throws of seen objects, and of unseen objects.
+    throws: Count = 150  #: Number of throws of seen objects, and of unseen objects.
     video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:
