@@ -1,17 +1,14 @@
 """Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
+from pixel2catch.batches import Boxes, ImagePoints, PointFlags
 from pixel2catch.scene.constants import CameraSpec
 
 
-def box_of_points(
-    pixels: Float[Tensor, "num_envs num_points 2"],
-    is_visible: Bool[Tensor, "num_envs num_points"],
-    camera: CameraSpec,
-) -> Float[Tensor, "num_envs 4"]:
+def box_of_points(pixels: ImagePoints, is_visible: PointFlags, camera: CameraSpec) -> Boxes:
     """Return the smallest box around the visible points, as far as they are on the image [px].
 
     A point below the image moves the lower edge of the box to that of the image, but not the left and right
@@ -31,16 +28,14 @@ def _extent(places: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor,
     return torch.where(counts, places, torch.inf).amin(-1), torch.where(counts, places, -torch.inf).amax(-1)
 
 
-def clip_box(box: Float[Tensor, "num_envs 4"], camera: CameraSpec) -> Float[Tensor, "num_envs 4"]:
+def clip_box(box: Boxes, camera: CameraSpec) -> Boxes:
     """Clip boxes to the image [px]."""
     x = box[:, 0::2].clamp(0.0, float(camera.width))
     y = box[:, 1::2].clamp(0.0, float(camera.height))
     return torch.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], dim=-1)
 
 
-def perturb_box(
-    box: Float[Tensor, "num_envs 4"], noise: Float[Tensor, "num_envs 4"], camera: CameraSpec
-) -> Float[Tensor, "num_envs 4"]:
+def perturb_box(box: Boxes, noise: Boxes, camera: CameraSpec) -> Boxes:
     """Move each edge by its own noise [px] and clip to the image; edges that cross are exchanged.
 
     Source: paper (uniform noise of up to 5 px on each edge); the exchange is ours: a box at the image's edge

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Points, Vectors
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
@@ -54,9 +55,7 @@ def level_boxes(box: Float[Tensor, "num_boxes 4"], camera: Projection) -> Float[
     return torch.where(is_empty, box, torch.cat((middle - extent, middle + extent), dim=-1))
 
 
-def level_sight(
-    points: Float[Tensor, "num_envs num_points 3"], camera_pos: Float[Tensor, "num_envs 3"]
-) -> Float[Tensor, "num_envs num_points 3"]:
+def level_sight(points: Points, camera_pos: Vectors) -> Points:
     """Return where the level camera at a place sees world points [m].
 
     That is across and down from its axis, as shares of the depth, and 1 over the depth [1/m].

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, linalg
 
+from pixel2catch.batches import ImagePoints, PointFlags, Points, PointScalars, Scalars, Vectors
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import CameraSpec
 
@@ -20,9 +21,7 @@ class Projection:
     matrix: Float[Tensor, "*turns 3 3"]  #: K Rᵀ: (u z, v z, z) = matrix (p - center), p at depth z.
     center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
-    def pixels(
-        self, points: Float[Tensor, "num_envs num_points 3"]
-    ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
+    def pixels(self, points: Points) -> tuple[ImagePoints, PointScalars]:
         """Return pixels (u, v) [px] and depths [m] of world points: see `project`."""
         # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
         x, y, z = (points - self.center.unsqueeze(-2)).split(1, dim=-1)
@@ -38,18 +37,16 @@ class Projection:
         columns = (linalg.cross(down, forward), linalg.cross(forward, right), linalg.cross(right, down))
         return torch.stack(columns, dim=-1) / (right * columns[0]).sum(-1)[..., None, None]
 
-    def points(
-        self, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
-    ) -> Float[Tensor, "num_envs 3"]:
+    def points(self, pixels: Float[Tensor, "num_envs 2"], depth: Scalars) -> Vectors:
         """Return the world points [m] at pixels [px] and depths [m]: the inverse of `pixels`."""
         homogeneous = torch.cat((pixels, torch.ones_like(depth)[:, None]), dim=-1) * depth[:, None]
         return self.center + (homogeneous.unsqueeze(-2) * self.inverse).sum(-1)
 
-    def moved(self, offset: Float[Tensor, "num_envs 3"]) -> "Projection":
+    def moved(self, offset: Vectors) -> "Projection":
         """Return the camera, translated by an offset in the world frame [m]."""
         return replace(self, center=self.center + offset)
 
-    def turned(self, rotation: Float[Tensor, "num_envs 3"]) -> "Projection":
+    def turned(self, rotation: Vectors) -> "Projection":
         """Return the camera, turned about its centre by a rotation vector in the world frame [rad]."""
         angle = linalg.vector_norm(rotation, dim=-1)[:, None, None]
         turn = rotation[:, None].expand(-1, 3, -1)
@@ -59,7 +56,7 @@ class Projection:
         along = 0.5 * torch.sinc(0.5 * angle / torch.pi).square() * (turn * rows).sum(-1, keepdim=True)
         return replace(self, matrix=torch.cos(angle) * rows + across + along * turn)
 
-    def zoomed(self, factor: Float[Tensor, " num_envs"], camera: CameraSpec) -> "Projection":
+    def zoomed(self, factor: Scalars, camera: CameraSpec) -> "Projection":
         """Return the camera with its focal length changed by a factor; the principal point is kept."""
         u, v, depth = self.matrix.unbind(-2)
         scale = factor[:, None]
@@ -68,9 +65,7 @@ class Projection:
         return replace(self, matrix=torch.stack((u, v, depth.expand_as(u)), dim=-2))
 
 
-def project(
-    camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
-) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
+def project(camera: CameraSpec, points: Points) -> tuple[ImagePoints, PointScalars]:
     """Return pixels [px], not clipped to the image, and depths [m] of world points [m].
 
     u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame and z the depth. A
@@ -90,7 +85,7 @@ def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     return constant(camera.pos, like.device, like.dtype)
 
 
-def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
+def is_unoccluded(hit_distance: PointScalars) -> PointFlags:
     """Return whether the line from the camera to each point is free.
 
     Distances are where the ray from the camera to the point first hits robot or table (`Simulation.ray`), in
@@ -100,11 +95,7 @@ def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Te
     return (hit_distance < 0.0) | (hit_distance >= 1.0)
 
 
-def is_in_view(
-    camera: CameraSpec,
-    pixels: Float[Tensor, "num_envs num_points 2"],
-    depth: Float[Tensor, "num_envs num_points"],
-) -> Bool[Tensor, "num_envs num_points"]:
+def is_in_view(camera: CameraSpec, pixels: ImagePoints, depth: PointScalars) -> PointFlags:
     """Return whether each projected point lies in front of the camera and on the image."""
     u, v = pixels.unbind(-1)
     return (depth > 0.0) & (u >= 0.0) & (u <= camera.width) & (v >= 0.0) & (v <= camera.height)

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
 from pixel2catch.robots.joint_dynamics import (
@@ -69,12 +70,7 @@ class JointActuators:
         #: Largest torque of each joint [N·m].
         self.effort_limit: Float[Tensor, " num_joints"] = self._limits.effort_limit
 
-    def reset(
-        self,
-        mask: Bool[Tensor, " num_envs"],
-        joint_pos: Float[Tensor, "num_envs num_joints"],
-        parameters: EpisodeParameters,
-    ) -> None:
+    def reset(self, mask: Flags, joint_pos: Joints, parameters: EpisodeParameters) -> None:
         """Begin in the masked environments, with new gains, at joint positions [rad] as the command."""
         write(mask, joint_pos, self._command)
         self._last_vel.masked_fill_(mask[:, None], 0.0)
@@ -101,13 +97,11 @@ class JointActuators:
             return state
         return (*state, *self._path.live, self._dry_friction.bend, self._dry_friction.last)
 
-    def increment(
-        self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def increment(self, joint_pos_target: Joints, num_steps: int) -> Joints:
         """Return the change of the command in each of `num_steps` physics steps to the target [rad]."""
         return (joint_pos_target.to(self._command) - self._command) / num_steps
 
-    def advance(self, increment: Float[Tensor, "num_envs num_joints"]) -> None:
+    def advance(self, increment: Joints) -> None:
         """Move the command, and set controls and friction of the next physics step."""
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
@@ -123,9 +117,7 @@ class JointActuators:
             self._friction.copy_(self._dry_friction.torque(self._qpos))
             self._friction.add_(self._damped_at_limit(beyond, state))
 
-    def _damped_at_limit(
-        self, beyond: Float[Tensor, "num_envs num_joints"], state: "ActuatorState"
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def _damped_at_limit(self, beyond: Joints, state: "ActuatorState") -> Joints:
         """Torque that MuJoCo's damping takes from a servo at its limit in a physics step [N·m], to be added.
 
         The change of speed is assumed to be that of the step before. A servo whose excess over its limit
@@ -141,10 +133,10 @@ class JointActuators:
 class ActuatorState:
     """Joints and present gains of the servos, one row per environment."""
 
-    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint positions [rad].
-    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
-    stiffness: Float[Tensor, "num_envs num_joints"]  #: Gain on the position error [N·m/rad].
-    damping: Float[Tensor, "num_envs num_joints"]  #: Gain on the speed [N·m·s/rad].
+    joint_pos: Joints  #: Joint positions [rad].
+    joint_vel: Joints  #: Joint speeds [rad/s].
+    stiffness: Joints  #: Gain on the position error [N·m/rad].
+    damping: Joints  #: Gain on the speed [N·m·s/rad].
 
 
 @dataclass(frozen=True)
@@ -155,9 +147,7 @@ class ActuatorLimits:
     velocity_limit: Float[Tensor, " num_joints"]  #: Largest speed [rad/s].
     frictionloss: Float[Tensor, " num_joints"]  #: Dry friction [N·m].
 
-    def led(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def led(self, command: Joints, state: ActuatorState) -> Joints:
         """Return the position command nearest to `command` that keeps the joint's speed limit.
 
         A servo whose damping d dominates moves at k / d times the distance of its command. The release uses
@@ -166,9 +156,7 @@ class ActuatorLimits:
         lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
         return torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
 
-    def limited(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def limited(self, command: Joints, state: ActuatorState) -> Joints:
         """Return the position command nearest to `command` that keeps the speed and effort limits.
 
         MuJoCo's `forcerange` is not used: while it clamps a force, the damping is explicit and unstable.
@@ -178,9 +166,7 @@ class ActuatorLimits:
         reach = EFFORT_MARGIN * self.effort_limit / state.stiffness
         return torch.clamp(command, balance - reach, balance + reach)
 
-    def friction(
-        self, joint_vel: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def friction(self, joint_vel: Joints) -> Joints:
         """Return the dry friction of nominal joints [N·m], a smooth function of the speed.
 
         Differs: MuJoCo's `frictionloss` is a constraint, which doubles the time of a physics step.
@@ -195,9 +181,7 @@ class CommandPath:
     exact at any latency.
     """
 
-    def __init__(
-        self, dynamics: JointDynamics, dt: float, command: Float[Tensor, "num_envs num_joints"]
-    ) -> None:
+    def __init__(self, dynamics: JointDynamics, dt: float, command: Joints) -> None:
         """Make the paths for physics steps `dt` [s], for commands of this number, type and device."""
         share = _shares(0.5 + command_lag(dynamics, dt) / dt)
         self._share = torch.as_tensor(share).to(command)[:, None]
@@ -205,7 +189,7 @@ class CommandPath:
         self._transition = torch.as_tensor(filter_transition(dynamics, dt)).to(command)
         self._state = torch.stack((command, torch.zeros_like(command)), dim=-1)
 
-    def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
+    def reset(self, mask: Flags, joint_pos: Joints) -> None:
         """Set all past commands of the masked environments to their joints' positions [rad]."""
         self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
         at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
@@ -216,7 +200,7 @@ class CommandPath:
         """Return the tensors of the state, one row per environment."""
         return self._history.movedim(0, 1), self._state
 
-    def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
+    def advance(self, command: Joints) -> Joints:
         """Return the targets of the servos in a physics step [rad] from the commands at its end [rad].
 
         The next step overwrites them.

@@ -8,16 +8,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pixel2catch.batches import Counts, Features, Flags, Scalars, Vectors
 from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.control_step import Columns, Transition, take
-from pixel2catch.mdp.randomization import (
-    EpisodeParameters,
-    RandomizationCfg,
-    sample_delay,
-    sample_parameters,
-)
+from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_delay, sample_parameters
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
@@ -32,16 +28,16 @@ class StepExtremes(NamedTuple):
 
     #: Which palms and fingers touched the object: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table.
-    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched another one.
-    penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
-    joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
-    torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
+    is_robot_on_table: Flags  #: Whether a robot touched the table.
+    is_self_contact: Flags  #: Whether a robot touched itself, or another one.
+    is_robot_contact: Flags  #: Whether a robot touched another one.
+    penetration: Scalars  #: Deepest overlap of the object with anything [m].
+    joint_speed: Scalars  #: Largest speed of an arm joint [rad/s].
+    torque_share: Scalars  #: Largest joint torque, as a share of its limit.
     #: Largest net force of all contacts on the object [N], in MuJoCo; 0 in other engines.
-    object_force: Float[Tensor, " num_envs"]
+    object_force: Scalars
 
-    def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
+    def cleared(self, mask: Flags) -> "StepExtremes":
         """Return the log, cleared in the masked environments."""
         return select(mask, StepExtremes(*(torch.zeros_like(value) for value in self)), self)
 
@@ -54,35 +50,32 @@ class StepExtremes(NamedTuple):
 class EpisodeRecord:
     """The present episode of each environment so far."""
 
-    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
-    steps: Int[Tensor, " num_envs"]  #: Control steps.
-    #: Consecutive control steps with the object near the palm, up to now.
-    held_steps: Int[Tensor, " num_envs"]
-    rested_steps: Int[Tensor, " num_envs"]  #: Control steps since the first success.
-    is_tracked: Bool[Tensor, " num_envs"]  #: Whether the palm reached the object (T.R.).
-    is_success: Bool[Tensor, " num_envs"]  #: Whether it was held long enough (S.R.).
-    is_palm_contact: Bool[Tensor, " num_envs"]  #: Whether a palm itself touched it.
-    is_hand_contact: Bool[Tensor, " num_envs"]  #: Whether any part of the hand touched it.
-    is_dropped: Bool[Tensor, " num_envs"]  #: Whether it fell or passed the robot.
-    is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
-    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another robot.
-    contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
+    object_id: Counts  #: Row of the object in the table of objects.
+    steps: Counts  #: Control steps.
+    held_steps: Counts  #: Consecutive control steps with the object near the palm, up to now.
+    rested_steps: Counts  #: Control steps since the first success.
+    is_tracked: Flags  #: Whether the palm reached the object (T.R.).
+    is_success: Flags  #: Whether it was held long enough (S.R.).
+    is_palm_contact: Flags  #: Whether a palm itself touched it.
+    is_hand_contact: Flags  #: Whether any part of the hand touched it.
+    is_dropped: Flags  #: Whether it fell or passed the robot.
+    is_table_contact: Flags  #: Whether the robot touched the table.
+    is_self_contact: Flags  #: Whether the robot touched itself.
+    is_robot_contact: Flags  #: Whether it touched another robot.
+    contact_steps: Counts  #: Control steps with contact of object and hand.
     #: Deepest overlap of the object with anything in each step of `contact_steps`, summed over them [m].
-    penetration_sum: Float[Tensor, " num_envs"]
-    #: Deepest overlap of the object with anything, over all physics steps [m].
-    max_penetration: Float[Tensor, " num_envs"]
-    #: Largest speed of an arm joint, over all physics steps [rad/s].
-    max_joint_speed: Float[Tensor, " num_envs"]
-    max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
+    penetration_sum: Scalars
+    max_penetration: Scalars  #: Deepest overlap of the object with anything, over all physics steps [m].
+    max_joint_speed: Scalars  #: Largest speed of an arm joint, over all physics steps [rad/s].
+    max_torque_share: Scalars  #: Largest joint torque as a share of its limit.
     #: Largest net contact force on the object in control steps in which the hand touched it [N].
-    max_object_force: Float[Tensor, " num_envs"]
+    max_object_force: Scalars
     #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
-    hold_speed: Float[Tensor, " num_envs"]
-    hold_palms: Float[Tensor, " num_envs"]  #: Mean number of palms in reach then; likewise.
+    hold_speed: Scalars
+    hold_palms: Scalars  #: Mean number of palms in reach then; likewise.
 
     @classmethod
-    def start(cls, object_id: Int[Tensor, " num_envs"]) -> "EpisodeRecord":
+    def start(cls, object_id: Counts) -> "EpisodeRecord":
         """Return records of episodes that have just begun."""
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
         begun = {name: no if name.startswith("is_") else none.float() for name in cls.__dataclass_fields__}
@@ -124,9 +117,7 @@ class EpisodeRecord:
             hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
         )
 
-    def _at_rest(
-        self, mean: Float[Tensor, " num_envs"], value: Float[Tensor, " num_envs"], transition: Transition
-    ) -> Float[Tensor, " num_envs"]:
+    def _at_rest(self, mean: Scalars, value: Scalars, transition: Transition) -> Scalars:
         """Update a mean over the last steps of a hold; after a success it stays."""
         is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
         longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
@@ -138,7 +129,7 @@ FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
 then a fall; time-out with the object still up."""
 
 
-def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
+def failure(record: EpisodeRecord) -> Counts:
     """Return the index into `FAILURES` of each episode; meaningless for a success."""
     lost = torch.where(record.contact_steps <= 3, 1, 2)
     reached = torch.where(record.is_dropped, lost, 3)
@@ -152,12 +143,10 @@ class Episode:
     parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
     throw: Throw  #: The throw.
     camera_errors: CameraErrors | None  #: None without camera errors in the task.
-    #: Control steps between a command and its effect; not always whole.
-    command_delay: Float[Tensor, " num_envs"]
+    command_delay: Scalars  #: Control steps between a command and its effect; not always whole.
     #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
-    drag: Float[Tensor, " num_envs"] | None
-    #: Likewise its sideways acceleration, world frame; none without such a force.
-    side_force: Float[Tensor, "num_envs 3"] | None
+    drag: Scalars | None
+    side_force: Vectors | None  #: Likewise its sideways acceleration, world frame; none without such a force.
     record: EpisodeRecord  #: What became of the episode so far.
 
 
@@ -213,9 +202,7 @@ def draw_episode(
     return episode
 
 
-def _side_force(
-    ranges: RandomizationCfg, throw: Throw, generator: torch.Generator
-) -> Float[Tensor, "num_envs 3"]:
+def _side_force(ranges: RandomizationCfg, throw: Throw, generator: torch.Generator) -> Vectors:
     """Draw level accelerations across the throws, to either side, over the square of the speed [1/m]."""
     num_envs = len(throw.pos)
     along = torch.nn.functional.normalize(throw.lin_vel[:, :2], dim=-1)
@@ -231,7 +218,7 @@ def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[floa
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
 
 
-def drawn_parameters(episode: Episode) -> Float[Tensor, "num_envs k"]:
+def drawn_parameters(episode: Episode) -> Features:
     """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
     parameters, throw, record = episode.parameters, episode.throw, episode.record
     columns = [

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.batches import ByAgent, Flags
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
@@ -38,13 +38,7 @@ class EpisodeStatistics:
         self._maxima = torch.zeros(len(MAXIMA), device=device)
         self._rewards = torch.zeros(2 + sum(map(len, reward_names.values())), device=device)
 
-    def add(
-        self,
-        ended: Bool[Tensor, " num_envs"],
-        record: EpisodeRecord,
-        reward_terms: Mapping[str, Float[Tensor, "num_envs _"]],
-        is_diverged: Bool[Tensor, " num_envs"],
-    ) -> None:
+    def add(self, ended: Flags, record: EpisodeRecord, reward_terms: ByAgent, is_diverged: Flags) -> None:
         """Add the reward terms of a control step, the records of episodes that it ended, and divergences."""
         columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
         columns += [torch.where(record.is_success, getattr(record, name), 0.0) for name in SUCCESS_SUMS]

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.batches import Counts, Flags, Joints, PointFlags, Points, Quaternions, Scalars, Vectors
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
@@ -72,10 +73,10 @@ class Occluders:
     def may_hide(
         self,
         origin: Float[Tensor, "*num_envs 3"],
-        center: Float[Tensor, "num_envs 3"],
-        object_id: Int[Tensor, " num_envs"],
+        center: Vectors,
+        object_id: Counts,
         geom_pos: Float[Tensor, "num_envs num_geoms 3"],
-    ) -> Bool[Tensor, " num_envs"]:
+    ) -> Flags:
         """Return whether anything may hide a part of an object from a camera; False is certain.
 
         Rays to points of the object's ball stay within its radius of the ray to its centre. Camera, centre
@@ -152,10 +153,10 @@ class CatchWorld:
         self._linear = slice(first, first + 3)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
         #: Environments that `run` advances; the CPU leaves others as they are. None: all.
-        self.is_active: Bool[Tensor, " num_envs"] | None = None
+        self.is_active: Flags | None = None
 
     @property
-    def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
+    def joint_pos(self) -> Joints:
         """Return the true joint positions [rad]."""
         return _snapshot(self._fields.qpos[:, : self._num_joints])
 
@@ -166,11 +167,11 @@ class CatchWorld:
         state = (fields.qpos, fields.qvel, fields.qacc_warmstart, fields.xfrc_applied)
         return (*state, *self._actuators.live)
 
-    def is_diverged(self) -> Bool[Tensor, " num_envs"]:
+    def is_diverged(self) -> Flags:
         """Return where a speed is not a number, or beyond `DIVERGED_SPEED`."""
         return ~(self._fields.qvel.abs() < DIVERGED_SPEED).all(dim=-1)
 
-    def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
+    def reset(self, mask: Flags, parameters: EpisodeParameters, throw: Throw) -> None:
         """Set the masked robots to their start, with new dynamics and a new hovering object."""
         self._set_object(mask, parameters)
         joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
@@ -184,7 +185,7 @@ class CatchWorld:
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
         write(mask, weight, lift)
 
-    def release(self, mask: Bool[Tensor, " num_envs"], throw: Throw) -> None:
+    def release(self, mask: Flags, throw: Throw) -> None:
         """Throw the masked objects.
 
         Half a step of gravity is added to the speed, because the integrator moves by the speed at the end of
@@ -198,9 +199,9 @@ class CatchWorld:
 
     def run(
         self,
-        joint_pos_target: Float[Tensor, "num_envs num_joints"],
-        drag: Float[Tensor, " num_envs"] | None = None,
-        side_force: Float[Tensor, "num_envs 3"] | None = None,
+        joint_pos_target: Joints,
+        drag: Scalars | None = None,
+        side_force: Vectors | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
         """Simulate one control step; commands ramp linearly to the target (first-order hold).
@@ -224,9 +225,7 @@ class CatchWorld:
         assert peaks is not None
         return self._log(*peaks)
 
-    def _slow_object(
-        self, drag: Float[Tensor, " num_envs"], side_force: Float[Tensor, "num_envs 3"] | None
-    ) -> None:
+    def _slow_object(self, drag: Scalars, side_force: Vectors | None) -> None:
         """Apply the force of the air to the object; tumbling is neglected."""
         force = self._fields.qfrc_applied[:, self._linear]
         velocity = self._fields.qvel[:, self._linear]
@@ -269,7 +268,7 @@ class CatchWorld:
 
     def surface_points(
         self, camera_pos: Float[Tensor, "*num_envs 3"] | None = None
-    ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
+    ) -> tuple[Points, PointFlags]:
         """Return surface points of the object, world frame [m], and which of them nothing hides.
 
         They are seen from one place or one for each environment [m]. Default: the release's camera.
@@ -321,10 +320,10 @@ class CatchWorld:
     def _log(
         self,
         is_found: Bool[Tensor, "num_envs num_sensors"],
-        overlap: Float[Tensor, " num_envs"],
+        overlap: Scalars,
         joint_speed: Float[Tensor, "num_envs num_arm_joints"],
-        torque: Float[Tensor, "num_envs num_joints"],
-        square_force: Float[Tensor, " num_envs"],
+        torque: Joints,
+        square_force: Scalars,
     ) -> StepExtremes:
         """Return the log of physics steps from the largest of their `_magnitudes`, in SI units."""
         anything, num_robots = self._anything, self._num_robots
@@ -340,7 +339,7 @@ class CatchWorld:
             object_force=square_force.sqrt().float(),
         )
 
-    def _torque_share(self) -> Float[Tensor, "num_envs num_joints"]:
+    def _torque_share(self) -> Joints:
         return (self._fields.actuator_force.abs() / self._actuators.effort_limit).float()
 
 
@@ -349,7 +348,7 @@ def _snapshot(live: Tensor) -> Tensor:
     return live.to(torch.float32, copy=True)
 
 
-def rotation_matrix(quat: Float[Tensor, "num_envs 4"]) -> Float[Tensor, "num_envs 3 3"]:
+def rotation_matrix(quat: Quaternions) -> Float[Tensor, "num_envs 3 3"]:
     """Return the rotations of unit quaternions (w, x, y, z)."""
     w, x, y, z = quat.unbind(dim=-1)
     rows = (

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Boxes, Counts, Flags, Scalars, Vectors
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.region import REGION
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
@@ -25,28 +26,25 @@ class CameraErrors:
     assumed: Projection  #: The calibrated camera, which trackers and policies assume.
     camera: Projection  #: The true camera.
     box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
-    noise_scale: Float[Tensor, " num_envs"]  #: Factor on the noise of every edge.
-    drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
-    blackout_start: Int[Tensor, " num_envs"]  #: Control step of the first missing image.
-    blackout_steps: Int[Tensor, " num_envs"]  #: Control steps without images.
-    image_period: Float[Tensor, " num_envs"]  #: Control steps between images that are processed.
-    clock_error: Float[Tensor, " num_envs"]  #: Error of the age of every box, by its stamp [control steps].
-    #: Standard deviation of a further error of each image [control steps].
-    stamp_jitter: Float[Tensor, " num_envs"]
-    is_stamped: Bool[Tensor, " num_envs"]  #: Whether images have stamps.
+    noise_scale: Scalars  #: Factor on the noise of every edge.
+    drop_rate: Scalars  #: Share of the images in which the object is not found.
+    blackout_start: Counts  #: Control step of the first missing image.
+    blackout_steps: Counts  #: Control steps without images.
+    image_period: Scalars  #: Control steps between images that are processed.
+    clock_error: Scalars  #: Error of the age of every box, by its stamp [control steps].
+    stamp_jitter: Scalars  #: Standard deviation of a further error of each image [control steps].
+    is_stamped: Flags  #: Whether images have stamps.
 
-    def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
+    def is_dark(self, steps: Counts) -> Flags:
         """Return whether an image is missing after this many control steps of the episode."""
         return (steps >= self.blackout_start) & (steps < self.blackout_start + self.blackout_steps)
 
-    def is_looked_at(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
+    def is_looked_at(self, steps: Counts) -> Flags:
         """Return whether the image after this many control steps of the episode is processed."""
         count, before = steps / self.image_period, (steps - 1) / self.image_period
         return count.floor() > before.floor()
 
-    def age_error(
-        self, latency: Float[Tensor, " num_envs"], generator: torch.Generator
-    ) -> Float[Tensor, " num_envs"]:
+    def age_error(self, latency: Scalars, generator: torch.Generator) -> Scalars:
         """Return the error of the age of a box, by the stamp of its image [control steps]."""
         jitter = torch.randn(len(latency), generator=generator, device=latency.device)
         error = self.clock_error + self.stamp_jitter * jitter
@@ -100,11 +98,11 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     )
 
 
-def _sign(chance: Float[Tensor, " num_envs"]) -> Float[Tensor, " num_envs"]:
+def _sign(chance: Scalars) -> Scalars:
     return 1.0 - 2.0 * (chance < 0.5).float()
 
 
-def scaled_box(box: Float[Tensor, "num_envs 4"], factor: float) -> Float[Tensor, "num_envs 4"]:
+def scaled_box(box: Boxes, factor: float) -> Boxes:
     """Return boxes [px], scaled by a factor about their centres."""
     center = 0.5 * (box[:, :2] + box[:, 2:])
     half_size = 0.5 * factor * (box[:, 2:] - box[:, :2])
@@ -112,11 +110,8 @@ def scaled_box(box: Float[Tensor, "num_envs 4"], factor: float) -> Float[Tensor,
 
 
 def tracked_position(
-    camera: Projection,
-    assumed: Projection,
-    object_pos: Float[Tensor, "num_envs 3"],
-    shift: Float[Tensor, "num_envs 2"],
-) -> Float[Tensor, "num_envs 3"]:
+    camera: Projection, assumed: Projection, object_pos: Vectors, shift: Float[Tensor, "num_envs 2"]
+) -> Vectors:
     """Return the position that a depth camera's tracker reports, world frame [m].
 
     The true camera sees the object's centre. The tracker's pixel has the error `shift` [px]; it is projected

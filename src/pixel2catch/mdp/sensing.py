@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import torch
-from jaxtyping import Bool, Float
-from torch import Tensor
 
+from pixel2catch.batches import Boxes, Flags, PointFlags, Points, Scalars, Vectors
 from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
@@ -25,8 +24,7 @@ Pixels = Annotated[float, Within(0.0, 100.0)]  #: Largest error of an edge of a 
 class SensingCfg:
     """Noise and delay of the sensors."""
 
-    #: Largest error of each edge of the box, uniform [px] (Source: paper).
-    corner_noise: Pixels = 5.0
+    corner_noise: Pixels = 5.0  #: Largest error of each edge of the box, uniform [px] (Source: paper).
     #: Control steps between image and delivered box, drawn for each episode (Source: release).
     latency_steps: Annotated[Range, Within(0.0, 60.0)] = (1, 2)
     #: Difference of neighbouring latencies [control steps] (Source: release, whole steps); 0 draws any.
@@ -55,8 +53,7 @@ class SensingCfg:
     box_bias: Annotated[Amount, Within(0.0, 300.0)] = 0.0
     #: Factor on `corner_noise` in all images of an episode.
     noise_scale: Annotated[Amount, Within(0.0, 20.0)] = 1.0
-    #: Factor on the size of every box about its centre.
-    box_scale: Annotated[float, Within(0.1, 10.0)] = 1.0
+    box_scale: Annotated[float, Within(0.1, 10.0)] = 1.0  #: Factor on the size of every box about its centre.
     edge_noise: Pixels = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
     #: Share of the images in which the object is not found.
     drop_rate: Annotated[Amount, Within(0.0, 1.0)] = 0.0
@@ -68,8 +65,7 @@ class SensingCfg:
     clock_error: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Standard deviation of the error of each stamp [s].
     stamp_jitter: Annotated[Amount, Within(0.0, 1.0)] = 0.0
-    #: Share of the episodes whose images have no stamps; `ASSUMED_AGE` is then used.
-    unstamped: Share = 0.0
+    unstamped: Share = 0.0  #: Share of the episodes whose images have no stamps; `ASSUMED_AGE` is then used.
 
     def __post_init__(self) -> None:
         """Refuse a camera of another resolution than that of policies, and one that would not be used."""
@@ -93,19 +89,19 @@ ASSUMED_AGE = 1.5
 class Detection:
     """The object in one image."""
 
-    box: Float[Tensor, "num_envs 4"]  #: Its bounding box [px].
-    object_pos: Float[Tensor, "num_envs 3"]  #: Its position by a tracker, world frame [m].
+    box: Boxes  #: Its bounding box [px].
+    object_pos: Vectors  #: Its position by a tracker, world frame [m].
     #: Whether it was found in that image; else box and position are those of the last detection.
-    is_seen: Bool[Tensor, " num_envs"]
-    stale: Float[Tensor, " num_envs"]  #: Control steps since that detection.
-    age_error: Float[Tensor, " num_envs"]  #: Error of its age by the stamp [control steps].
+    is_seen: Flags
+    stale: Scalars  #: Control steps since that detection.
+    age_error: Scalars  #: Error of its age by the stamp [control steps].
 
-    def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
+    def held(self, is_seen: Flags, previous: "Detection") -> "Detection":
         """Return this detection where the object is seen, else the previous one, a control step older."""
         later = replace(previous, is_seen=torch.zeros_like(is_seen), stale=previous.stale + 1.0)
         return select(is_seen, self, later)
 
-    def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
+    def exposed_before(self, previous: "Detection", time: Scalars) -> "Detection":
         """Return the detection some time before this one, 0 to 1 [control steps], by linear interpolation.
 
         The previous detection is one control step older.
@@ -120,11 +116,8 @@ class Detection:
 
 
 def detect(
-    points: Float[Tensor, "num_envs num_points 3"],
-    is_visible: Bool[Tensor, "num_envs num_points"],
-    least_visible: float,
-    camera: Projection | None = None,
-) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
+    points: Points, is_visible: PointFlags, least_visible: float, camera: Projection | None = None
+) -> tuple[Boxes, Flags]:
     """Return the box of the visible surface points, clipped to the image [px], and whether enough are seen.
 
     Args:

@@ -9,11 +9,11 @@ Source: ours. The constants are tuned on throws of the nominal task (experiments
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from pixel2catch.agents import commands_of
+from pixel2catch.batches import Features, Flags, Joints, Vectors
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
@@ -58,9 +58,6 @@ METHODS_OF = {"analytic": "analytic+flight", "analytic_told": "analytic_told+age
 """What each policy observes: the name of its method and memory."""
 
 FALL = torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)  #: Acceleration in flight [m/s²].
-
-Vectors = Float[Tensor, "num_envs 3"]
-Joints = Float[Tensor, "num_envs num_joints"]
 
 
 class Catcher(nn.Module):
@@ -108,7 +105,7 @@ class Catcher(nn.Module):
         # Where fingers point as the arm waits, world frame.
         self._fingers = pose_and_slopes(self._chain, self._ready)[0][0, :3, :3] @ local_way
 
-    def forward(self, observation: Float[Tensor, "num_envs k"]) -> Joints:
+    def forward(self, observation: Features) -> Joints:
         """Return the actions of all joints."""
         parts = observation.cpu().double().split([*self._sizes.values()], dim=-1)
         part = dict(zip(self._sizes, parts, strict=True))
@@ -130,7 +127,7 @@ class Catcher(nn.Module):
         hand = torch.where(is_cupped[:, None], self._cup + share * way, self._open)
         return torch.cat((arm, hand), dim=-1).to(observation)
 
-    def _flight(self, part: dict[str, Tensor]) -> tuple[Vectors, Vectors, Bool[Tensor, " num_envs"]]:
+    def _flight(self, part: dict[str, Tensor]) -> tuple[Vectors, Vectors, Flags]:
         """Return position [m] and velocity [m/s] of the object now, and whether it flies."""
         if "measured_boxes[t]" in part:
             *box, age = part["measured_boxes[t]"].unflatten(-1, (5, -1)).unbind(1)

@@ -7,10 +7,11 @@ which it falls, and the time of release, before which the object is at rest.
 from math import sqrt
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from pixel2catch.batches import Flags, Vectors
 from pixel2catch.camera.level import LEVEL_CAMERA
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.mdp.throws import ThrowCfg, launch_velocity
@@ -25,8 +26,6 @@ NUM_STEPS, NUM_PLAIN = 6, 2  #: Gauss-Newton steps, and those that weight all bo
 DIFFERENCE = 1e-4  #: Change of a parameter for a derivative [deviations]. Source: ours.
 TIME_STIFFNESS = 1e-3  #: Damping of the release time, which has no prior [1/step²]. Source: ours.
 LEAST_RISE = 0.05  #: Least height of the peak over release and catch height [m]. Source: ours.
-
-Vectors = Float[Tensor, "num_envs 3"]
 
 
 class BallisticFit:
@@ -47,7 +46,7 @@ class BallisticFit:
         box: Float[Tensor, "num_envs num_boxes 4"],
         age: Float[Tensor, "num_envs num_boxes"],
         camera_pos: Vectors,
-    ) -> tuple[Vectors, Vectors, Bool[Tensor, " num_envs"]]:
+    ) -> tuple[Vectors, Vectors, Flags]:
         """Return the object's position [m] and velocity [m/s] now, and whether it flies.
 
         Boxes are those of the level camera [px], newest first, with their ages [control steps].

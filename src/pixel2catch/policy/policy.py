@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import safetensors.torch
 import torch
-from jaxtyping import Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from pixel2catch import files
+from pixel2catch.batches import ByAgent
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.mdp.tensors import require_shapes
 from pixel2catch.policy.contract import PolicyContract
@@ -96,9 +96,7 @@ class Policy(nn.Module):
         return copied
 
     @torch.no_grad()
-    def act(
-        self, observations: dict[str, Float[Tensor, "num_envs _"]]
-    ) -> dict[str, Float[Tensor, "num_envs _"]]:
+    def act(self, observations: ByAgent) -> ByAgent:
         """Return the mean action of every agent, clipped to [-1, 1]."""
         shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
         require_shapes("observation", observations, shapes)

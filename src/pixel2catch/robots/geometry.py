@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.batches import Joints, Quaternions, Scalars, Vectors
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.spec import Vec3
@@ -59,15 +60,11 @@ class Chain:
         #: w >= 0; w is 0 at the start pose, where noise would flip all four entries.
         self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
 
-    def link_poses(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+    def link_poses(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
         """Return the world frame at the far end of each link; the last one is the site's."""
         return torch.stack([*accumulate(self._transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
 
-    def pose(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
+    def pose(self, joint_pos: Joints) -> tuple[Vectors, Quaternions]:
         """Return position [m] and orientation (w, x, y, z) of the site in the world, for joints [rad]."""
         transforms = [*self._transforms(joint_pos).unbind(dim=1)]
         while len(transforms) > 3:  # multiply in pairs: fewer dependent kernels
@@ -77,14 +74,12 @@ class Chain:
         *_, pose = accumulate(transforms, _multiply)
         return pose[:, :3, 3], self._quaternion(pose)
 
-    def _transforms(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+    def _transforms(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
         constant, cosine, sine = self.matrices.unbind(0)
         angle = joint_pos[..., None, None]
         return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
 
-    def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Float[Tensor, "num_envs 4"]:
+    def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Quaternions:
         """Convert the rotation by the row of 4 q qᵀ with the largest diagonal entry."""
         products = (self._products * pose.reshape(-1, 1, 1, 16)).sum(-1)
         diagonal = products.diagonal(dim1=-2, dim2=-1)
@@ -290,7 +285,7 @@ class WorkcellGeometry:
         self._points = [_TablePoints(workcell, palm, device) for palm in workcell.palms]
 
     def palm_poses(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+        self, joint_pos: Joints
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
         """Return position [m] and orientation (w, x, y, z) of all palms in the world, for joints [rad]."""
         poses = [
@@ -300,9 +295,7 @@ class WorkcellGeometry:
         pos, quat = zip(*poses, strict=True)
         return torch.stack(pos, dim=1), torch.stack(quat, dim=1)
 
-    def depth_in_table(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_palms"]:
+    def depth_in_table(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_palms"]:
         """Return how deep each arm or hand box is inside the table plus `TABLE_CLEARANCE` [m].
 
         Checks points on the axes of the capsules and the corners of the hand box. A box edge that crosses an
@@ -339,7 +332,7 @@ class _TablePoints:
         self._points, self._middle = to_device(points), to_device(center)
         self._reach, self._top = to_device(np.array(table.size) / 2.0 + around), to_device(top + around[:, 0])
 
-    def depth(self, poses: Float[Tensor, "num_envs num_links 4 4"]) -> Float[Tensor, " num_envs"]:
+    def depth(self, poses: Float[Tensor, "num_envs num_links 4 4"]) -> Scalars:
         place = (poses[:, self._links, :3] * self._points[:, None]).sum(dim=-1)
         is_over = ((place[..., :2] - self._middle).abs() < self._reach).all(dim=-1)
         depth = (self._top - place[..., 2]).clamp(min=0.0)

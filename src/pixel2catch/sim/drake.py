@@ -11,13 +11,11 @@ from typing import Any, final
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import Pose, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy
+from pixel2catch.sim.engine import EngineCopy, Positions, Speeds, Targets, Wrenches
 from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
 
 MODULES = {
@@ -73,7 +71,7 @@ class DrakeCopy(EngineCopy):
         self._target = plant.get_desired_state_input_port(made.robots)
         self._force = plant.get_applied_generalized_force_input_port()
 
-    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def set_state(self, qpos: Positions, qvel: Speeds) -> None:
         plant = self._plant
         q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
         q[self._q], v[self._v] = qpos[self._qpos], qvel[self._dofs]
@@ -84,9 +82,7 @@ class DrakeCopy(EngineCopy):
             v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
         plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
 
-    def step(  # noqa: D102
-        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
-    ) -> None:
+    def step(self, ctrl: Targets, qfrc: Speeds, xfrc: Wrenches) -> None:
         self._aim[: len(self._ctrl)] = ctrl[self._ctrl]
         self._target.FixValue(self._context, self._aim)
         force = np.zeros(self._plant.num_velocities())
@@ -106,7 +102,7 @@ class DrakeCopy(EngineCopy):
         following = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
         self._root.get_mutable_discrete_state().SetFrom(following)
 
-    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def read_state(self, qpos: Positions, qvel: Speeds) -> None:
         q, v = self._plant.GetPositions(self._context), self._plant.GetVelocities(self._context)
         qpos[self._qpos], qvel[self._dofs] = q[self._q], v[self._v]
         for body, first, speed in self._free:

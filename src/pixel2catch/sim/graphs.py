@@ -4,16 +4,14 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 import torch
 from torch import Tensor
 
 from pixel2catch.devices import Constants, keeping
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.sim.simulation import Simulation
-
-Result = TypeVar("Result")
+from pixel2catch.sim.simulation import Result, Simulation
 
 
 class GraphedFunction(Generic[Result]):

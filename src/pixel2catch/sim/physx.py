@@ -17,7 +17,7 @@ from numpy import ndarray
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import Pose, quaternion, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy
+from pixel2catch.sim.engine import EngineCopy, Positions, Speeds, Targets, Wrenches
 from pixel2catch.sim.rigid_world import Body, Geom, Joint, RigidWorld, turned_onto
 
 MOST_EXCLUDED = 32  #: Largest number of pairs that do not collide: bits of SAPIEN's collision group.
@@ -82,7 +82,7 @@ class PhysxCopy(EngineCopy):
             solved.set_solver_velocity_iterations(VELOCITY_ITERATIONS)
             solved.set_sleep_threshold(0.0)
 
-    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def set_state(self, qpos: Positions, qvel: Speeds) -> None:
         for tree in self._trees:
             tree.articulation.set_qpos(qpos[tree.qpos])
             tree.articulation.set_qvel(qvel[tree.dofs])
@@ -95,9 +95,7 @@ class PhysxCopy(EngineCopy):
             component.set_linear_velocity(qvel[body.dof : body.dof + 3] + _cross(angular, arm))
             component.set_angular_velocity(angular)
 
-    def step(  # noqa: D102
-        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
-    ) -> None:
+    def step(self, ctrl: Targets, qfrc: Speeds, xfrc: Wrenches) -> None:
         for tree in self._trees:
             for joint, target in zip(tree.joints, ctrl[tree.actuators].tolist(), strict=True):
                 joint.set_drive_target(target)
@@ -114,7 +112,7 @@ class PhysxCopy(EngineCopy):
                 component.add_force_torque(applied[:3], torque)
         self._system.step()
 
-    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def read_state(self, qpos: Positions, qvel: Speeds) -> None:
         for tree in self._trees:
             qpos[tree.qpos] = tree.articulation.get_qpos()
             qvel[tree.dofs] = tree.articulation.get_qvel()
