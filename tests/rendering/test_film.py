@@ -93,7 +93,7 @@ def falling(num_steps: int, catch: int) -> RecordedThrow:
     home = np.array([joint.home for joint in workcell.joints])
     qpos, qvel = np.tile(model.qpos0, (num_steps, 1)), np.zeros((num_steps, model.nv))
     qpos[:, : len(home)] = home
-    palm = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(home[None, :6]).float())[0][0].numpy()
+    palm = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(home[None, :6]))[0][0].numpy()
     for step in range(10, num_steps):
         share = min((step - 10) / (catch - 10), 1.0)
         qpos[step, OBJECT_POS] = (1.0 - share) * qpos[0, OBJECT_POS] + share * palm

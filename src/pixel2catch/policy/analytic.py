@@ -20,7 +20,8 @@ from pixel2catch.methods import find_method
 from pixel2catch.policy.ballistics import BallisticFit
 from pixel2catch.policy.contract import AgentContract, contract_of
 from pixel2catch.policy.policy import Policy
-from pixel2catch.robots.inverse import chain_to, damped_step, joints_reaching, pose_and_slopes
+from pixel2catch.robots.geometry import Chain, chain_of
+from pixel2catch.robots.inverse import damped_step, joints_reaching, pose_and_slopes
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.workcells import known_workcell
@@ -72,12 +73,12 @@ class Catcher(nn.Module):
             )
         self._fit, self._sizes = BallisticFit(throws), dict(contract.observation)
         (palm,) = workcell.palms
-        self._arm, self._hand = palm.carriers, slice(palm.stop, None)
+        self._arm, self._hand = palm.carriers, slice(palm.carriers.stop, None)
         joints = [(j.home, j.lower, j.upper, j.velocity_limit) for j in workcell.joints]
         home, *limits, speeds = _tensor(joints).T
         limits = torch.stack(limits)
         self._limits, self._speeds = limits[:, self._arm].clone(), speeds[self._arm]
-        self._chain, _ = chain_to(workcell, palm.spec.site)
+        self._chain = chain_of(workcell, palm)
         self._normal = _tensor(palm.spec.normal)
         aim = [sum(values) / 2.0 for values in (throws.aim_x, throws.aim_y, throws.aim_z)]
         place, axis = _tensor([aim]) + _tensor(WAIT_OFFSET), _tensor([WAIT_AXIS])
@@ -89,11 +90,12 @@ class Catcher(nn.Module):
         limits[:, self._arm] = home[self._arm]
         cup, closed, tips = home.clone(), home.clone(), list[Tensor]()
         for finger in palm.spec.fingers:
-            chain, columns = chain_to(workcell, finger.tip)
+            chain = Chain(workcell, finger.tip, "cpu", torch.float64)
+            columns = chain.columns
             tips.append(pose_and_slopes(chain, home[None, columns])[0][0, :3, 3])
             grip = (palm_pos + GRIP * normal)[None]
             bent = joints_reaching(chain, home[None, columns], limits[:, columns], grip, num_steps=60)[0]
-            own = [column for column in columns if column >= palm.stop]
+            own = [column for column in columns if column >= palm.carriers.stop]
             closed[own] = bent[-len(own) :]
             share = _tensor([CUP_FIRST] + [CUP_OTHERS] * (len(own) - 1))
             cup[own] = home[own] + share * (closed[own] - home[own])

@@ -8,7 +8,6 @@ capsules about its links. A hand is a box that contains it at every position of 
 first link stand on the table and are left out.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate, product
@@ -20,8 +19,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.batches import Joints, Quaternions, Scalars, Vectors
-from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.poses import pose_matrix
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robots.poses import pose_matrix, pose_of
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
@@ -35,21 +34,15 @@ class Chain:
     """The hinges between the world and a site, from base to tip."""
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        site: str,
-        home: Sequence[float],
-        *,
-        device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float32,
+        self, workcell: WorkcellSpec, site: str, device: torch.device | str, dtype: torch.dtype
     ) -> None:
-        """Read the chain from a model; `home` are the start positions of its joints [rad]."""
-        self.joints, matrices = read_chain(model, site)
-        if len(self.joints) != len(home):
-            raise InvalidValueError(
-                f"{len(home)} start positions were given; give one for each joint that moves the site "
-                f"'{site}': {', '.join(self.joints)}."
-            )
+        self.joints, matrices = _read_chain(bare_model(workcell), site)
+        names = workcell.joint_names
+        for joint in self.joints:
+            if joint not in names:
+                raise UnknownNameError(f"joint that moves the site '{site}'", joint, names)
+        self.columns = [names.index(joint) for joint in self.joints]  #: Columns of its joints.
+        home = [workcell.joints[column].home for column in self.columns]
         #: K, C and S of each joint, multiplied by the fixed transforms between joints.
         self.matrices = torch.as_tensor(matrices, dtype=dtype, device=device)
         self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
@@ -90,7 +83,7 @@ class Chain:
         return torch.where(side < 0, -quat, quat)
 
 
-def read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
+def _read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the names of the joints that move a site, and K, C, S: (3, num_joints, 4, 4)."""
     end = model.site(site)
     body, after = int(end.bodyid[0]), pose_matrix(end.pos, end.quat)
@@ -175,27 +168,21 @@ class ArmShape:
     reached: Int[np.ndarray, " some"]
 
 
+@cache
 def chain_of(
     workcell: WorkcellSpec,
     palm: PlacedPalm,
     device: torch.device | str = "cpu",
-    dtype: torch.dtype = torch.float32,
+    dtype: torch.dtype = torch.float64,
 ) -> Chain:
     """Return the chain of joints that carry a palm."""
-    home = [joint.home for joint in workcell.joints[palm.carriers]]
-    return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
-
-
-@cache
-def first_chain(workcell: WorkcellSpec) -> Chain:
-    """Return the chain of joints that carry the first palm, on the CPU, in float64."""
-    return chain_of(workcell, workcell.palms[0], dtype=torch.float64)
+    return Chain(workcell, palm.spec.site, device, dtype)
 
 
 @cache
 def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     """Read the shape of the arm that carries a palm from the model."""
-    model, chain = bare_model(workcell), chain_of(workcell, palm, dtype=torch.float64)
+    model, chain = bare_model(workcell), chain_of(workcell, palm)
     data = mujoco.MjData(model)
     data.qpos[:] = [joint.home for joint in workcell.joints]
     mujoco.mj_kinematics(model, data)
@@ -250,9 +237,8 @@ def _last_link_box(
     is_before = welded & (model.geom_bodyid < model.body(palm.spec.body).id)
     boxes = []
     for geom in np.flatnonzero(is_before & (model.geom_group == COLLISION_GROUP)):
-        frame = np.eye(4)
-        frame[:3, :3] = axes.T @ data.geom_xmat[geom].reshape(3, 3)
-        frame[:3, 3] = axes.T @ (data.geom_xpos[geom] - origin)
+        turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
+        frame = pose_of(axes.T @ (data.geom_xpos[geom] - origin), turn)
         middle, half = model.geom_aabb[geom].reshape(2, 3)
         boxes.append(_box_about(frame, middle - half, middle + half))
     lower, upper = zip(*boxes, strict=True)
@@ -280,18 +266,20 @@ class WorkcellGeometry:
     """Palm poses and table clearances of a work cell, on one device."""
 
     def __init__(self, workcell: WorkcellSpec, device: torch.device | str = "cpu") -> None:
-        self._columns = [palm.carriers for palm in workcell.palms]
-        self._chains = [chain_of(workcell, palm, device) for palm in workcell.palms]
-        self._points = [_TablePoints(workcell, palm, device) for palm in workcell.palms]
+        self._arms = [
+            (
+                palm.carriers,
+                chain_of(workcell, palm, device, torch.float32),
+                _TablePoints(workcell, palm, device),
+            )
+            for palm in workcell.palms
+        ]
 
     def palm_poses(
         self, joint_pos: Joints
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
         """Return position [m] and orientation (w, x, y, z) of all palms in the world, for joints [rad]."""
-        poses = [
-            chain.pose(joint_pos[:, columns])
-            for chain, columns in zip(self._chains, self._columns, strict=True)
-        ]
+        poses = [chain.pose(joint_pos[:, columns]) for columns, chain, _ in self._arms]
         pos, quat = zip(*poses, strict=True)
         return torch.stack(pos, dim=1), torch.stack(quat, dim=1)
 
@@ -301,11 +289,8 @@ class WorkcellGeometry:
         Checks points on the axes of the capsules and the corners of the hand box. A box edge that crosses an
         edge of the table between two corners is missed; the servo checks the whole box.
         """
-        depths = [
-            points.depth(chain.link_poses(joint_pos[:, columns]))
-            for chain, columns, points in zip(self._chains, self._columns, self._points, strict=True)
-        ]
-        return torch.stack(depths, dim=1)
+        poses = [(points, chain.link_poses(joint_pos[:, columns])) for columns, chain, points in self._arms]
+        return torch.stack([points.depth(each) for points, each in poses], dim=1)
 
 
 class _TablePoints:

@@ -6,20 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robots.geometry import Chain, bare_model, read_chain
-from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.robots.geometry import Chain
 
 AXIS_WEIGHT = 0.15  #: Weight of the deviation of an axis against that of a point [m]. Source: ours.
 DAMPING = 1e-3  #: Weight of a step against the error that remains [m²/rad²]. Source: ours.
 
 Batch = Float[Tensor, "num_envs _"]
-
-
-def chain_to(workcell: WorkcellSpec, site: str) -> tuple[Chain, list[int]]:
-    """Return the chain of joints between the world and a site, in float64, and their columns."""
-    model, names = bare_model(workcell), workcell.joint_names
-    columns = [names.index(name) for name in read_chain(model, site)[0]]
-    return Chain(model, site, [workcell.joints[i].home for i in columns], dtype=torch.float64), columns
 
 
 def pose_and_slopes(
