@@ -19,6 +19,8 @@ from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
+CAMERA = nominal_projection(RGB_CAMERA, torch.zeros(1))
+
 
 def detection(mark: float, num_envs: int = 1, **changes: torch.Tensor) -> Detection:
     fields = {
@@ -59,7 +61,7 @@ def in_front(depth: float = 2.0) -> torch.Tensor:
 @pytest.mark.parametrize(("visible", "expected"), [(0, False), (1, False), (2, True), (20, True)])
 def test_too_little_of_an_object_is_no_detection(visible, expected):
     """The box of all of it: 6 cm at 2 m are 618 * 0.06 / 2 = 18.5 px, about the optical axis."""
-    found, is_seen = detect(in_front(), torch.arange(20)[None] < visible, 0.1)
+    found, is_seen = detect(in_front(), torch.arange(20)[None] < visible, 0.1, CAMERA)
     assert is_seen.item() is expected
     if visible == 20:
         middle, half = RGB_CAMERA.cx, 618.163 * 0.03 / 2
@@ -68,8 +70,8 @@ def test_too_little_of_an_object_is_no_detection(visible, expected):
 
 def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
     everything = torch.ones(1, 20, dtype=torch.bool)
-    assert not detect(in_front(-2.0), everything, 0.05)[1]
-    assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05)[1]
+    assert not detect(in_front(-2.0), everything, 0.05, CAMERA)[1]
+    assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05, CAMERA)[1]
 
 
 def test_a_camera_with_images_of_another_size_is_refused():

@@ -77,12 +77,7 @@ def project(camera: CameraSpec, points: Points) -> tuple[ImagePoints, PointScala
 def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
     """Return the camera as specified, with dtype and device of `like`."""
     matrix = constant(_matrix(camera), like.device, like.dtype)
-    return Projection(matrix=matrix, center=camera_center(camera, like))
-
-
-def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
-    """Return the camera's centre of projection in the world frame [m], with dtype and device of `like`."""
-    return constant(camera.pos, like.device, like.dtype)
+    return Projection(matrix=matrix, center=constant(camera.pos, like.device, like.dtype))
 
 
 def is_unoccluded(hit_distance: PointScalars) -> PointFlags:

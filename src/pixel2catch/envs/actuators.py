@@ -44,19 +44,20 @@ class JointActuators:
     ) -> None:
         """Take over the controls of a simulation; `nominal` are the joints without an identification."""
         num_joints = len(dynamics.joints)
-        self._qpos = simulation.bind("qpos")[:, :num_joints]
-        self._qvel = simulation.bind("qvel")[:, :num_joints]
         self._ctrl = simulation.bind("ctrl")
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
         numbers = (efforts, velocity_limits, dynamics.frictionloss)
-        self._limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
+        self.limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
-        # Copies of the present gains; in MuJoCo's parameters they are ten numbers apart, which is slower.
-        self._stiffnesses, self._dampings = (
-            each.expand_as(self._ctrl).clone() for each in (self._stiffness, self._damping)
+        # Copies of the present gains: in MuJoCo's parameters they are ten numbers apart, which is slower.
+        self._state = ActuatorState(
+            joint_pos=simulation.bind("qpos")[:, :num_joints],
+            joint_vel=simulation.bind("qvel")[:, :num_joints],
+            stiffness=self._stiffness.expand_as(self._ctrl).clone(),
+            damping=self._damping.expand_as(self._ctrl).clone(),
         )
         self._command, self._last_vel = torch.zeros_like(self._ctrl), torch.zeros_like(self._ctrl)
         self._path, self._dry_friction, self._implicit = None, None, 1.0
@@ -67,8 +68,6 @@ class JointActuators:
                 torch.as_tensor(each).to(self._command) for each in (dynamics.frictionloss, dynamics.armature)
             )
             self._dry_friction, self._implicit = DryFriction(friction, armature, self._command, dt), 0.5
-        #: Largest torque of each joint [N·m].
-        self.effort_limit: Float[Tensor, " num_joints"] = self._limits.effort_limit
 
     def reset(self, mask: Flags, joint_pos: Joints, parameters: EpisodeParameters) -> None:
         """Begin in the masked environments, with new gains, at joint positions [rad] as the command."""
@@ -84,8 +83,8 @@ class JointActuators:
             (self._gainprm[..., 0], stiffness),
             (self._biasprm[..., 1], -stiffness),
             (self._biasprm[..., 2], -self._implicit * damping),
-            (self._stiffnesses, stiffness),
-            (self._dampings, damping),
+            (self._state.stiffness, stiffness),
+            (self._state.damping, damping),
         ):
             write(mask, value, target)
 
@@ -105,16 +104,14 @@ class JointActuators:
         """Move the command, and set controls and friction of the next physics step."""
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
-        state = ActuatorState(
-            joint_pos=self._qpos, joint_vel=self._qvel, stiffness=self._stiffnesses, damping=self._dampings
-        )
-        self._ctrl.copy_(self._limits.limited(aim, state))
+        state = self._state
+        self._ctrl.copy_(self.limits.limited(aim, state))
         if self._dry_friction is None:
-            self._friction.copy_(self._limits.friction(self._qvel))
+            self._friction.copy_(self.limits.friction(state.joint_vel))
         else:
-            beyond = state.stiffness * (self._limits.led(aim, state) - self._ctrl)
-            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * self._qvel)
-            self._friction.copy_(self._dry_friction.torque(self._qpos))
+            beyond = state.stiffness * (self.limits.led(aim, state) - self._ctrl)
+            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * state.joint_vel)
+            self._friction.copy_(self._dry_friction.torque(state.joint_pos))
             self._friction.add_(self._damped_at_limit(beyond, state))
 
     def _damped_at_limit(self, beyond: Joints, state: "ActuatorState") -> Joints:

@@ -24,13 +24,7 @@ class EpisodeStatistics:
     def __init__(
         self, object_names: tuple[str, ...], reward_names: Mapping[str, tuple[str, ...]], device: torch.device
     ) -> None:
-        """Start empty.
-
-        Args:
-            object_names: Names of the objects by row of the object table.
-            reward_names: Names of the reward terms of each agent.
-            device: Where the records are.
-        """
+        """Start empty, for objects by row of the object table and the reward terms of each agent."""
         self._object_names, self._reward_names = object_names, reward_names
         self._modes = torch.arange(len(FAILURES), device=device)
         num_columns = 1 + len(SHARES) + len(SUMS) + len(SUCCESS_SUMS) + len(FAILURES)

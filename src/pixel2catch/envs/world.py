@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.batches import Counts, Flags, Joints, PointFlags, Points, Quaternions, Scalars, Vectors
-from pixel2catch.camera.pinhole import camera_center, is_unoccluded
+from pixel2catch.camera.pinhole import is_unoccluded
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.control_step import Columns, Privileged, merged, take
@@ -21,11 +21,11 @@ from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import contact_solref
-from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
+from pixel2catch.scene.constants import GRAVITY
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
 from pixel2catch.sim.factory import make_simulation
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.sim.simulation import Places, Simulation
 from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
@@ -54,15 +54,10 @@ FIELDS = (
 class Occluders:
     """Bounding balls of the robot's geoms and of the objects, and the table's top."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        groups: tuple[int, ...],
-        surface: Float[Tensor, "num_objects num_points 3"],
-    ) -> None:
-        """Read geoms of some groups from a model; points on every object are about its centre [m]."""
+    def __init__(self, model: mujoco.MjModel, surface: Float[Tensor, "num_objects num_points 3"]) -> None:
+        """Read the geoms of a model; points on every object are about its centre [m]."""
         surroundings = [model.geom(name).id for name in ("floor", "table")]
-        is_ball = np.isin(model.geom_group, groups)
+        is_ball = np.isin(model.geom_group, OCCLUDER_GROUPS)
         is_ball[surroundings] = False
         radius = np.where(is_ball, model.geom_rbound + OCCLUDER_MARGIN, -np.inf)
         self._radius = torch.tensor(radius).to(surface)
@@ -70,23 +65,15 @@ class Occluders:
         table = model.geom("table")
         self._top = float(table.pos[2] + table.size[2]) + OCCLUDER_MARGIN
 
-    def may_hide(
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        center: Vectors,
-        object_id: Counts,
-        geom_pos: Float[Tensor, "num_envs num_geoms 3"],
-    ) -> Flags:
+    def may_hide(self, origin: Places, center: Vectors, object_id: Counts, geom_pos: Points) -> Flags:
         """Return whether anything may hide a part of an object from a camera; False is certain.
 
         Rays to points of the object's ball stay within its radius of the ray to its centre. Camera, centre
         and geoms are in the world frame [m].
         """
         radius = self._object_radius[object_id]
-        way, offset = (
-            (center - origin).T[..., None],
-            (geom_pos - origin.unsqueeze(-2)).movedim(-1, 0).contiguous(),
-        )
+        way = (center - origin).T[..., None]
+        offset = (geom_pos - origin.unsqueeze(-2)).movedim(-1, 0).contiguous()
         share = (offset * way).sum(dim=0) / way.square().sum(dim=0)
         apart = (offset - share.clamp(0.0, 1.0) * way).square().sum(dim=0).sqrt()
         is_near = apart < self._radius + radius[:, None]
@@ -147,7 +134,7 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
-        self._occluders = Occluders(model, OCCLUDER_GROUPS, self._surface)
+        self._occluders = Occluders(model, self._surface)
         self._reach = torch.tensor([reach_of(spec.radius) for spec in thrown], device=self.device)
         first = self.objects.indices.dofs.start
         self._linear = slice(first, first + 3)
@@ -238,9 +225,7 @@ class CatchWorld:
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""
-        return self._log(*self._magnitudes()).cleared(
-            torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        )
+        return StepExtremes(*map(torch.zeros_like, self._log(*self._magnitudes())))
 
     def privileged(self, log: StepExtremes) -> Privileged:
         """Return the true state, with the contacts of a control step from its log."""
@@ -263,21 +248,15 @@ class CatchWorld:
             is_self_contact=log.is_self_contact,
             is_robot_contact=log.is_robot_contact,
             joint_vel=_snapshot(fields.qvel[:, : self._num_joints]),
-            torque_share=self._torque_share(),
+            torque_share=(fields.actuator_force.abs() / self._actuators.limits.effort_limit).float(),
         )
 
-    def surface_points(
-        self, camera_pos: Float[Tensor, "*num_envs 3"] | None = None
-    ) -> tuple[Points, PointFlags]:
-        """Return surface points of the object, world frame [m], and which of them nothing hides.
-
-        They are seen from one place or one for each environment [m]. Default: the release's camera.
-        """
+    def surface_points(self, origin: Places) -> tuple[Points, PointFlags]:
+        """Return surface points of the object, world frame [m], and which are seen from a place [m]."""
         pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
         points = torch.baddbmm(
             pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
         )
-        origin = camera_center(RGB_CAMERA, points) if camera_pos is None else camera_pos
         may_hide = None
         if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
@@ -335,12 +314,9 @@ class CatchWorld:
             is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
             penetration=overlap.clamp(min=0.0).float(),
             joint_speed=joint_speed.amax(dim=-1).float(),
-            torque_share=(torque / self._actuators.effort_limit).amax(dim=-1).float(),
+            torque_share=(torque / self._actuators.limits.effort_limit).amax(dim=-1).float(),
             object_force=square_force.sqrt().float(),
         )
-
-    def _torque_share(self) -> Joints:
-        return (self._fields.actuator_force.abs() / self._actuators.effort_limit).float()
 
 
 def _snapshot(live: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from pixel2catch.batches import Boxes, Flags, PointFlags, Points, Scalars, Vectors
 from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
+from pixel2catch.camera.pinhole import Projection, is_in_view
 from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
@@ -116,17 +116,12 @@ class Detection:
 
 
 def detect(
-    points: Points, is_visible: PointFlags, least_visible: float, camera: Projection | None = None
+    points: Points, is_visible: PointFlags, least_visible: float, camera: Projection
 ) -> tuple[Boxes, Flags]:
     """Return the box of the visible surface points, clipped to the image [px], and whether enough are seen.
 
-    Args:
-        points: Surface points, world frame [m].
-        is_visible: Which of them nothing hides.
-        least_visible: Share that must be visible and in the image.
-        camera: The camera. Default: `RGB_CAMERA`, without errors.
+    `least_visible` is the share that must be visible and in the image.
     """
-    camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)
     in_view = is_in_view(RGB_CAMERA, pixels, depth)
     is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
