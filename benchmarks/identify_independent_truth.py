@@ -76,7 +76,7 @@ def recorded(
 
 def judged(robot: Robot, j: int, recordings: list[Recording]) -> dict[str, Row]:
     """Errors of a joint's fit: logarithms, but for latency [s], play [rad] and drift."""
-    fit = fit_dynamics(recordings, JointDynamics.nominal(robot.names[j : j + 1]), FitCfg())
+    fit = fit_dynamics(recordings, JointDynamics.nominal().select(robot.names[j : j + 1]), FitCfg())
     truth = {name: getattr(robot, name)[j] for name in ("stiffness", "frictionloss", "armature", "latency")}
     truth["damping"] = robot.felt_damping[j]
     rows: dict[str, Row] = {}

@@ -24,6 +24,7 @@ from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robots import ur5e
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import SceneCfg
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -48,7 +49,7 @@ MEASURED = CameraFile(
     pose_covariance=tuple(tuple(1e-4 if i == j else 0.0 for j in range(6)) for i in range(6)),
     focal_std=0.01,
 )
-ARM = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(
+ARM = JointDynamics.nominal(ur5e.ARM.joints).with_values(
     latency=0.02, filter_gain=300.0, filter_lookahead=0.1
 )
 IDENTIFIED = DynamicsFile(dynamics=ARM, gains=GainRanges(stiffness_scale=((0.99, 1.01),) * 19))

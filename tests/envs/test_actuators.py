@@ -189,7 +189,7 @@ def test_a_new_episode_does_not_feel_the_last_one():
 DT = 1.0 / 240.0
 NUM_STEPS, HOLD = 40, 8
 TIMES = DT * np.arange(NUM_STEPS + 1)
-DIRECT = JointDynamics.nominal(("elbow_joint", "index_joint_1"))
+DIRECT = JointDynamics.nominal().select(("elbow_joint", "index_joint_1"))
 FILTERED = DIRECT.with_values(filter_gain=[300.0, 200.0], filter_lookahead=[0.1, 0.08])
 
 

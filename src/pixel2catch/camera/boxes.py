@@ -1,7 +1,7 @@
 """Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment."""
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Shaped
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, ImagePoints, PointFlags
@@ -26,6 +26,12 @@ def box_of_points(pixels: ImagePoints, is_visible: PointFlags, camera: CameraSpe
 
 def _extent(places: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor, Tensor]:
     return torch.where(counts, places, torch.inf).amin(-1), torch.where(counts, places, -torch.inf).amax(-1)
+
+
+def center_and_size(box: Shaped[Tensor, "*boxes 4"]) -> tuple[Tensor, Tensor]:
+    """Return centres, and widths and heights of boxes [px]."""
+    lower, upper = box[..., :2], box[..., 2:]
+    return 0.5 * (lower + upper), upper - lower
 
 
 def clip_box(box: Boxes, camera: CameraSpec) -> Boxes:

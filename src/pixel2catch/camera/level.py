@@ -13,7 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Points, Vectors
-from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.camera.boxes import center_and_size
+from pixel2catch.camera.pinhole import Projection, nominal_projection, project
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
 
@@ -44,14 +45,13 @@ def level_boxes(box: Float[Tensor, "num_boxes 4"], camera: Projection) -> Float[
     level = nominal_projection(LEVEL_CAMERA, box).matrix
     # Products and sums, not a matmul: that may round to TF32 on a GPU.
     turn = (level[:, None] * camera.inverse.transpose(-2, -1).unsqueeze(-3)).sum(-1).expand(len(box), 3, 3)
-    lower, upper = box.split(2, dim=-1)
-    center, half_size = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    center, size = center_and_size(box)
     place = (turn[..., :2] * center[:, None]).sum(-1) + turn[..., 2]
     depth = place[:, 2:].clamp(min=LEAST_DEPTH)
     middle = place[:, :2] / depth
     slope = (turn[:, :2, :2] - middle[..., None] * turn[:, 2:, :2]) / depth[..., None]
-    extent = (slope * half_size[:, None]).square().sum(-1).sqrt()
-    is_empty = (half_size == 0.0).all(-1, keepdim=True)
+    extent = (slope * 0.5 * size[:, None]).square().sum(-1).sqrt()
+    is_empty = (size == 0.0).all(-1, keepdim=True)
     return torch.where(is_empty, box, torch.cat((middle - extent, middle + extent), dim=-1))
 
 
@@ -60,6 +60,6 @@ def level_sight(points: Points, camera_pos: Vectors) -> Points:
 
     That is across and down from its axis, as shares of the depth, and 1 over the depth [1/m].
     """
-    pixels, depth = nominal_projection(LEVEL_CAMERA, points).pixels(points - camera_pos[:, None])
+    pixels, depth = project(LEVEL_CAMERA, points - camera_pos[:, None])
     axis, focal = constant(((RGB_CAMERA.cx, RGB_CAMERA.cy), (RGB_CAMERA.fx, RGB_CAMERA.fy)), points.device)
     return torch.cat(((pixels - axis) / focal, 1.0 / depth.clamp(min=LEAST_DEPTH)[..., None]), dim=-1)

@@ -92,7 +92,7 @@ class CatchWorld:
     ) -> None:
         """Build the model and its copies; joints without `dynamics` are nominal."""
         workcell = find_workcell(scene.workcell)
-        nominal = JointDynamics.nominal(specs=workcell.joints)
+        nominal = JointDynamics.nominal(workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
         dynamics.require(workcell.joints)
         self._num_joints = len(workcell.joints)

@@ -107,7 +107,7 @@ def start_of_fit(
             "with it, then the hand with --start and the dynamics file of the arm."
         )
     file = DynamicsFile.load(path, workcell) if path else None
-    nominal = JointDynamics.nominal(specs=workcell.joints)
+    nominal = JointDynamics.nominal(workcell.joints)
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, Counts, Flags, Scalars, Vectors
+from pixel2catch.camera.boxes import center_and_size
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.region import REGION
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
@@ -104,8 +105,8 @@ def _sign(chance: Scalars) -> Scalars:
 
 def scaled_box(box: Boxes, factor: float) -> Boxes:
     """Return boxes [px], scaled by a factor about their centres."""
-    center = 0.5 * (box[:, :2] + box[:, 2:])
-    half_size = 0.5 * factor * (box[:, 2:] - box[:, :2])
+    center, size = center_and_size(box)
+    half_size = 0.5 * factor * size
     return torch.cat((center - half_size, center + half_size), dim=-1)
 
 

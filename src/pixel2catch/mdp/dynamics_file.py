@@ -85,13 +85,13 @@ class DynamicsFile:
         Without ranges in it, the gains keep the paper's. Warns of joints that are worse than their command.
         """
         if path is None:
-            return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
+            return cls(dynamics=JointDynamics.nominal(workcell.joints), workcell=workcell)
         with reading("dynamics file", path, "Identify again, or correct that entry."):
             content = read_json_object(path)
             take_version(content, FORMAT_VERSION)
             ranges = content.pop("gain_ranges", {})
             worse = tuple(content.pop("worse_than_command", ()))
-            dynamics = JointDynamics.from_dict(content)
+            dynamics = decoded(JointDynamics, content)
             dynamics.require(workcell.joints)
             if unknown := [name for name in worse if name not in dynamics.joints]:
                 raise UnknownNameError("joint in worse_than_command", unknown[0], dynamics.joints)

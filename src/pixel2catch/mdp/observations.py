@@ -12,8 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, ByAgent, Features, Vectors
+from pixel2catch.camera.boxes import center_and_size
 from pixel2catch.camera.level import level_sight
-from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.camera.pinhole import project
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -44,15 +45,10 @@ def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tenso
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = _center_and_size(now), _center_and_size(before)
+    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
-
-
-def _center_and_size(box: Boxes) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
-    lower, upper = box[:, :2], box[:, 2:]
-    return (lower + upper) / 2, upper - lower
 
 
 def pixels(frame: ObservationInputs) -> Features:
@@ -68,10 +64,8 @@ def object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 6"]:
 
 def object_extent(frame: ObservationInputs) -> Float[Tensor, "num_envs 2"]:
     """Return width and height of the box at the object's distance [m]. Source: ours (oracle)."""
-    box, place = frame.now.box, frame.now.object_pos[:, None]
-    _, depth = nominal_projection(RGB_CAMERA, place).pixels(place)
-    focal = constant((RGB_CAMERA.fx, RGB_CAMERA.fy), box.device)
-    return (box[:, 2:] - box[:, :2]) * depth / focal
+    (_, size), (_, depth) = center_and_size(frame.now.box), project(RGB_CAMERA, frame.now.object_pos[:, None])
+    return size * depth / constant((RGB_CAMERA.fx, RGB_CAMERA.fy), size.device)
 
 
 def initial_object_position(frame: ObservationInputs) -> Vectors:
@@ -128,8 +122,7 @@ def palm_sight(frame: ObservationInputs) -> Features:
 
 def box_track(frame: ObservationInputs) -> Features:
     """Return centre and size of the newest box [100 px], speeds between boxes [px/step], and ages (ours)."""
-    box, age = frame.now.boxes.box, frame.now.boxes.age
-    what = torch.cat((0.5 * (box[..., :2] + box[..., 2:]), box[..., 2:] - box[..., :2]), dim=-1)
+    age, what = frame.now.boxes.age, torch.cat(center_and_size(frame.now.boxes.box), dim=-1)
     gap = (age[:, 1:] - age[:, :-1]).clamp(min=0.5)
     speed = (what[:, :-1] - what[:, 1:]) / gap[..., None]
     return torch.cat((what[:, 0] / 100.0, speed.flatten(1), age), dim=-1)
@@ -275,8 +268,8 @@ def fit_boxes(
 
     Source: ours, experiments/LOG.md, 2026-11-22.
     """
-    lower, upper = box[..., :2], box[..., 2:]
-    center, size = (lower + upper) / 2.0, (upper - lower).mean(dim=-1).clamp(min=LEAST_SIZE)
+    center, sides = center_and_size(box)
+    size = sides.mean(dim=-1).clamp(min=LEAST_SIZE)
     direction = torch.stack(
         ((center[..., 0] - camera.cx) / camera.fx, (center[..., 1] - camera.cy) / camera.fy), dim=-1
     )

@@ -12,8 +12,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from pixel2catch.batches import Flags, Vectors
+from pixel2catch.camera.boxes import center_and_size
 from pixel2catch.camera.level import LEVEL_CAMERA
-from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.camera.pinhole import project
 from pixel2catch.mdp.throws import ThrowCfg, launch_velocity
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 
@@ -51,7 +52,7 @@ class BallisticFit:
 
         Boxes are those of the level camera [px], newest first, with their ages [control steps].
         """
-        center, time = 0.5 * (box[..., :2] + box[..., 2:]), -age * CONTROL_DT
+        (center, _), time = center_and_size(box), -age * CONTROL_DT
         is_repeated = (box[:, 1:] == box[:, :-1]).all(-1)  # a history begins with one box, several times
         is_known = pad(~is_repeated, (1, 0), value=True).to(center)
         has_moved = torch.linalg.vector_norm(center - center[:, -1:], dim=-1) > MOTION
@@ -79,7 +80,7 @@ class BallisticFit:
         several = throw.shape[1]
         pos, _ = self._states(throw.flatten(0, 1), time.repeat_interleave(several, 0))
         place = pos - camera_pos.repeat_interleave(several, 0)[:, None]
-        return nominal_projection(LEVEL_CAMERA, place).pixels(place)[0].unflatten(0, (-1, several))
+        return project(LEVEL_CAMERA, place)[0].unflatten(0, (-1, several))
 
     def _states(self, throw: Float[Tensor, "n 7"], time: Float[Tensor, "n k"]) -> tuple[Tensor, Tensor]:
         """Return positions [m] and velocities [m/s] of throws at times [s]."""

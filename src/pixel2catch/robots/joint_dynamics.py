@@ -9,7 +9,7 @@ The joint has dry friction and the armature of its drive.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,6 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import decoded
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.ur5e import ARM
@@ -92,14 +91,11 @@ class JointDynamics:
         return (self.joints, *(tuple(getattr(self, name).tolist()) for name in PARAMETERS))
 
     @classmethod
-    def nominal(
-        cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
-    ) -> "JointDynamics":
-        """Return the nominal dynamics of the named joints, or of all, without latency and filter."""
-        specs = [joint for joint in specs if joints is None or joint.name in joints]
+    def nominal(cls, specs: Sequence[JointSpec] = JOINTS) -> "JointDynamics":
+        """Return the nominal dynamics of joints, without latency and filter."""
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
-            joints=tuple(joints or (joint.name for joint in specs)),
+            joints=tuple(joint.name for joint in specs),
             **{name: np.array([getattr(joint, name) for joint in specs], dtype=float) for name in fields},
             latency=np.zeros(len(specs)),
             filter_gain=np.full(len(specs), np.inf),
@@ -127,15 +123,10 @@ class JointDynamics:
         return JointDynamics(joints=tuple(last), **values)
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to lists and numbers for JSON; an infinite gain becomes null."""
+        """Convert to lists and numbers for JSON, which `decoded` reads; an infinite gain becomes null."""
         values = {name: getattr(self, name).tolist() for name in PARAMETERS}
         values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in values["filter_gain"]]
         return {"joints": list(self.joints), **values}
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "JointDynamics":
-        """Convert from the result of `to_dict`."""
-        return decoded(cls, content)
 
     @property
     def has_filter(self) -> np.ndarray:
