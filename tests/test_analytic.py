@@ -16,11 +16,10 @@ from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.mdp.control_step import History, Measurement
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.policy.ballistics import BallisticFit
+from pixel2catch.policy.analytic import BallisticFit
 from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.policy.policy import Policy
-from pixel2catch.robots.geometry import chain_of
-from pixel2catch.robots.inverse import joints_reaching, pose_and_slopes
+from pixel2catch.robots.geometry import chain_of, joints_reaching, pose_and_slopes
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.shipped import policy_folder

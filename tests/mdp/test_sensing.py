@@ -8,14 +8,16 @@ import torch
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.camera_errors import (
+from pixel2catch.mdp.sensing import (
     CameraErrors,
+    Detection,
+    SensingCfg,
+    detect,
     is_camera_exact,
     sample_camera_errors,
     scaled_box,
     tracked_position,
 )
-from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 

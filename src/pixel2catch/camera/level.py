@@ -36,11 +36,7 @@ def level_boxes(box: Float[Tensor, "num_boxes 4"], camera: Projection) -> Float[
     """Return boxes as the level camera sees them [px], not clipped to an image; empty boxes stay.
 
     The centre is mapped exactly. The extent is that of the ellipse in the box under the derivative of the
-    map at the centre.
-
-    Args:
-        box: Boxes in the images of the camera [px].
-        camera: The calibrated camera, one for all boxes or one for each.
+    map at the centre. There is one calibrated camera for all boxes, or one for each.
     """
     level = nominal_projection(LEVEL_CAMERA, box).matrix
     # Products and sums, not a matmul: that may round to TF32 on a GPU.

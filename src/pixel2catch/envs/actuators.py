@@ -179,7 +179,6 @@ class CommandPath:
     """
 
     def __init__(self, dynamics: JointDynamics, dt: float, command: Joints) -> None:
-        """Make the paths for physics steps `dt` [s], for commands of this number, type and device."""
         share = _shares(0.5 + command_lag(dynamics, dt) / dt)
         self._share = torch.as_tensor(share).to(command)[:, None]
         self._history = command.expand(len(share), -1, -1).clone()

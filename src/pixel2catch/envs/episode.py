@@ -11,9 +11,9 @@ from torch import Tensor
 from pixel2catch.batches import Counts, Features, Flags, Scalars, Vectors
 from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.control_step import Columns, Transition, take
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_delay, sample_parameters
+from pixel2catch.mdp.sensing import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws

@@ -191,13 +191,9 @@ class CatchWorld:
         side_force: Vectors | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
-        """Simulate one control step; commands ramp linearly to the target (first-order hold).
+        """Simulate a control step, or some physics steps; commands ramp linearly to the target [rad].
 
-        Args:
-            joint_pos_target: Joint targets at its end [rad].
-            drag: Deceleration of the object by air over the square of its speed [1/m].
-            side_force: Its sideways acceleration over the square of its speed, world frame [1/m].
-            num_steps: Physics steps. Default: those of a control step.
+        Drag and side force of the air are accelerations of the object over the square of its speed [1/m].
         """
         num_steps = num_steps or self._scene.decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)

@@ -43,11 +43,7 @@ class BoxHistory:
     ) -> "BoxHistory":
         """Return the history of one robot from images with stamps; before the first, the object was at rest.
 
-        Args:
-            boxes: Measured boxes, oldest first, at least one [px].
-            stamps: When their images were taken [s].
-            now: The time [s].
-            num_boxes: Length of the history.
+        One or more boxes are given [px], oldest first, with the times of their images and the present [s].
         """
         ages = torch.tensor([(now - stamp) / CONTROL_DT for stamp in stamps], dtype=torch.float32).flip(0)
         newest = boxes.flip(0)

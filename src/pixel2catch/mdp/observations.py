@@ -259,12 +259,8 @@ def fit_boxes(
     """Return `BOX_FIT_FEATURES`: fits of recent boxes against time, extrapolated to the present.
 
     Centres follow a parabola, logarithms of sizes a line. A box weighs exp(-(its age - the newest age) / T),
-    once with a short and once with a long time constant T. Equal ages give no slope.
-
-    Args:
-        box: Boxes (xmin, ymin, xmax, ymax), newest first [px].
-        age: Their ages [control steps].
-        camera: Its axis and focal lengths turn pixels into directions.
+    once with a short and once with a long time constant T. Equal ages give no slope. Boxes [px] are newest
+    first, with their ages [control steps]. Axis and focal lengths of the camera turn pixels into directions.
 
     Source: ours, experiments/LOG.md, 2026-11-22.
     """

@@ -184,13 +184,8 @@ def flight_path(
 ) -> Float[Tensor, "num_points num_envs 3"]:
     """Return points of a flight through air, at equal time steps from the release to `duration` [m].
 
-    Args:
-        pos: Release position [m].
-        lin_vel: Velocity at release [m/s].
-        drag: Deceleration over the square of the speed [1/m].
-        duration: Time of the last point [s].
-        side_force: Sideways acceleration over the square of the speed [1/m]. Default: none.
-        num_steps: Steps of the midpoint rule.
+    A flight begins at `pos` [m] with `lin_vel` [m/s]. Drag and side force are accelerations over the square
+    of the speed [1/m].
     """
     step, path = duration[:, None] / num_steps, [pos]
     for _ in range(num_steps):

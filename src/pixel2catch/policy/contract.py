@@ -137,7 +137,10 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
     blank = _blank_measurement(method.num_boxes, workcell)
     frame = method.layouts[agent.name].inputs(blank, blank)
     sizes, memory = (
-        [(term.__name__, _width(term, frame)) for term in terms]
+        [
+            (t.__name__, computed("observation term", t, (frame,), 1, "any", is_blank=True).shape[1])
+            for t in terms
+        ]
         for terms in (agent.observation, agent.memory)
     )
     frames = ((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes)
@@ -145,10 +148,6 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
         observation=(*frames, *((f"{name}[t]", size) for name, size in memory)),
         joints=tuple(joint.name for columns in agent.joints for joint in workcell.joints[columns]),
     )
-
-
-def _width(term: ObservationTerm, blank: ObservationInputs) -> int:
-    return computed("observation term", term, (blank,), 1, "any", is_blank=True).shape[1]
 
 
 def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
@@ -203,7 +202,6 @@ def method_of(contract: PolicyContract) -> Method:
 
 
 def _agent(name: str, contract: AgentContract, workcell: WorkcellSpec) -> AgentSpec:
-    """Make an agent from its contract, without memory."""
     terms = {
         term_name: cast(ObservationTerm, term)
         for term_name, term in vars(observations).items()

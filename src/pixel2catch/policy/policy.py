@@ -1,6 +1,5 @@
 """Policy: the deterministic controller that training writes and every other command reads."""
 
-import copy
 import itertools
 import json
 from collections.abc import Sequence
@@ -30,10 +29,7 @@ INPUT_CLIP = 5.0
 
 
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
-    """Build a multi-layer perceptron with ELU between its layers and a linear output.
-
-    Source: paper, Sec. IV-E.
-    """
+    """Build a perceptron with ELU between its layers and a linear output. Source: paper, Sec. IV-E."""
     sizes = [num_inputs, *hidden]
     layers: list[nn.Module] = []
     for size, next_size in itertools.pairwise(sizes):
@@ -48,7 +44,6 @@ class AgentNetwork(nn.Module):
     input_std: Tensor
 
     def __init__(self, num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> None:
-        """Build the network with neutral input statistics (mean 0, standard deviation 1)."""
         super().__init__()
         self.register_buffer("input_mean", torch.zeros(num_inputs))
         self.register_buffer("input_std", torch.ones(num_inputs))
@@ -85,15 +80,6 @@ class Policy(nn.Module):
     def network(self, agent: str) -> AgentNetwork:
         """Return the network of an agent."""
         return cast(AgentNetwork, self.agents[agent])
-
-    def to(self, *args: Any, **kwargs: Any) -> "Policy":  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a copy on another device.
-
-        The arguments are those of `torch.nn.Module.to`, which would move the policy itself.
-        """
-        copied = copy.deepcopy(self)
-        nn.Module.to(copied, *args, **kwargs)
-        return copied
 
     @torch.no_grad()
     def act(self, observations: ByAgent) -> ByAgent:

@@ -29,6 +29,11 @@ TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its si
 POINTS_PER_CAPSULE = 5
 """Points on the axis of a capsule that training checks. Source: ours: 9 cm apart on the longest capsule."""
 
+AXIS_WEIGHT = 0.15  #: Weight of the deviation of an axis against that of a point [m]. Source: ours.
+DAMPING = 1e-3  #: Weight of a step against the error that remains [m²/rad²]. Source: ours.
+
+Batch = Float[Tensor, "num_envs _"]
+
 
 class Chain:
     """The hinges between the world and a site, from base to tip."""
@@ -55,11 +60,11 @@ class Chain:
 
     def link_poses(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
         """Return the world frame at the far end of each link; the last one is the site's."""
-        return torch.stack([*accumulate(self._transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
+        return torch.stack([*accumulate(self.transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
 
     def pose(self, joint_pos: Joints) -> tuple[Vectors, Quaternions]:
         """Return position [m] and orientation (w, x, y, z) of the site in the world, for joints [rad]."""
-        transforms = [*self._transforms(joint_pos).unbind(dim=1)]
+        transforms = [*self.transforms(joint_pos).unbind(dim=1)]
         while len(transforms) > 3:  # multiply in pairs: fewer dependent kernels
             whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]
             left, right = torch.stack(transforms[0:whole:2], 1), torch.stack(transforms[1:whole:2], 1)
@@ -67,7 +72,8 @@ class Chain:
         *_, pose = accumulate(transforms, _multiply)
         return pose[:, :3, 3], self._quaternion(pose)
 
-    def _transforms(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
+    def transforms(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
+        """Return the transform over each joint and its link."""
         constant, cosine, sine = self.matrices.unbind(0)
         angle = joint_pos[..., None, None]
         return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
@@ -149,6 +155,51 @@ def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjMod
     spec = mujoco.MjSpec()
     add_robots(spec, workcell, visuals)
     return spec.compile()
+
+
+def pose_and_slopes(
+    chain: Chain, joint_pos: Batch
+) -> tuple[Float[Tensor, "num_envs 4 4"], Float[Tensor, "num_envs _ 4 4"]]:
+    """Return the pose of a chain's site in the world, and its derivative by each joint [rad]."""
+    _, cosine, sine = chain.matrices
+    cos, sin = joint_pos.cos()[..., None, None], joint_pos.sin()[..., None, None]
+    links, turns = chain.transforms(joint_pos).unbind(1), (cos * sine - sin * cosine).unbind(1)
+    unit = torch.eye(4).to(joint_pos).expand_as(links[0])
+    before = [unit, *accumulate(links, torch.matmul)]
+    after = [unit, *accumulate(reversed(links), lambda right, left: left @ right)][-2::-1]
+    slopes = [a @ turn @ b for a, turn, b in zip(before[:-1], turns, after, strict=True)]
+    return before[-1], torch.stack(slopes, dim=1)
+
+
+def joints_reaching(
+    chain: Chain,
+    joint_pos: Batch,
+    limits: Float[Tensor, "2 _"],
+    point: Batch,
+    axis: Batch | None = None,
+    local_axis: Float[Tensor, " 3"] | None = None,
+    num_steps: int = 8,
+) -> Batch:
+    """Return joints within limits [rad] that bring a site to a point [m], and its `local_axis` to an axis.
+
+    The search starts at `joint_pos`. A joint with equal limits stays.
+    """
+    is_free = (limits[1] > limits[0])[:, None]
+    for _ in range(num_steps):
+        pose, slopes = pose_and_slopes(chain, joint_pos)
+        error, slope = point - pose[:, :3, 3], slopes[..., :3, 3]
+        if axis is not None and local_axis is not None:
+            turned = axis - pose[:, :3, :3] @ local_axis
+            error = torch.cat((error, AXIS_WEIGHT * turned), dim=-1)
+            slope = torch.cat((slope, AXIS_WEIGHT * slopes[..., :3, :3] @ local_axis), dim=-1)
+        joint_pos = (joint_pos + damped_step(is_free * slope, error, DAMPING)).clamp(*limits)
+    return joint_pos
+
+
+def damped_step(slope: Float[Tensor, "num_envs _ _"], error: Batch, damping: float) -> Batch:
+    """Return the step of k joints that reduces an error, by damped least squares."""
+    normal = slope @ slope.transpose(1, 2) + damping * torch.eye(slope.shape[1]).to(slope)
+    return torch.linalg.solve(normal, (slope @ error[..., None])[..., 0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

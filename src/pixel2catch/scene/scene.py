@@ -256,7 +256,6 @@ def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
 
 
 def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
-    """Add the parts of all objects, so that every scene has the same meshes."""
     for each in OBJECTS.values():
         for i, part in enumerate(each.scaled(cfg.object_scale).parts):
             if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
@@ -326,7 +325,6 @@ def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
 
 
 def _add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
-    """Add visuals of the surroundings: lights, sky, textures, a pedestal."""
     headlight = spec.visual.headlight
     headlight.ambient, headlight.diffuse, headlight.specular = (0.35,) * 3, (0.35,) * 3, (0.1,) * 3
     spec.visual.map.znear, spec.visual.map.shadowclip = 0.02, 2.0

@@ -18,15 +18,7 @@ INELASTIC = ("drake",)
 def make_simulation(
     model: mujoco.MjModel, num_envs: int, device: str, engine: str = ENGINES[0]
 ) -> Simulation:
-    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
-
-    Engines other than MuJoCo need the CPU.
-
-    Raises:
-        DeviceUnavailableError: CUDA is absent, or the engine is not installed.
-        InvalidValueError: The engine does not support CUDA or the model.
-        UnknownNameError: There is no such engine.
-    """
+    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N"."""
     if engine != ENGINES[0]:
         make_copy = require_engine(engine)
         if device != "cpu":

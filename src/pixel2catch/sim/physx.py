@@ -23,9 +23,6 @@ from pixel2catch.sim.rigid_world import Body, Geom, Joint, RigidWorld, turned_on
 MOST_EXCLUDED = 32  #: Largest number of pairs that do not collide: bits of SAPIEN's collision group.
 COLLISION_ID = 1  #: Collision exclusions hold among shapes with this identifier.
 
-Component = Any
-"""A body of SAPIEN, which has no type stubs."""
-
 ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
 """Rotation from MuJoCo's capsules, cylinders and planes (axis z) to those of PhysX (axis x)."""
 
@@ -125,7 +122,7 @@ class PhysxCopy(EngineCopy):
             qvel[body.dof : body.dof + 3] = component.linear_velocity - _cross(angular, arm)
             qvel[body.dof + 3 : body.dof + 6] = rotation.T @ angular
 
-    def _add(self, component: Component) -> None:
+    def _add(self, component: Any) -> None:
         entity = load_sapien().Entity()
         entity.add_component(component)
         self._scene.add_entity(entity)
@@ -143,8 +140,7 @@ class _Tree:
         self.actuators = [joint.actuator for _, joint in members]
 
 
-def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
-    """Create links with their joints, and free bodies, by number."""
+def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Any]:
     physx = load_sapien().physx
     roots = {}
     for number in world.fixed.keys() - {0}:
@@ -170,7 +166,6 @@ def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
 
 
 def _set_joint(made: Any, body: Body, joint: Joint) -> None:
-    """Configure the joint of a link as a hinge with a servo."""
     made.name, made.type = str(body.number), "revolute_unwrapped"
     frame = turned_onto(joint.axis)
     frame[:3, 3] = joint.pos
@@ -190,7 +185,7 @@ class _Shapes:
         self._material = physx.PhysxMaterial(world.friction, world.friction, world.restitution)
         self._excluded = world.excluded
 
-    def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
+    def attached(self, component: Any, geoms: tuple[Geom, ...], number: int = 0) -> Any:
         """Attach shapes to a component; the number of its body selects its collision exclusions."""
         for geom in geoms:
             shape = self._shape(geom)
