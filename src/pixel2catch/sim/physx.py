@@ -71,10 +71,8 @@ class PhysxCopy(EngineCopy):
         jointed = {body.number: (body, body.joint) for body in world.bodies if body.joint is not None}
         articulations = {id(a): a for a in (self._components[number].articulation for number in jointed)}
         self._trees = [_Tree(articulation, jointed) for articulation in articulations.values()]
-        for solved in (
-            *(component for _, component in self._free),
-            *(tree.articulation for tree in self._trees),
-        ):
+        trees = [tree.articulation for tree in self._trees]
+        for solved in (*(component for _, component in self._free), *trees):
             solved.set_solver_position_iterations(POSITION_ITERATIONS)
             solved.set_solver_velocity_iterations(VELOCITY_ITERATIONS)
             solved.set_sleep_threshold(0.0)
