@@ -13,8 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Points, Vectors
-from pixel2catch.camera.boxes import center_and_size
-from pixel2catch.camera.pinhole import Projection, nominal_projection, project
+from pixel2catch.camera.pinhole import Projection, center_and_size, nominal_projection, project
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
 

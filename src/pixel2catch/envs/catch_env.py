@@ -47,8 +47,7 @@ class Observation:
     policy: ByAgent  #: Observation of each agent, by name.
     #: Input of every value network: all observations, and values that only the simulator has.
     state: Float[Tensor, "num_envs _"]
-    #: Observation of each agent of the imitated method; empty without one.
-    teacher: ByAgent
+    teacher: ByAgent  #: Observation of each agent of the imitated method; empty without one.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +87,8 @@ LiveState = tuple[tuple[Tensor, ...], Episode, DelayLine[Tensor], SensorState]
 class CatchEnv:
     """`num_envs` robots that learn to catch; `step` does not wait for the device.
 
-    Attributes:
-        num_envs: Number of environments.
-        device: Device of every tensor.
-        observation_sizes: Length of each agent's observation, by name.
-        action_sizes: Number of each agent's actions, by name.
-        state_size: Length of the value networks' input.
-        episode: The present episode of each environment; the next step overwrites its tensors.
-        statistics: Sums over ended episodes.
+    `observation_sizes` and `action_sizes` have the lengths of each agent's observation and action, by name,
+    `state_size` that of the value networks' input. The next step overwrites the tensors of `episode`.
     """
 
     def __init__(

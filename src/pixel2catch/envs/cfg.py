@@ -47,8 +47,7 @@ class CatchEnvCfg:
 
     name: str = "nominal"  #: Name of the task, which is written into its policies.
     scene: SceneCfg = field(default_factory=SceneCfg)  #: Robots, physics and camera of the model.
-    #: Identified dynamics of joints; other joints have nominal dynamics.
-    dynamics: JointDynamics | None = None
+    dynamics: JointDynamics | None = None  #: Identified dynamics of joints; others are nominal.
     objects: Annotated[tuple[str, ...], NOT_EMPTY] = SEEN  #: Names of the objects that are thrown.
     throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Ranges from which throws are drawn.
     #: What is drawn for each episode.

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from pixel2catch.camera.boxes import perturb_box
-from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.camera.pinhole import Projection, nominal_projection, perturb_box
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged

@@ -34,8 +34,7 @@ class StepExtremes(NamedTuple):
     penetration: Scalars  #: Deepest overlap of the object with anything [m].
     joint_speed: Scalars  #: Largest speed of an arm joint [rad/s].
     torque_share: Scalars  #: Largest joint torque, as a share of its limit.
-    #: Largest net force of all contacts on the object [N], in MuJoCo; 0 in other engines.
-    object_force: Scalars
+    object_force: Scalars  #: Largest net contact force on the object [N]; 0 in other engines than MuJoCo.
 
     def cleared(self, mask: Flags) -> "StepExtremes":
         """Return the log, cleared in the masked environments."""
@@ -144,8 +143,7 @@ class Episode:
     throw: Throw  #: The throw.
     camera_errors: CameraErrors | None  #: None without camera errors in the task.
     command_delay: Scalars  #: Control steps between a command and its effect; not always whole.
-    #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
-    drag: Scalars | None
+    drag: Scalars | None  #: Deceleration by air over the square of the speed [1/m]; none without air.
     side_force: Vectors | None  #: Likewise its sideways acceleration, world frame; none without such a force.
     record: EpisodeRecord  #: What became of the episode so far.
 

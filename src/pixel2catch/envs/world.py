@@ -30,8 +30,7 @@ from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
 
-NUM_SURFACE_POINTS = 64
-"""Points on the object that the camera detects. Source: ours, see `benchmarks/box_error.py`."""
+NUM_SURFACE_POINTS = 64  #: Points of the object. Source: ours, see `benchmarks/box_error.py`.
 
 MASS_POWER = {
     **dict.fromkeys(("body_mass", "body_subtreemass", "body_inertia", "dof_M0"), 1),

@@ -28,8 +28,7 @@ class BoxHistory:
     """Measured boxes, the newest first; an image in which nothing was found adds none."""
 
     box: Float[Tensor, "num_envs num_boxes 4"]  #: xmin, ymin, xmax, ymax [px].
-    #: Time since the exposure of each image, by its stamp [control steps].
-    age: Float[Tensor, "num_envs num_boxes"]
+    age: Float[Tensor, "num_envs num_boxes"]  #: Time since the exposure, by stamp [control steps].
 
     @classmethod
     def begun(cls, box: Boxes, age: Scalars, num_boxes: int) -> "BoxHistory":
@@ -99,8 +98,7 @@ class Privileged:
 
     palm_pos: Float[Tensor, "num_envs num_palms 3"]  #: True positions of the palms [m].
     palm_normal: Float[Tensor, "num_envs num_palms 3"]  #: Their normals, unit vectors.
-    #: True positions of the fingertips, palm by palm [m].
-    fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
+    fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]  #: True positions of fingertips, palm by palm [m].
     object_pos: Vectors  #: Position of the object's centre [m].
     object_lin_vel: Vectors  #: Its velocity [m/s].
     object_reach: Scalars  #: Distance from a palm under which it counts as reached [m].

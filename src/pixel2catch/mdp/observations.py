@@ -12,9 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, ByAgent, Features, Vectors
-from pixel2catch.camera.boxes import center_and_size
 from pixel2catch.camera.level import level_sight
-from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.pinhole import center_and_size, project
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -214,13 +213,11 @@ def privileged_state(before: Privileged, now: Privileged) -> Features:
 
 NUM_BOXES = 16  #: Boxes that `fit_boxes` takes. Source: ours, experiments/LOG.md, 2026-11-22.
 
-TIME_CONSTANTS = (3.0, 8.0)
-"""Time constants of the weights of the two fits [control steps]. Source: ours, as above."""
+TIME_CONSTANTS = (3.0, 8.0)  #: Of the weights of the two fits [control steps]. Source: ours, as above.
 
 STEPS_PER_SECOND = 30.0  #: Control steps in a second, for the units of the features. Source: release.
 
-TYPICAL_SIZE = 20.0
-"""Mean of width and height whose logarithm counts as 0 [px]. Source: ours, 6 cm at 1.9 m."""
+TYPICAL_SIZE = 20.0  #: Mean of width and height whose logarithm is 0 [px]. Source: ours, 6 cm at 1.9 m.
 
 LEAST_SIZE = 2.0  #: Smaller boxes count as this large, so that the logarithm stays finite [px]. Source: ours.
 

@@ -22,12 +22,10 @@ from pixel2catch.mdp.terminations import (
     palm_share,
 )
 
-FINGER_SHARE = 0.6
-"""Share of its limit above which a finger's torque costs in a hold. Source: ours, for small motors."""
+FINGER_SHARE = 0.6  #: Share of its limit above which a finger's torque costs in a hold (ours, small motors).
 ARM_SHARE = 0.9  #: Share of its limit above which the torque of an arm joint costs. Source: ours.
 
-SETTLE_STEPS = 6
-"""Control steps in which robot and held object may come to rest. Source: ours; release: 5."""
+SETTLE_STEPS = 6  #: Control steps in which robot and held object may come to rest. Source: ours; release: 5.
 
 
 @dataclass(frozen=True, kw_only=True)

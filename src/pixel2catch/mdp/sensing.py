@@ -9,9 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalars, Vectors
-from pixel2catch.camera.boxes import box_of_points, center_and_size
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
+from pixel2catch.camera.pinhole import (
+    Projection,
+    box_of_points,
+    center_and_size,
+    is_in_view,
+    nominal_projection,
+)
 from pixel2catch.camera.region import REGION
 from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
@@ -86,8 +91,7 @@ class SensingCfg:
             )
 
 
-ASSUMED_AGE = 1.5
-"""Assumed age of a box without a stamp [control steps]. Source: release, mean of its latencies."""
+ASSUMED_AGE = 1.5  #: Age of a box without a stamp [control steps]. Source: release, mean of its latencies.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +100,7 @@ class Detection:
 
     box: Boxes  #: Its bounding box [px].
     object_pos: Vectors  #: Its position by a tracker, world frame [m].
-    #: Whether it was found in that image; else box and position are those of the last detection.
-    is_seen: Flags
+    is_seen: Flags  #: Whether it was found; else box and position are those of the last detection.
     stale: Scalars  #: Control steps since that detection.
     age_error: Scalars  #: Error of its age by the stamp [control steps].
 

@@ -16,9 +16,8 @@ from torch.nn.functional import normalize, pad
 
 from pixel2catch.agents import commands_of
 from pixel2catch.batches import Features, Flags, Joints, Vectors
-from pixel2catch.camera.boxes import center_and_size
 from pixel2catch.camera.level import LEVEL_CAMERA
-from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.pinhole import center_and_size, project
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.mdp.throws import ThrowCfg, launch_velocity
 from pixel2catch.methods import find_method

@@ -26,8 +26,7 @@ from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, C
 from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-FORMAT_VERSION = 2
-"""Version of the files of `Policy.save`; higher where older files cannot be read."""
+FORMAT_VERSION = 2  #: Version of the files of `Policy.save`; higher where older files cannot be read.
 
 LONGEST_MESSAGE = 20_000  #: Characters of a message with the fields that differ.
 MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; policies have 4 and 200.

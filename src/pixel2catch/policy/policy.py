@@ -24,8 +24,7 @@ CONTRACT_FILE = "policy.json"
 
 HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers. Source: paper, Sec. IV-E.
 
-INPUT_CLIP = 5.0
-"""Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
+INPUT_CLIP = 5.0  #: Standardised inputs are clipped to ± this many deviations. Source: release (skrl).
 
 
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:

@@ -238,16 +238,12 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     data.qpos[:] = [joint.home for joint in workcell.joints]
     mujoco.mj_kinematics(model, data)
     poses = chain.link_poses(torch.from_numpy(data.qpos[None, palm.carriers]))[0].numpy()
-    links, ends, radii = list[int](), list[np.ndarray](), list[float]()
-    for link, name in enumerate(chain.joints[1:-1], start=1):
-        body = int(model.jnt_bodyid[model.joint(name).id])
-        for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[body]):
-            if model.geom_group[geom] == COLLISION_GROUP:
-                start, end, radius = _capsule(model, data, int(geom))
-                world = np.vstack((np.stack((start, end), axis=1), np.ones(2)))
-                links.append(link)
-                ends.append(np.linalg.inv(poses[link]) @ world)
-                radii.append(radius)
+    capsules = [
+        (link, np.linalg.inv(poses[link]) @ ends, radius)
+        for link, joint in enumerate(chain.joints[1:-1], start=1)
+        for ends, radius in (_capsule(model, data, geom) for geom in _geoms_on(model, joint))
+    ]
+    links, ends, radii = (np.array(each) for each in zip(*capsules, strict=True))
     site = model.site(palm.spec.site)
     to_site = np.linalg.inv(pose_matrix(site.pos, site.quat))
     lower, upper = _box_about(to_site, palm.spec.lower, palm.spec.upper)
@@ -257,13 +253,21 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
         own.append(_last_link_box(model, data, chain.joints[-1], palm))
         boxes = np.moveaxis(np.array(own), 0, -1)
     return ArmShape(
-        links=np.array(links),
-        ends=np.array(ends),
-        radii=np.array(radii),
+        links=links,
+        ends=ends,
+        radii=radii,
         hand_center=(lower + upper) / 2.0,
         hand_half=(upper - lower) / 2.0,
         boxes=boxes,
-        reached=np.flatnonzero(np.array(links) < len(chain.joints) - 3),
+        reached=np.flatnonzero(links < len(chain.joints) - 3),
+    )
+
+
+def _geoms_on(model: mujoco.MjModel, joint: str) -> np.ndarray:
+    """Return the collision geoms that a joint moves and no later one."""
+    body = model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
+    return np.flatnonzero(
+        (model.body_weldid[model.geom_bodyid] == body) & (model.geom_group == COLLISION_GROUP)
     )
 
 
@@ -282,12 +286,8 @@ def _last_link_box(
     """Return the corners of the box about the last link of an arm, frame of the palm's site [m]."""
     site = data.site(palm.spec.site)
     axes, origin = site.xmat.reshape(3, 3), site.xpos
-    welded = (
-        model.body_weldid[model.geom_bodyid] == model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
-    )
-    is_before = welded & (model.geom_bodyid < model.body(palm.spec.body).id)
-    boxes = []
-    for geom in np.flatnonzero(is_before & (model.geom_group == COLLISION_GROUP)):
+    geoms, boxes = _geoms_on(model, joint), []
+    for geom in geoms[model.geom_bodyid[geoms] < model.body(palm.spec.body).id]:
         turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
         frame = pose_of(axes.T @ (data.geom_xpos[geom] - origin), turn)
         middle, half = model.geom_aabb[geom].reshape(2, 3)
@@ -296,8 +296,8 @@ def _last_link_box(
     return np.min(lower, axis=0), np.max(upper, axis=0)
 
 
-def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return a capsule that contains a geom: both ends [m] in the world, and radius [m]."""
+def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, float]:
+    """Return a capsule that contains a geom: both ends [m], homogeneous, in the world, and radius [m]."""
     size, center, axes = model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     match model.geom_type[geom]:
         case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -310,7 +310,7 @@ def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.
             axis = int(np.argmax(size))
             radius, half = float(np.linalg.norm(np.delete(size, axis))), float(size[axis])
     offset = half * axes[:, axis]
-    return center - offset, center + offset, radius
+    return np.vstack((np.stack((center - offset, center + offset), axis=1), np.ones(2))), radius
 
 
 class WorkcellGeometry:

@@ -30,8 +30,7 @@ class JointSpec:
     frictionloss: float  #: Dry friction [N·m].
     armature: float  #: Reflected inertia of the drive [kg·m²].
     effort_limit: float  #: Largest torque of the whole servo [N·m].
-    #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
-    velocity_limit: float
+    velocity_limit: float  #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
 
 
 def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:

@@ -24,11 +24,9 @@ from pixel2catch.scene.shapes import ConvexPart, moments
 FORMATS = (".stl", ".obj", ".ply", ".off")  #: Supported formats, which refer to no other file.
 MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Largest size [bytes] and number of faces of a file. Source: ours.
 
-CONCAVITY = 0.05
-"""Largest concavity of a part, relative to the size of the mesh. Source: CoACD's default."""
+CONCAVITY = 0.05  #: Largest concavity of a part, relative to the size of the mesh. Source: CoACD's default.
 
-OUTLINE_POINTS = 48
-"""Largest number of vertices of the hull of all parts. Source: ours; the camera uses 64 points."""
+OUTLINE_POINTS = 48  #: Most vertices of the hull of all parts. Source: ours; the camera uses 64 points.
 
 SEARCH = {"mcts_nodes": 10, "mcts_iterations": 20, "mcts_max_depth": 2, "resolution": 500}
 """Search effort of CoACD. Source: ours; a cup takes seconds instead of minutes."""

@@ -24,11 +24,9 @@ from pixel2catch.scene.objects import OBJECTS, ObjectSpec, num_parts
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
-NO_PART = "no_part"
-"""Mesh of an unused geom of the object: a tetrahedron of 1 mm at its centre."""
+NO_PART = "no_part"  #: Mesh of an unused geom of the object: a tetrahedron of 1 mm at its centre.
 
-OBJECT_START = (2.65, 0.0, 0.8)
-"""Position of the object in `qpos0` [m]: the centre of the release points."""
+OBJECT_START = (2.65, 0.0, 0.8)  #: Position of the object in `qpos0` [m]: the centre of the release points.
 
 FLOOR_BIT = 2  #: Contact bit of floor and object. Robot, table and object share bit 1.
 OBJECT_BOUND = 0.3  #: Half the edge of a cube about the body origin that contains every object [m].

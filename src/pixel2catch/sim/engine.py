@@ -22,8 +22,7 @@ from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.rigid_world import RigidWorld, rigid_world
 from pixel2catch.sim.simulation import Distances, Field, Groups, Places, Rays, Simulation
 
-MOST_ENVS = 64
-"""Largest number of environments. Source: ours; they step one after the other in one thread."""
+MOST_ENVS = 64  #: Largest number of environments. Source: ours; they step one after the other in one thread.
 
 TOUCH_DISTANCE = 1e-4
 """Distance at which MuJoCo reports a contact [m]. Source: ours: rigid bodies need not overlap; of PhysX's

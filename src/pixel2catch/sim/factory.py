@@ -8,11 +8,9 @@ import torch
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
 from pixel2catch.sim.simulation import Simulation
 
-ENGINES = ("mujoco", "physx", "drake")
-"""Physics engines: MuJoCo on CPU and GPU; the others evaluate policies on the CPU."""
+ENGINES = ("mujoco", "physx", "drake")  #: MuJoCo on CPU and GPU; the others evaluate on the CPU.
 
-INELASTIC = ("drake",)
-"""Engines without restitution."""
+INELASTIC = ("drake",)  #: Engines without restitution.
 
 
 def make_simulation(
