@@ -148,8 +148,7 @@ def test_an_error_has_its_size_in_every_direction_and_comes_alone(name, amount, 
 def test_a_turned_camera_is_turned_by_the_angle():
     """Of a rotation by angle a about axis k, trace = 1 + 2 cos(a)."""
     sight, _ = draw(SensingCfg(camera_turn=0.02))
-    nominal = nominal_projection(RGB_CAMERA, torch.zeros(1)).matrix
-    rotation = torch.linalg.solve(nominal, sight.camera.matrix).double()
+    rotation = torch.linalg.solve(CAMERA.matrix, sight.camera.matrix).double()
     trace = rotation.diagonal(dim1=-2, dim2=-1).sum(dim=-1)
     angle = torch.acos((trace - 1.0).clamp(-2.0, 2.0) / 2.0)
     assert angle.median().item() == pytest.approx(0.02, rel=0.05)
@@ -185,8 +184,7 @@ def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
     """5 px at depth d are 5 d / fx: 2 cm at 2.5 m, across the optical axis, along -y for u."""
     forward = torch.tensor([0.8746197, 0.0, -0.4848096])
     object_pos = (torch.tensor(RGB_CAMERA.pos) + 2.5 * forward)[None]
-    nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal, nominal, object_pos, torch.tensor([[5.0, 0.0]]))
+    found = tracked_position(CAMERA, CAMERA, object_pos, torch.tensor([[5.0, 0.0]]))
     expected = torch.tensor([[0.0, -5.0 * 2.5 / RGB_CAMERA.fx, 0.0]])
     torch.testing.assert_close(found - object_pos, expected, atol=1e-5, rtol=0)
 
@@ -195,6 +193,5 @@ def test_a_misplaced_camera_misplaces_the_tracked_position_as_much():
     """The tracker reports where the object would be if the camera were where it is assumed."""
     object_pos = torch.tensor([[2.0, 0.1, 1.2]])
     offset = torch.tensor([[0.01, -0.02, 0.005]])
-    nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal.moved(offset), nominal, object_pos, torch.zeros(1, 2))
+    found = tracked_position(CAMERA.moved(offset), CAMERA, object_pos, torch.zeros(1, 2))
     torch.testing.assert_close(found, object_pos - offset, atol=2e-6, rtol=0)

@@ -14,8 +14,14 @@ from pixel2catch.camera.level import level_boxes
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector
-from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
-from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.episode import (
+    Episode,
+    EpisodeRecord,
+    EpisodeStatistics,
+    StepExtremes,
+    draw_episode,
+    drawn_parameters,
+)
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.control_step import (

@@ -101,10 +101,10 @@ class CatchWorld:
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene
-        self._palms = [model.site(palm.spec.site).id for palm in workcell.palms]
         tensor = partial(torch.tensor, dtype=self.simulation.dtype, device=self.device)
-        self._normals = tensor([palm.spec.normal for palm in workcell.palms])
-        tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
+        palms = [palm.spec for palm in workcell.palms]
+        self._palms = [(model.site(palm.site).id, tensor(palm.normal)) for palm in palms]
+        tips = [finger.tip for palm in palms for finger in palm.fingers]
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         sensors = [*contact_sensors(workcell)]  # each has the number of contacts and the least distance
@@ -112,7 +112,7 @@ class CatchWorld:
         self._contacts = slice(first, first + 2 * len(sensors))
         self._anything, self._num_robots = sensors.index("object_any"), len(workcell.robots)
         self.arms = merged(workcell.of_role("arm"))
-        sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
+        sizes = [1 + len(palm.fingers) for palm in palms]
         starts = np.cumsum([0, *sizes[:-1]]).tolist()
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
         self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
@@ -225,15 +225,10 @@ class CatchWorld:
     def privileged(self, log: StepExtremes) -> Privileged:
         """Return the true state, with the contacts of a control step from its log."""
         fields = self._fields
+        normals = [fields.site_xmat[:, palm].view(-1, 3, 3) @ normal for palm, normal in self._palms]
         return Privileged(
-            palm_pos=torch.stack([fields.site_xpos[:, palm] for palm in self._palms], dim=1).float(),
-            palm_normal=torch.stack(
-                [
-                    fields.site_xmat[:, palm].view(-1, 3, 3) @ normal
-                    for palm, normal in zip(self._palms, self._normals, strict=True)
-                ],
-                dim=1,
-            ).float(),
+            palm_pos=torch.stack([fields.site_xpos[:, palm] for palm, _ in self._palms], dim=1).float(),
+            palm_normal=torch.stack(normals, dim=1).float(),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
             object_pos=_snapshot(fields.qpos[:, self.objects.indices.qpos])[:, :3],
             object_lin_vel=_snapshot(fields.qvel[:, self._linear]),

@@ -81,14 +81,11 @@ def sample_throws(
     lin_vel = launch_velocity(pos, aim, peak)
     if drag is not None:
         lin_vel = velocity_through_air(pos, aim, lin_vel, drag)
-    return Throw(
-        pos=pos,
-        quat=quat,
-        lin_vel=_released(cfg, lin_vel, generator),
-        ang_vel=_spin(cfg.spin, num_envs, generator) if cfg.spin else torch.zeros_like(pos),
-        aim=aim,
-        hover_steps=hover_steps,
-    )
+    lin_vel, ang_vel = _released(cfg, lin_vel, generator), torch.zeros_like(pos)
+    if cfg.spin:
+        speed = cfg.spin * torch.rand(num_envs, 1, generator=generator, device=device)
+        ang_vel = speed * random_directions(num_envs, generator)
+    return Throw(pos=pos, quat=quat, lin_vel=lin_vel, ang_vel=ang_vel, aim=aim, hover_steps=hover_steps)
 
 
 def _released(cfg: ThrowCfg, lin_vel: Vectors, generator: torch.Generator) -> Vectors:
@@ -107,11 +104,6 @@ def _released(cfg: ThrowCfg, lin_vel: Vectors, generator: torch.Generator) -> Ve
     return torch.stack(
         (level * torch.cos(azimuth), level * torch.sin(azimuth), speed * torch.sin(elevation)), dim=-1
     )
-
-
-def _spin(largest: float, num_envs: int, generator: torch.Generator) -> Vectors:
-    speed = largest * torch.rand(num_envs, 1, generator=generator, device=generator.device)
-    return speed * random_directions(num_envs, generator)
 
 
 def launch_velocity(pos: Vectors, aim: Vectors, peak: Scalars) -> Vectors:

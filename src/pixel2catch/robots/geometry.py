@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pixel2catch.batches import Joints, Quaternions, Scalars, Vectors
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robots.poses import pose_matrix, pose_of
+from pixel2catch.robots.poses import pose_matrix, pose_of, rotation_matrix
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
@@ -128,18 +128,12 @@ def _turning(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _product_maps() -> np.ndarray:
     """Return the products 4 q_i q_j as linear maps of the entries of a homogeneous matrix: (4, 4, 16)."""
-    table = np.zeros((4, 4, 4, 4))
-    for i in range(3):
-        for j in range(3):
-            if i == j:
-                for k in range(4):
-                    table[k, k, i, i] = 1.0 if k in (0, i + 1) else -1.0
-            else:
-                table[i + 1, j + 1, i, j] += 1.0
-                table[i + 1, j + 1, j, i] += 1.0
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
-        table[0, k, i, j] = table[k, 0, i, j] = 1.0
-        table[0, k, j, i] = table[k, 0, j, i] = -1.0
+    table, unit = np.zeros((4, 4, 4, 4)), np.eye(4)
+    for i, j in product(
+        range(4), repeat=2
+    ):  # half the second derivatives of the rotation, which is quadratic
+        both = rotation_matrix(unit[i] + unit[j])
+        table[i, j, :3, :3] = (both - rotation_matrix(unit[i]) - rotation_matrix(unit[j])) / 2.0
     table[range(4), range(4), 3, 3] = 1.0
     return table.reshape(4, 4, 16)
 
