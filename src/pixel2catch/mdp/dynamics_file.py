@@ -106,8 +106,7 @@ class DynamicsFile:
 
 
 def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
-    names = [joint.name for joint in workcell.joints]
-    return [names.index(name) for name in dynamics.joints]
+    return [workcell.joint_names.index(name) for name in dynamics.joints]
 
 
 def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:
