@@ -257,12 +257,11 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     )
 
 
-def _geoms_on(model: mujoco.MjModel, joint: str) -> np.ndarray:
+def _geoms_on(model: mujoco.MjModel, joint: str) -> list[int]:
     """Return the collision geoms that a joint moves and no later one."""
     body = model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
-    return np.flatnonzero(
-        (model.body_weldid[model.geom_bodyid] == body) & (model.geom_group == COLLISION_GROUP)
-    )
+    is_on = model.body_weldid[model.geom_bodyid] == body
+    return np.flatnonzero(is_on & (model.geom_group == COLLISION_GROUP)).tolist()
 
 
 def _box_about(
@@ -280,8 +279,8 @@ def _last_link_box(
     """Return the corners of the box about the last link of an arm, frame of the palm's site [m]."""
     site = data.site(palm.spec.site)
     axes, origin = site.xmat.reshape(3, 3), site.xpos
-    geoms, boxes = _geoms_on(model, joint), []
-    for geom in geoms[model.geom_bodyid[geoms] < model.body(palm.spec.body).id]:
+    own, boxes = model.body(palm.spec.body).id, []
+    for geom in (each for each in _geoms_on(model, joint) if model.geom_bodyid[each] < own):
         turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
         frame = pose_of(axes.T @ (data.geom_xpos[geom] - origin), turn)
         middle, half = model.geom_aabb[geom].reshape(2, 3)
