@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.camera.pinhole import nominal_projection, scaled_box
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import (
     CameraErrors,
@@ -15,7 +15,6 @@ from pixel2catch.mdp.sensing import (
     detect,
     is_camera_exact,
     sample_camera_errors,
-    scaled_box,
     tracked_position,
 )
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics, command_lag
+from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics
 from pixel2catch.robots.ur5e import ARM as ARM_GROUP
 
 ARM = tuple(joint.name for joint in ARM_GROUP.joints)
@@ -46,4 +46,4 @@ def test_joints_over_others():
 def test_command_lag_by_hand():
     """Half a step, another one for the filter, and the latency."""
     both = NOMINAL.select(ELBOW_AND_INDEX).with_values(latency=0.003, filter_gain=[300.0, np.inf])
-    np.testing.assert_allclose(command_lag(both, 0.01), (0.013, 0.008))
+    np.testing.assert_allclose(both.command_lag(0.01), (0.013, 0.008))

@@ -129,6 +129,13 @@ def clip_box(box: Boxes, camera: CameraSpec) -> Boxes:
     return torch.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], dim=-1)
 
 
+def scaled_box(box: Boxes, factor: float) -> Boxes:
+    """Return boxes [px], scaled by a factor about their centres."""
+    center, size = center_and_size(box)
+    half_size = 0.5 * factor * size
+    return torch.cat((center - half_size, center + half_size), dim=-1)
+
+
 def perturb_box(box: Boxes, noise: Boxes, camera: CameraSpec) -> Boxes:
     """Move each edge by its own noise [px] and clip to the image; edges that cross are exchanged.
 

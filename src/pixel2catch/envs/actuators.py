@@ -11,14 +11,7 @@ from torch import Tensor
 from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
-from pixel2catch.robots.joint_dynamics import (
-    EFFORT_MARGIN,
-    DryFriction,
-    JointDynamics,
-    command_lag,
-    filter_step,
-    filter_transition,
-)
+from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -179,10 +172,10 @@ class CommandPath:
     """
 
     def __init__(self, dynamics: JointDynamics, dt: float, command: Joints) -> None:
-        share = _shares(0.5 + command_lag(dynamics, dt) / dt)
+        share = _shares(0.5 + dynamics.command_lag(dt) / dt)
         self._share = torch.as_tensor(share).to(command)[:, None]
         self._history = command.expand(len(share), -1, -1).clone()
-        self._transition = torch.as_tensor(filter_transition(dynamics, dt)).to(command)
+        self._transition = torch.as_tensor(dynamics.filter_transition(dt)).to(command)
         self._state = torch.stack((command, torch.zeros_like(command)), dim=-1)
 
     def reset(self, mask: Flags, joint_pos: Joints) -> None:

@@ -14,14 +14,7 @@ from pixel2catch.camera.level import level_boxes
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector
-from pixel2catch.envs.episode import (
-    Episode,
-    EpisodeRecord,
-    EpisodeStatistics,
-    StepExtremes,
-    draw_episode,
-    drawn_parameters,
-)
+from pixel2catch.envs.episode import Episode, EpisodeRecord, EpisodeStatistics, StepExtremes, draw_episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.control_step import (
@@ -378,7 +371,7 @@ class CatchEnv:
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
-        drawn = (drawn_parameters(self.episode),) if self.cfg.value_sees_parameters else ()
+        drawn = (self.episode.drawn_parameters(),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *drawn, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

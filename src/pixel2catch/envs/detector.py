@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import torch
 
-from pixel2catch.camera.pinhole import Projection, nominal_projection, perturb_box
+from pixel2catch.camera.pinhole import Projection, nominal_projection, perturb_box, scaled_box
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged
-from pixel2catch.mdp.sensing import Detection, SensingCfg, detect, scaled_box, tracked_position
+from pixel2catch.mdp.sensing import Detection, SensingCfg, detect, tracked_position
 from pixel2catch.scene.constants import RGB_CAMERA
 
 

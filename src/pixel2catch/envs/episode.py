@@ -148,6 +148,30 @@ class Episode:
     side_force: Vectors | None  #: Likewise its sideways acceleration, world frame; none without such a force.
     record: EpisodeRecord  #: What became of the episode so far.
 
+    def drawn_parameters(self) -> Features:
+        """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
+        parameters, throw, record = self.parameters, self.throw, self.record
+        columns = [
+            parameters.mass_scale,
+            parameters.restitution,
+            parameters.friction,
+            parameters.latency,
+            self.command_delay,
+            record.steps / 90.0,
+            record.held_steps / 20.0,
+            (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
+            torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
+        ]
+        if self.drag is not None:
+            columns.append(10.0 * self.drag)
+        tables = [parameters.stiffness_scale, parameters.damping_scale, parameters.action_bias, throw.aim]
+        if self.camera_errors is not None:
+            columns += [10.0 * self.camera_errors.drop_rate, self.camera_errors.clock_error]
+            tables += [self.camera_errors.box_bias]
+        if self.side_force is not None:
+            tables.append(100.0 * self.side_force)
+        return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)
+
 
 def draw_episode(
     cfg: CatchEnvCfg,
@@ -215,31 +239,6 @@ def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[floa
     """Return the drag of every object in air of 1 kg/m³ [1/m], in the order of the object table."""
     thrown = [each.scaled(scale) for each in objects]
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
-
-
-def drawn_parameters(episode: Episode) -> Features:
-    """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
-    parameters, throw, record = episode.parameters, episode.throw, episode.record
-    columns = [
-        parameters.mass_scale,
-        parameters.restitution,
-        parameters.friction,
-        parameters.latency,
-        episode.command_delay,
-        record.steps / 90.0,
-        record.held_steps / 20.0,
-        (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
-        torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
-    ]
-    if episode.drag is not None:
-        columns.append(10.0 * episode.drag)
-    tables = [parameters.stiffness_scale, parameters.damping_scale, parameters.action_bias, throw.aim]
-    if episode.camera_errors is not None:
-        columns += [10.0 * episode.camera_errors.drop_rate, episode.camera_errors.clock_error]
-        tables += [episode.camera_errors.box_bias]
-    if episode.side_force is not None:
-        tables.append(100.0 * episode.side_force)
-    return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)
 
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")

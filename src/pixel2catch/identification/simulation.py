@@ -16,14 +16,7 @@ from mujoco.batch import Batch
 
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, groups_of, held, specs_of
-from pixel2catch.robots.joint_dynamics import (
-    EFFORT_MARGIN,
-    DryFriction,
-    JointDynamics,
-    command_lag,
-    filter_step,
-    filter_transition,
-)
+from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
 
 FIT_DT = 1.0 / 480.0
@@ -318,7 +311,7 @@ class RecordedMotion:
         start = np.stack([grid.start for _, grid in copies], axis=1)
         qpos[:], qvel[:] = start
         servos = RecordedServos(batch, candidates, self._efforts, self.link_inertia, self._dt)
-        transition = np.stack([filter_transition(each, self._dt) for each in candidates])
+        transition = np.stack([each.filter_transition(self._dt) for each in candidates])
         filtered = np.moveaxis(start, 0, -1).copy()  # state of the command filters
         has_filter = any(each.has_filter.any() for each in candidates)
         commands, index = _commands(copies, self._dt)
@@ -345,7 +338,7 @@ def _commands(copies: Sequence[tuple[JointDynamics, _Grid]], dt: float) -> tuple
     keys = []
     num_steps = max(len(grid.edges) for _, grid in copies) - 1
     for dynamics, grid in copies:
-        lag = command_lag(dynamics, dt)
+        lag = dynamics.command_lag(dt)
         keys.append((id(grid), lag.tobytes(), dynamics.has_filter.tobytes()))
         if keys[-1] not in known:
             values = step_commands(grid.recording.t_cmd, grid.recording.q_cmd, grid.edges, lag)

@@ -10,13 +10,7 @@ from torch import Tensor
 
 from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalars, Vectors
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import (
-    Projection,
-    box_of_points,
-    center_and_size,
-    is_in_view,
-    nominal_projection,
-)
+from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection
 from pixel2catch.camera.region import REGION
 from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
@@ -217,13 +211,6 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
 
 def _sign(chance: Scalars) -> Scalars:
     return 1.0 - 2.0 * (chance < 0.5).float()
-
-
-def scaled_box(box: Boxes, factor: float) -> Boxes:
-    """Return boxes [px], scaled by a factor about their centres."""
-    center, size = center_and_size(box)
-    half_size = 0.5 * factor * size
-    return torch.cat((center - half_size, center + half_size), dim=-1)
 
 
 def tracked_position(

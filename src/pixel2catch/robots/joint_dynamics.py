@@ -133,30 +133,28 @@ class JointDynamics:
         """Return which joints have a command filter."""
         return np.isfinite(self.filter_gain)
 
+    def command_lag(self, dt: float) -> Float[np.ndarray, " num_joints"]:
+        """Return the time between sending a command and the middle of the physics step that uses it [s].
+
+        A servo leads by half a step `dt` [s], a filter by half a step more. The sum adds both to the latency;
+        motion then hardly depends on the time step.
+        """
+        return self.latency + dt / 2 * (1.0 + self.has_filter)
+
+    def filter_transition(self, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
+        """Return the exact transition over `dt` [s] of every filter, with a constant command.
+
+        The state is (position minus command, speed). The matrix is 0 where there is no filter.
+        """
+        step = np.zeros((len(self.joints), 2, 2))
+        gain, lookahead = self.filter_gain, self.filter_lookahead
+        for j in np.flatnonzero(self.has_filter):
+            step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
+        return step
+
 
 PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if field.name != "joints")
 """Names of the parameters of a joint."""
-
-
-def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
-    """Return the time between sending a command and the middle of the physics step that uses it [s].
-
-    A servo leads by half a step `dt` [s], and a filter by half a step more. The sum adds both to the latency,
-    so that motion hardly depends on the time step.
-    """
-    return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
-
-
-def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
-    """Return the exact transition over `dt` [s] of every filter, with a constant command.
-
-    The state is (position minus command, speed). The matrix is 0 where there is no filter.
-    """
-    step = np.zeros((len(dynamics.joints), 2, 2))
-    gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead
-    for j in np.flatnonzero(dynamics.has_filter):
-        step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
-    return step
 
 
 Values = Any  #: A NumPy array or a PyTorch tensor.
@@ -165,8 +163,8 @@ Values = Any  #: A NumPy array or a PyTorch tensor.
 def filter_step(transition: Values, state: Values, command: Values) -> None:
     """Advance the state of command filters by a time step with these commands [rad].
 
-    The transitions of `filter_transition` are (..., num_joints, 2, 2). The state, position [rad] and speed
-    [rad/s], is (num_copies, num_joints, 2) and keeps its memory.
+    Transitions are (..., num_joints, 2, 2), as of `JointDynamics.filter_transition`. The state, position
+    [rad] and speed [rad/s], is (num_copies, num_joints, 2) and keeps its memory.
     """
     error, speed = state[..., 0] - command, state[..., 1] + 0.0
     state[..., 0] = command + transition[..., 0, 0] * error + transition[..., 0, 1] * speed
