@@ -7,10 +7,11 @@ from functools import cached_property
 from typing import Literal
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
+from pixel2catch.batches import ByAgent, Joints
 from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
-from pixel2catch.mdp.control_step import Measurement, Transition
+from pixel2catch.mdp.control_step import Measurement, Transition, put
 from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.mdp.rewards import BodyPart
 from pixel2catch.own_files import catalogue, computed
@@ -48,6 +49,10 @@ class Method:
     def knows_age(self) -> bool:
         """Return whether its agents observe the age of boxes."""
         return any(agent.memory for agent in self.agents)
+
+    def joint_actions(self, actions: ByAgent) -> Joints:
+        """Return the actions of all agents in joint order."""
+        return put([(agent.joints, actions[agent.name]) for agent in self.agents])
 
     def with_weights(self, weights: Mapping[str, float]) -> "Method":
         """Return the method with other weights of reward terms, by names such as `arm.success`."""

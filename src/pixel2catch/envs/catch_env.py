@@ -17,15 +17,7 @@ from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode, EpisodeRecord, EpisodeStatistics, StepExtremes, draw_episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.control_step import (
-    ActionMap,
-    BoxHistory,
-    History,
-    Measurement,
-    Privileged,
-    Transition,
-    put,
-)
+from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, Privileged, Transition
 from pixel2catch.mdp.observations import observe, privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
@@ -171,7 +163,7 @@ class CatchEnv:
         The next step overwrites the returned tensors, except `observation` and `rewards`.
         """
         require_shapes("action", actions, {name: (self.num_envs, n) for name, n in self.action_sizes.items()})
-        action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
+        action = self.method.joint_actions(actions)
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
         if self.device.type == "cpu":
             self._require_numbers()

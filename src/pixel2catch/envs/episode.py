@@ -68,8 +68,7 @@ class EpisodeRecord:
     max_penetration: Scalars  #: Deepest overlap of the object with anything, over all physics steps [m].
     max_joint_speed: Scalars  #: Largest speed of an arm joint, over all physics steps [rad/s].
     max_torque_share: Scalars  #: Largest joint torque as a share of its limit.
-    #: Largest net contact force on the object in control steps in which the hand touched it [N].
-    max_object_force: Scalars
+    max_object_force: Scalars  #: Largest `object_force` in steps in which the hand touched the object [N].
     #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
     hold_speed: Scalars
     hold_palms: Scalars  #: Mean number of palms in reach then; likewise.

@@ -58,8 +58,7 @@ def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) 
 class DynamicsFile:
     """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges."""
 
-    #: Dynamics of some joints or of all.
-    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
+    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)  #: Of some joints or of all.
     #: How the gains are randomised; those of other joints are not in the file.
     gains: GainRanges = field(default_factory=GainRanges)
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.

@@ -36,8 +36,7 @@ MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; 
 class AgentContract:
     """Inputs and outputs of one agent's network."""
 
-    #: Name and size of every observation term, in the order of the input vector.
-    observation: tuple[tuple[str, int], ...]
+    observation: tuple[tuple[str, int], ...]  #: Names and sizes of terms, in the order of the input vector.
     joints: tuple[str, ...]  #: Names of the joints, in the order of the output vector.
 
     @property
@@ -61,8 +60,7 @@ class PolicyContract:
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
     task: str = "nominal"  #: Name of the task of its training; it may act in others.
-    #: Radius of the ball of equal volume of the largest object of its training [m].
-    object_radius: float = OBJECT_RADIUS
+    object_radius: float = OBJECT_RADIUS  #: Of a ball with the volume of the largest object of training [m].
     format_version: int = FORMAT_VERSION  #: Version of the file format.
 
     def to_dict(self) -> dict[str, Any]:

@@ -209,8 +209,7 @@ class ArmShape:
     #: Lower and upper corners of boxes about the hand alone and about the last link, frame of the palm's site
     #: [m]; empty if the hand cannot touch its arm.
     boxes: Float[np.ndarray, "2 3 boxes"]
-    #: Capsules that hand and last link can touch: those at least three joints away.
-    reached: Int[np.ndarray, " some"]
+    reached: Int[np.ndarray, " some"]  #: Capsules at least three joints away, which the hand can touch.
 
 
 @cache
