@@ -149,8 +149,9 @@ class CatchWorld:
     @property
     def live(self) -> tuple[Tensor, ...]:
         """Return the tensors of the state besides what `reset` sets, one row per environment."""
-        f = self._fields
-        return f.qpos, f.qvel, f.qacc_warmstart, f.xfrc_applied, *self._actuators.live
+        fields = self._fields
+        state = (fields.qpos, fields.qvel, fields.qacc_warmstart, fields.xfrc_applied)
+        return (*state, *self._actuators.live)
 
     def is_diverged(self) -> Flags:
         """Return where a speed is not a number, or beyond `DIVERGED_SPEED`."""
