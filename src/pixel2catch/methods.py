@@ -151,9 +151,9 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     `object_position` observes the object in 3D, `object_extent` also its size; `shared_reward` gives all
     agents the sum of their rewards; `agent_per_robot` has an agent for each robot; `catch` has a shared
     reward with costs of unrest and self-contact, `catch_alone` the same as one agent; `catch_teacher`
-    observes the object in 3D and can be imitated. `analytic` and `analytic_told` are
-    what the computed policies of these names observe, see `policy.analytic`. With a `local_critic` no value
-    network sees the state.
+    observes the object in 3D and can be imitated. `analytic` and `analytic_told` are what the computed
+    policies of these names observe, see `policy.analytic`. With a `local_critic` no value network sees the
+    state.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
