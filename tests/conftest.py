@@ -86,6 +86,19 @@ def pytest_runtest_setup() -> None:
     CALLS.clear()
 
 
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that is refused, and returns its error."""
+
+    def run(*args: object) -> str:
+        from pixel2catch.cli.main import main
+
+        assert main([*map(str, args)]) == 2
+        return capsys.readouterr().err
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def opengl() -> None:
     """Skip what draws where no OpenGL back end works."""

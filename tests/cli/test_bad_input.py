@@ -62,6 +62,8 @@ BAD = [
     ("operate /dev/null --keys 35 35 1", "give three different ones"),
     ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
     ("stress --restitution 0", "--engines"),
+    ("stress proposed --engines bullet", "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
+    ("stress proposed --engines mujoco --restitution 1.5", "restitution is 1.5"),
     ("deploy --checkpoint sam2", "add --segmenter sam2"),
     ("release nowhere", "unknown place 'nowhere'"),
     # places
@@ -73,6 +75,8 @@ BAD = [
     ("evaluate --out {pipe}", "a pipe or a device; name a file"),
     ("stress --out {file}", "a file; name a folder"),
     ("play --out x.avi", "out is 'x.avi'; end the file's name in .mp4"),
+    ("export --out policy.bin", "policy.bin"),
+    ("export --out {file}.onnx", "file.onnx"),
     ("scene x.stl", "end the file's name in .xml or .mjb"),
     ("track 0 --out {full}", "is not an empty folder"),
     ("evaluate --dynamics {list}", "it must be a JSON object"),
@@ -107,7 +111,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     found = {name: folder / name for name in names}
     for name in ("empty", "full", "list_policy"):
         found[name].mkdir()
-    for file in (found["file"], found["full"] / "something"):
+    for file in (found["file"], folder / "file.onnx", found["full"] / "something"):
         file.touch()
     for file in (found["list"], found["list_policy"] / "policy.json"):
         file.write_text("[1]")
