@@ -64,7 +64,6 @@ def untrained(**camera: object) -> Policy:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a policy, a camera file and a dynamics file."""
     path = tmp_path_factory.mktemp("fields")
     untrained().save(path)
     MEASURED.save(path / "camera.json")

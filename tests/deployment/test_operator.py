@@ -178,7 +178,6 @@ class Desk:
         self._queues = {name: node.subscription(getattr(PROFILE.operator, name), depth=100) for name in names}
 
     def send(self, kind: int, code: int, value: int) -> None:
-        """What the keys of the device do."""
         os.write(self.device, EVENT.pack(1, 2, kind, code, value))
 
     def press(self, *codes: int, value: int = 1) -> None:

@@ -27,7 +27,6 @@ DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Sta
 
 
 def write(file: Path, device: str) -> None:
-    """Note the order of the calls, print, and write the result."""
     with open(file.parent / "order", "a") as order:
         order.write(f"{file.name} ")
     print("printed", os.environ.get("MARK"))
