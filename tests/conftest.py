@@ -46,8 +46,8 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("repeatable")
 
 
-LONGEST = {"test_rehearsal.py", "test_servo_spawned.py"}
-"""Files whose tests mostly wait for processes: begun first, they wait beside the others' work."""
+LONGEST = {f"test_{name}.py" for name in ["rehearsal", "servo_spawned", "trials", "motions", "reproduce"]}
+"""Files that take longest: begun first, none is left to one worker at the end."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -165,7 +165,6 @@ def test_a_fault_stops_the_robot_with_its_own_bit(fault: str, stage: Stage):
 
 
 def test_repeated_and_older_joint_states_are_ignored(stage: Stage):
-    """Such as from a recording that is played while joints move."""
     lab, said = stage.lab, deque[messages.JointReading](maxlen=200)
     lab.change = lambda reading: said.append(reading) or reading
     stage.arm(60)

@@ -61,9 +61,7 @@ PLACES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_what_is_not_a_file_of_the_kind_is_refused(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_what_is_not_a_file_of_the_kind_is_refused(line: str, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "views.csv").write_text("image\n1.png\n")
     for number, (what, make) in enumerate(PLACES.items()):
@@ -153,7 +151,6 @@ def packed_bag(path: Path, size: int, mode: CompressionMode = CompressionMode.ST
 
 
 def test_large_chunks_of_a_bag_are_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """One is too large, or all of one time together."""
     file = packed_bag(tmp_path / "bag", 2**21)
     for limit in ("MOST_CHUNK", "MOST_AT_ONCE"):
         with monkeypatch.context() as patch:
@@ -236,9 +233,7 @@ def test_a_file_may_be_as_long_as_its_bound(tmp_path: Path):
         '<mujoco><worldbody><geom name="%n" size="1"/></worldbody></mujoco>',
     ],
 )
-def test_a_harmful_model_is_refused_before_mujoco_reads_it(
-    content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_harmful_model_is_refused_before_mujoco_reads_it(content: str, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(mujoco.MjSpec, "from_file", None)
     file = tmp_path / "robot.xml"
     file.write_text(content)

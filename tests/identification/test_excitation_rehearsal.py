@@ -118,9 +118,7 @@ def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_ro
     assert (truth.latency == 0.012).all()
 
 
-def test_wrong_options_are_named_and_nothing_is_overwritten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_wrong_options_are_named_and_nothing_is_overwritten(tmp_path: Path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("motion-2.npz").write_text("old")
     for options, words in (

@@ -57,7 +57,6 @@ def test_catches_agree(both):
 
 
 def test_touches_agree(both):
-    """The same parts of the hand touch the object in the first contact."""
     sensors = []
     for simulation in both:
         start(simulation)

@@ -145,9 +145,7 @@ def test_no_path_leads_from_a_pose_outside_the_limits_or_over_an_unknown_place()
 
 
 @pytest.mark.parametrize(("command", "arm"), [("home", HOME[0]), ("release", 3.3), ("release near", 2.8)])
-def test_the_commands_move_the_robot_to_the_end(
-    command: str, arm: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_the_commands_move_the_robot_to_the_end(command: str, arm: float, monkeypatch, capsys):
     monkeypatch.setattr("pixel2catch.cli.link.Robot.load", lambda _: PROFILE)
     start = HOME.copy()
     start[0] = 3.3

@@ -12,9 +12,7 @@ from pixel2catch.cli.main import main
 
 
 @pytest.mark.usefixtures("opengl")
-def test_a_throw_is_rehearsed_and_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_throw_is_rehearsed_and_reported(tmp_path: Path, monkeypatch, capsys):
     """Processes, network and report; `test_stepped` has what is thrown and caught, in time that is stepped.
 
     On a busy machine images are late, and the robot may be stopped before the throw: then that is said.
