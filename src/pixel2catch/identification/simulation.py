@@ -36,16 +36,18 @@ Settled = Float[np.ndarray, "num_settled num_joints"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Encoders:
-    """Errors between the motion of joints and its recording: play, and clocks that drift apart."""
+    """Errors between the motion of joints and its recording: play, clocks that drift apart, and zeros."""
 
     play: PerJoint  #: width of the play between servo and encoder [rad]; the encoder lags by half of it
     #: excess speed of the measurements' clock over that of the commands, as a share
     drift: Float[np.ndarray, "num_recordings num_joints"]
+    zero: Float[np.ndarray, "num_recordings num_joints"]  #: what they read where the joints are at zero [rad]
 
     @classmethod
     def perfect(cls, num_recordings: int, num_joints: int) -> "Encoders":
-        """Return encoders with neither play nor drift."""
-        return cls(play=np.zeros(num_joints), drift=np.zeros((num_recordings, num_joints)))
+        """Return encoders without errors."""
+        each = np.zeros((num_recordings, num_joints))
+        return cls(play=np.zeros(num_joints), drift=each, zero=each)
 
 
 def behind_play(positions: Positions, play: PerJoint) -> Positions:
@@ -274,9 +276,9 @@ class RecordedMotion:
             num_before += len(time)
         return np.concatenate(starts)
 
-    def split(self, positions: Settled) -> list[np.ndarray]:
-        """Return simulated positions, recording by recording."""
-        return np.split(positions, np.cumsum([len(grid.index) for grid in self._grids])[:-1])
+    def split(self, positions: Float[np.ndarray, "*points num_settled num_joints"]) -> list[np.ndarray]:
+        """Return views of simulated positions, recording by recording."""
+        return np.split(positions, np.cumsum([len(grid.index) for grid in self._grids])[:-1], axis=-2)
 
     def simulate(
         self, candidates: Sequence[JointDynamics], encoders: Sequence[Encoders] = ()
@@ -297,7 +299,8 @@ class RecordedMotion:
             first = num * different.index(candidate)
             own_paths = zip(self._grids, paths[first : first + num], own.drift, strict=True)
             sampled = [grid.sample(path[: len(grid.edges)], drift) for grid, path, drift in own_paths]
-            measured.append(np.concatenate([behind_play(each, own.play) for each in sampled]))
+            pairs = zip(sampled, own.zero, strict=True)
+            measured.append(np.concatenate([zero + behind_play(each, own.play) for each, zero in pairs]))
         return np.stack(measured)
 
     def _roll_out(
