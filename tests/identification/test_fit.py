@@ -46,7 +46,7 @@ def test_servo_is_recovered():
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
         assert (error < 2.0 * known[name].half_width + 0.02).all(), name
-    assert (known[LAG].half_width < 0.02).all()
+    assert (known[LAG].half_width < (0.02, 0.04)).all()  # dry friction is a larger share of the finger
 
 
 def test_command_filter_is_recovered():
