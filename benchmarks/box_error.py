@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project
+from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, nominal_projection
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.mdp.sensing import detect
@@ -90,8 +90,9 @@ def compare(
     width, height = magnification * RGB_VIEW.width, magnification * RGB_VIEW.height
     view = replace(RGB_VIEW, width=width, height=height)
     points, is_visible = _surface(model, object_name, qpos, num_points)
-    box, _ = detect(points, is_visible, least_visible=0.0)
-    in_view = is_in_view(RGB_CAMERA, *project(RGB_CAMERA, points))
+    camera = nominal_projection(RGB_CAMERA, points)
+    box, _ = detect(points, is_visible, 0.0, camera)
+    in_view = is_in_view(RGB_CAMERA, *camera.pixels(points))
     mask = _masks(model, qpos, view)
     windows = [window_of(each) for each in mask.numpy()]
     edges = [(across.start, down.start, across.stop, down.stop) for down, across in windows]
@@ -118,8 +119,8 @@ def _surface(
     body = model.body("object").id
     local = torch.from_numpy(surface_points(OBJECTS[object_name], num_points))
     points = local @ xmat[:, body].view(-1, 3, 3).mT + xpos[:, body, None]
-    directions = points - camera_center(RGB_CAMERA, points)
-    hit = simulation.ray(camera_center(RGB_CAMERA, points), directions, OCCLUDER_GROUPS)
+    origin = nominal_projection(RGB_CAMERA, points).center
+    hit = simulation.ray(origin, points - origin, OCCLUDER_GROUPS)
     simulation.close()
     return points, is_unoccluded(hit)
 

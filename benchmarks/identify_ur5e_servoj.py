@@ -43,7 +43,7 @@ def main() -> None:
         whole = mended(recorded, speed)
         middle = 0.5 * whole.t_meas[-1]
         fitted, held_out = (part(whole, *span) for span in ((0.5, middle), (middle, np.inf)))
-        nominal = stiff(JointDynamics.nominal((joint,)))
+        nominal = stiff(JointDynamics.nominal().select((joint,)))
         start = nominal.with_values(filter_gain=[args.gain], filter_lookahead=[args.lookahead])
         fit = fit_dynamics([fitted], start, FitCfg(free=FILTER_PARAMETERS))
         for name, found in estimates(fit).items():

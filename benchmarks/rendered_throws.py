@@ -17,7 +17,7 @@ from pixel2catch.perception.labels import Phase, Truth
 from pixel2catch.perception.regions import window_of
 from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
-from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
@@ -98,7 +98,7 @@ class ThrowFilm:
         workcell = find_workcell(self._cfg.scene.workcell)
         joint_pos = moment.qpos[: len(workcell.joints)]
         arm = joint_pos[None, workcell.palms[0].carriers]
-        palm_pos, _ = first_chain(workcell).pose(torch.from_numpy(arm))
+        palm_pos, _ = chain_of(workcell, workcell.palms[0]).pose(torch.from_numpy(arm))
         pixels, noise = self._camera.image(exposure), self._rng.standard_normal(len(joint_pos))
         measured = joint_pos + self._cfg.encoder_noise * noise
         return LabelledImage(

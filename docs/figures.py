@@ -22,7 +22,7 @@ from pixel2catch.evaluation.figures import PALETTE, STYLE
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.mdp.observations import FIT_FEATURES, PIXEL_FEATURES, fit_boxes, pixel_features
 from pixel2catch.mdp.throws import ThrowCfg, sample_paths
-from pixel2catch.robots.geometry import arm_shape, first_chain
+from pixel2catch.robots.geometry import arm_shape, chain_of
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.laws import interpolated, limited_speed, moving_mean, speed_to
@@ -252,7 +252,8 @@ def _commands(targets: ndarray, limits: np.record) -> tuple[ndarray, ndarray, nd
 def reach() -> float:
     """How far arm and hand reach from the axis of the base, of many poses [m]."""
     poses = torch.rand(20_000, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    palm = first_chain(UR5E_ALLEGRO).link_poses((2.0 * poses - 1.0) * torch.pi)[:, -1, :3, 3].numpy()
+    chain = chain_of(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0])
+    palm = chain.link_poses((2.0 * poses - 1.0) * torch.pi)[:, -1, :3, 3].numpy()
     shape = arm_shape(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0])
     hand = float(np.linalg.norm(np.abs(shape.hand_center) + shape.hand_half))
     return float(np.linalg.norm((palm - UR5E_POS)[:, :2], axis=1).max()) + hand

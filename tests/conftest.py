@@ -46,8 +46,8 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("repeatable")
 
 
-LONGEST = {"test_rehearsal.py", "test_servo_spawned.py"}
-"""Files whose tests mostly wait for processes: begun first, they wait beside the others' work."""
+LONGEST = {f"test_{name}.py" for name in ["rehearsal", "servo_spawned", "trials", "motions", "reproduce"]}
+"""Files that take longest: begun first, none is left to one worker at the end."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -84,6 +84,19 @@ def counted(function: Callable[..., Any], most: int) -> Callable[..., Any]:
 def pytest_runtest_setup() -> None:
     config.update("jaxtyping_disable", False)
     CALLS.clear()
+
+
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that is refused, and returns its error."""
+
+    def run(*args: object) -> str:
+        from pixel2catch.cli.main import main
+
+        assert main([*map(str, args)]) == 2
+        return capsys.readouterr().err
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -16,10 +16,10 @@ from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.mdp.control_step import History, Measurement
 from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.policy.ballistics import BallisticFit
+from pixel2catch.policy.analytic import BallisticFit
 from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.policy.policy import Policy
-from pixel2catch.robots.inverse import chain_to, joints_reaching, pose_and_slopes
+from pixel2catch.robots.geometry import chain_of, joints_reaching, pose_and_slopes
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.shipped import policy_folder
@@ -65,8 +65,8 @@ def test_an_object_that_hovers_does_not_fly():
 def test_inverse_kinematics_reach_what_the_arm_can_reach(cell: str):
     workcell = find_workcell(cell)
     (palm,) = workcell.palms
-    chain, columns = chain_to(workcell, palm.spec.site)
-    joints = [workcell.joints[column] for column in columns]
+    chain = chain_of(workcell, palm)
+    joints = workcell.joints[palm.carriers]
     limits = torch.tensor([[joint.lower for joint in joints], [joint.upper for joint in joints]]).double()
     home = torch.tensor([[joint.home for joint in joints]], dtype=torch.float64)
     torch.manual_seed(0)

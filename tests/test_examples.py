@@ -58,9 +58,7 @@ SLOW = ("last_five_boxes", "own_method")  #: They train as `own_reward` does.
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in EXAMPLES]
 )
-def test_it_runs(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_it_runs(name: str, tmp_path: Path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings, printed = EXAMPLES[name]
     main_of(name)(**settings)

@@ -19,7 +19,6 @@ def closed_terminal() -> Iterator[None]:
 @pytest.mark.usefixtures("closed_terminal")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_asks_to_stop_in_order(number: signal.Signals):
-    """Such as to end a recording properly."""
     with StopRequest() as stop:
         assert not stop.is_set
         signal.raise_signal(number)

@@ -42,7 +42,6 @@ def parameters(name: str) -> dict[str, Any]:
 
 
 def arguments(name: str) -> dict[str, str | None]:
-    """Arguments of a launch file, with their defaults."""
     return {arg.attrib["name"]: arg.get("default") for arg in launch(name).findall("arg")}
 
 

@@ -13,21 +13,12 @@ import torch
 from pixel2catch.cli.main import main
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
-from pixel2catch.methods import METHODS
-from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy import Policy
 from pixel2catch.policy.onnx_policy import largest_difference, load, to_onnx
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
+from test_policy import policy
 
-CONTRACT = contract_of(METHODS["proposed"])
-
-
-def random_policy() -> Policy:
-    torch.manual_seed(0)
-    policy = Policy(CONTRACT, hidden=(32, 16))
-    for name in CONTRACT.agents:
-        policy.network(name).input_mean.normal_()
-        policy.network(name).input_std.uniform_(0.5, 2.0)
-    return policy
+__all__ = ["policy"]
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +33,10 @@ def test_onnx_runtime_computes_the_actions_of_the_default_policy(file: Path) -> 
     assert largest_difference(Policy.load(shipped_policies()[DEFAULT_POLICY]), file.read_bytes()) < 1e-5
 
 
-def test_a_file_has_the_weights_of_its_policy(tmp_path: Path) -> None:
-    policy = random_policy()
+def test_a_file_has_the_weights_of_its_policy(policy: Policy, tmp_path: Path) -> None:
     (tmp_path / "mine.onnx").write_bytes(to_onnx(policy))
     loaded = load(tmp_path / "mine.onnx")
-    assert (loaded.contract, loaded.hidden) == (CONTRACT, (32, 16))
+    assert (loaded.contract, loaded.hidden) == (policy.contract, (8, 8))
     for name, value in policy.state_dict().items():
         assert torch.equal(loaded.state_dict()[name], value), name
 
@@ -96,16 +86,7 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
         load_policy(tmp_path / "missing.onnx")
 
 
-def test_a_policy_with_weights_that_are_not_finite_is_not_exported() -> None:
-    policy = random_policy()
+def test_a_policy_with_weights_that_are_not_finite_is_not_exported(policy: Policy) -> None:
     torch.nn.init.constant_(next(policy.network("hand").parameters()), torch.nan)
     with pytest.raises(NonFiniteError, match="not finite"):
         to_onnx(policy)
-
-
-@pytest.mark.parametrize(
-    ("args", "named"), [(["--out", "policy.bin"], "policy.bin"), (["--out", "{file}"], "{file}")]
-)
-def test_mistakes(args: list[str], named: str, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", *(arg.format(file=file) for arg in args)]) == 2
-    assert named.format(file=file) in capsys.readouterr().err

@@ -106,15 +106,6 @@ def rewrite(folder: Path, text: str) -> None:
     (folder / "policy.json").write_text(text)
 
 
-def test_a_policy_on_another_device_is_a_copy(policy: Policy) -> None:
-    before = {name: value.clone() for name, value in policy.state_dict().items()}
-    moved = policy.to(torch.float64)
-    assert moved is not policy
-    assert all(value.dtype == torch.float64 for value in moved.parameters())
-    for name, value in policy.state_dict().items():
-        assert torch.equal(value, before[name]), name
-
-
 @pytest.mark.parametrize("term", ["observe", "ObservationInputs"])
 def test_an_unknown_method_whose_term_is_another_function_does_not_fit(term: str) -> None:
     contract = contract_of(dataclasses.replace(find_method("proposed"), name="mine"))

@@ -107,7 +107,6 @@ def shaped(path: str, number: float) -> Any:
 
 
 def changed(path: str, value: Any) -> None:
-    """Check the experiment with another value of a field."""
     require_valid(with_value(EXPERIMENT, path, value))
 
 

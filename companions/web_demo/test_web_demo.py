@@ -48,7 +48,6 @@ NUM_THROWS, NUM_STEPS = 3, 50
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of the shipped policy."""
     return exported(tmp_path_factory.mktemp("demo"), None)
 
 
@@ -236,7 +235,5 @@ def open_page(folder: Path) -> Iterator[Any]:
 
 
 class QuietHandler(SimpleHTTPRequestHandler):
-    """A file server that prints nothing."""
-
     def log_message(self, format: str, *args: Any) -> None:
         pass

@@ -7,10 +7,11 @@ from functools import cached_property
 from typing import Literal
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
+from pixel2catch.batches import ByAgent, Joints
 from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
-from pixel2catch.mdp.control_step import Measurement, Transition
+from pixel2catch.mdp.control_step import Measurement, Transition, put
 from pixel2catch.mdp.observations import PIXEL_FEATURES
 from pixel2catch.mdp.rewards import BodyPart
 from pixel2catch.own_files import catalogue, computed
@@ -48,6 +49,10 @@ class Method:
     def knows_age(self) -> bool:
         """Return whether its agents observe the age of boxes."""
         return any(agent.memory for agent in self.agents)
+
+    def joint_actions(self, actions: ByAgent) -> Joints:
+        """Return the actions of all agents in joint order."""
+        return put([(agent.joints, actions[agent.name]) for agent in self.agents])
 
     def with_weights(self, weights: Mapping[str, float]) -> "Method":
         """Return the method with other weights of reward terms, by names such as `arm.success`."""
@@ -146,9 +151,9 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     `object_position` observes the object in 3D, `object_extent` also its size; `shared_reward` gives all
     agents the sum of their rewards; `agent_per_robot` has an agent for each robot; `catch` has a shared
     reward with costs of unrest and self-contact, `catch_alone` the same as one agent; `catch_teacher`
-    observes the object in 3D and can be imitated. `analytic` and `analytic_told` are
-    what the computed policies of these names observe, see `policy.analytic`. With a `local_critic` no value
-    network sees the state.
+    observes the object in 3D and can be imitated. `analytic` and `analytic_told` are what the computed
+    policies of these names observe, see `policy.analytic`. With a `local_critic` no value network sees the
+    state.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)

@@ -16,6 +16,7 @@ from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameEr
 from pixel2catch.learning.experiment import read_run
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.robots import ur5e
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import SceneCfg
 
@@ -89,7 +90,7 @@ def height(frame: p2c.observations.ObservationInputs) -> torch.Tensor:
 
 def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "dynamics.json"
-    arm = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(latency=0.02)
+    arm = JointDynamics.nominal(ur5e.ARM.joints).with_values(latency=0.02)
     DynamicsFile(dynamics=arm).save(file)
     out = tmp_path / "run"
     p2c.train("only_center", out, task=OWN, dynamics=file, **SMALL)

@@ -3,7 +3,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pixel2catch.camera.boxes import box_of_points, clip_box, perturb_box
+from pixel2catch.camera.pinhole import box_of_points, clip_box, perturb_box
 from pixel2catch.scene.constants import RGB_CAMERA
 
 

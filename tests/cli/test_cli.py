@@ -126,9 +126,7 @@ def test_help_is_short(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
         assert (option in brief, option in whole) == (False, True), name
 
 
-def test_train_has_and_explains_every_option_of_its_configuration(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_train_has_and_explains_every_option_of_its_configuration(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     text = " ".join(help_of(capsys, "train", "--help-all").replace("│", "").split())
     assert "None" not in text

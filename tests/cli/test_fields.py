@@ -24,6 +24,7 @@ from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robots import ur5e
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import SceneCfg
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -48,7 +49,7 @@ MEASURED = CameraFile(
     pose_covariance=tuple(tuple(1e-4 if i == j else 0.0 for j in range(6)) for i in range(6)),
     focal_std=0.01,
 )
-ARM = JointDynamics.nominal(JointDynamics.nominal().joints[:6]).with_values(
+ARM = JointDynamics.nominal(ur5e.ARM.joints).with_values(
     latency=0.02, filter_gain=300.0, filter_lookahead=0.1
 )
 IDENTIFIED = DynamicsFile(dynamics=ARM, gains=GainRanges(stiffness_scale=((0.99, 1.01),) * 19))
@@ -63,7 +64,6 @@ def untrained(**camera: object) -> Policy:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a policy, a camera file and a dynamics file."""
     path = tmp_path_factory.mktemp("fields")
     untrained().save(path)
     MEASURED.save(path / "camera.json")
@@ -101,9 +101,7 @@ def test_a_field_holds_beneath_every_disturbance(folder: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "stress"])
-def test_wrong_fields_are_named(
-    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], opengl: None
-):
+def test_wrong_fields_are_named(command: str, folder: Path, tmp_path: Path, capsys, opengl: None):
     """Those that are misspelt, and those that the protocol of evaluations sets."""
     with pytest.raises(SystemExit):
         parse([command, "--env.throws.peak", "1", "2"])
@@ -153,18 +151,14 @@ def test_without_a_key_of_weights_and_biases_nothing_is_left(tmp_path: Path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_missing_package_is_named_before_anything_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_missing_package_is_named_before_anything_is_written(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "wandb", None)
     assert run(*TRAIN, "--wandb", "catching", "--out", tmp_path / "run") == 2
     assert install_command("wandb") in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_training_simulates_what_the_files_describe(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_training_simulates_what_the_files_describe(folder: Path, tmp_path: Path, capsys):
     """The run keeps their values, the policy is for the camera, and the run goes on with no other files."""
     out, names = tmp_path / "run", ("dynamics", "camera")
     files = [part for name in names for part in (f"--{name}", folder / f"{name}.json")]

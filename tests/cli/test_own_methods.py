@@ -109,9 +109,7 @@ def test_a_value_of_the_package_is_not_replaced():
         own_files.add(replace(METHODS["proposed"], pixel_features=("w", "h")))
 
 
-def test_own_methods_are_trained_and_evaluated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     """Without the file where all terms are the package's; child processes import it, too."""
     monkeypatch.chdir(tmp_path)
     Path("my_methods.py").write_text(FILE)
@@ -135,9 +133,7 @@ def test_own_methods_are_trained_and_evaluated(
         assert cell["evaluation"]["task"]["randomization"]["mass_scale"] == [2.0, 2.0]
 
 
-def test_a_work_cell_of_ones_own_is_trained_and_evaluated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("my_cell.py").write_text(CELL)
     assert run("train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run") == 0

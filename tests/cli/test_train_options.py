@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -60,13 +61,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_run_goes_on_with_its_own_configuration(run: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_run_goes_on_with_its_own_configuration(run: Path, refusal: Any):
     before = json.loads((run / "config.json").read_text())
     for wrong in (("--task", "nominal"), ("--workcell", "ur5e_leap"), ("--preset", "fast")):
-        assert main([*TRAIN, *wrong, "--resume", "--out", str(run)]) == 2
-        assert wrong[1] in capsys.readouterr().err
-    assert main(["train", "proposed", "--resume", "--out", str(run)]) == 2
-    assert "only_center" in capsys.readouterr().err
+        assert wrong[1] in refusal(*TRAIN, *wrong, "--resume", "--out", run)
+    assert "only_center" in refusal("train", "proposed", "--resume", "--out", run)
     assert main(["train", "--task", "wide", "--resume", "--transitions", "24", "--out", str(run)]) == 0
     after = json.loads((run / "config.json").read_text())
     assert (before["train"].pop("transitions"), after["train"].pop("transitions")) == (16, 24)
@@ -93,15 +92,8 @@ def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
     assert config["env"]["name"] == "nominal"
     assert list(config["agents"]) == [agent.name for agent in find_method("only_center").agents]
     assert config["agents"]["arm"]["observation"] == ["pixels", "palm_pose", "joint_pos", "last_action"]
-    assert config["agents"]["arm"]["rewards"] == {
-        "arm.elapsed_time": -0.01,
-        "arm.palm_approach": 1.0,
-        "arm.success": 5.0,
-        "arm.nearness": 0.1,
-        "arm.drop": 0.0,
-        "arm.table_contact": -5.0,
-        "arm.action_square": -0.01,
-    }
+    weights = config["agents"]["arm"]["rewards"]
+    assert [weights[f"arm.{name}"] for name in ("success", "drop", "nearness")] == [5.0, 0.0, 0.1]
 
 
 def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):

@@ -87,7 +87,6 @@ class Lab:
         return output
 
     def follow(self, command: np.ndarray) -> None:
-        """Move the joints towards the commands."""
         share = np.minimum(self.limits.dt / self.lag, 1.0)
         self.joint_pos += np.where(self.is_held_fast, 0.0, share * (command - self.joint_pos))
 
@@ -97,7 +96,6 @@ class Lab:
         return self.tick(distort)
 
     def arm(self) -> ServoState:
-        """Tick once, and request to arm."""
         self.tick()
         return self.request_arm()
 

@@ -28,8 +28,6 @@ from pixel2catch.servo.link import Fault, Mode
 
 
 class LoopBench:
-    """A control loop with the other ends of its connections."""
-
     def __init__(
         self,
         around: Surroundings,

@@ -98,7 +98,6 @@ def test_rclpy_needs_a_sourced_ros_2():
 
 
 def send_latched(is_sent) -> None:
-    """Send a latched message from another process, and wait."""
     with make_transport("driver", ANY, RealClock()) as node:
         node.publisher(MODE).publish(messages.safety_mode(1))
         is_sent.set()

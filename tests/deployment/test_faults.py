@@ -67,7 +67,6 @@ def test_a_fault_of_the_images_stops_the_robot_until_it_is_armed_again(bench: St
 
 
 def test_a_policy_that_hangs_stops_the_robot(bench: SteppedBench):
-    """The control loop is suspended; the servo is not."""
     bench.run()
     bench.does_policy_hang = True
     require_standstill(bench, bench.clock.time + LIMITS.target_age + 1.1 * STOP_TIME)

@@ -89,7 +89,6 @@ def test_a_goal_is_reached_without_overshoot(joint: int):
 
 @given(st.floats(0.02, 1.0), st.sampled_from([0, 1]))
 def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joint: int):
-    """Compared with Ruckig in continuous time."""
     limits: Any = BOTH[joint : joint + 1].copy()
     limits.lower, limits.upper = -2.0, 2.0
     limits = limits[0]

@@ -13,20 +13,8 @@ import pytest
 from loop_lab import BOX, PROFILE, PassingClock, moved
 
 from pixel2catch.cli.operate import KEYS
+from pixel2catch.deployment import operator
 from pixel2catch.deployment.control_loop import StepClock
-from pixel2catch.deployment.operator import (
-    DROPPED,
-    EVENT,
-    KEY,
-    SWITCH_TIME,
-    SYNC,
-    OperatorConsole,
-    OperatorRequests,
-    Press,
-    Switches,
-    operate_by_keys,
-    read_prompt,
-)
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.segmenter import BoxPrompt
@@ -43,7 +31,7 @@ class Requests:
     def __init__(self) -> None:
         self.broker, self.statistics = Broker(), RunStatistics()
         self.own = self.node()
-        self.received = OperatorRequests(self.own, PROFILE.operator, self.statistics)
+        self.received = operator.OperatorRequests(self.own, PROFILE.operator, self.statistics)
 
     def node(self) -> MemoryTransport:
         return self.broker.node(PassingClock())
@@ -117,13 +105,13 @@ BAD_PROMPTS = {
 @pytest.mark.parametrize("text", BAD_PROMPTS.values(), ids=BAD_PROMPTS.keys())
 def test_a_prompt_without_a_box_is_refused(text: str):
     with pytest.raises(DeploymentError, match="prompt"):
-        read_prompt(messages.text(text))
+        operator.read_prompt(messages.text(text))
 
 
 STATUS = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
 
 
-class Statuses(OperatorConsole):
+class Statuses(operator.OperatorConsole):
     """A console, and two programs that publish a status."""
 
     def __init__(self) -> None:
@@ -171,19 +159,18 @@ class Desk:
     def __init__(self, path: Path) -> None:
         os.mkfifo(path)
         self.device = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # a reader as well, so that it opens at once
-        self.switches = Switches(path)
+        self.switches = operator.Switches(path)
         self._clock, broker = StepClock(lambda moment: setattr(self._clock, "time", moment)), Broker()
-        self._console = OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
+        self._console = operator.OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
         node, names = broker.node(self._clock), ("dead_man", "arm", "stop")
         self._queues = {name: node.subscription(getattr(PROFILE.operator, name), depth=100) for name in names}
 
     def send(self, kind: int, code: int, value: int) -> None:
-        """What the keys of the device do."""
-        os.write(self.device, EVENT.pack(1, 2, kind, code, value))
+        os.write(self.device, operator.EVENT.pack(1, 2, kind, code, value))
 
     def press(self, *codes: int, value: int = 1) -> None:
         for code in codes:
-            self.send(KEY, code, value)
+            self.send(operator.KEY, code, value)
 
     release = partialmethod(press, value=0)
 
@@ -196,7 +183,7 @@ class Desk:
             self._clock.time = max(self._clock.time, next(moments))
             return self._clock.now() > end
 
-        operate_by_keys(self._console, self.switches, KEYS, self._clock, is_over, lambda *_: None)
+        operator.operate_by_keys(self._console, self.switches, KEYS, self._clock, is_over, lambda *_: None)
 
     def received(self) -> dict[str, list[bool]]:
         """What was sent since the last call, by topic."""
@@ -218,18 +205,18 @@ def test_a_key_is_pressed_until_its_release_or_the_loss_of_events(desk: Desk):
     desk.press(OTHER)
     desk.send(4, 4, HOLD)  # a scan code
     desk.send(3, HOLD, 1)  # a stick
-    assert desk.switches.poll() == [Press(HOLD, True), Press(OTHER, True)]
+    assert desk.switches.poll() == [operator.Press(HOLD, True), operator.Press(OTHER, True)]
     desk.release(HOLD)
-    assert desk.switches.poll() == [Press(HOLD, False)]
+    assert desk.switches.poll() == [operator.Press(HOLD, False)]
     assert desk.switches.pressed == {OTHER}
-    desk.send(SYNC, DROPPED, 0)
+    desk.send(operator.SYNC, operator.DROPPED, 0)
     desk.switches.poll()
     assert desk.switches.pressed == set()
 
 
 def test_the_switch_is_held_with_its_key_and_released_at_the_end(desk: Desk):
     desk.press(HOLD)
-    desk.run(10.5 * SWITCH_TIME)
+    desk.run(10.5 * operator.SWITCH_TIME)
     assert desk.received() == {"dead_man": [True] * 11 + [False]}
     desk.release(HOLD)
     desk.press(OTHER)
@@ -265,7 +252,7 @@ def test_after_a_suspension_the_switch_must_be_pressed_again_and_nothing_arms(de
 
 def test_an_unplugged_device_releases_the_switch_and_is_an_error(desk: Desk, tmp_path: Path):
     with pytest.raises(DeploymentError, match="No such file"):
-        Switches(tmp_path / "none")
+        operator.Switches(tmp_path / "none")
     desk.press(HOLD)
     os.close(desk.device)
     with pytest.raises(DeploymentError, match="plug it in"):

@@ -30,8 +30,6 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
 class Camera(ImageSubscriber):
-    """What a control loop receives of a camera, and the camera."""
-
     def __init__(self, around: Surroundings, *, assumes_age: bool = False) -> None:
         self.around, self.clock = around, around.clock
         transport = around.connection.transport

@@ -70,13 +70,11 @@ def with_2000_joints(reading: messages.JointReading) -> messages.JointReading:
 
 
 def remove_status_sender(stage: Stage) -> None:
-    """The publishers of latched topics are gone."""
     node = stage.laboratory
     node.publishers = [each for each in node.publishers if not each.topic.is_latched]
 
 
 def switches_controllers(part: int) -> Callable[[Stage], None]:
-    """Return a fault: another controller of the arm or the hand is active."""
     controller = PROFILE.robots[part].controller
     assert controller is not None
     states = messages.activity(
@@ -109,27 +107,13 @@ def age_switch(stage: Stage) -> None:
     stage.each_tick = lambda: switch.put(messages.boolean(True), age=0.3)
 
 
-def fingers(change: Callable[[np.ndarray], np.ndarray], by: float = 1.0) -> Callable[[Stage], None]:
-    """Return a fault: the fingers move, and their measured positions are changed."""
-
-    def happen(stage: Stage) -> None:
-        stage.lab.target = HOME + by * np.repeat((0.0, 0.7, 0.2, 0.4), (6, 3, 3, 7))
-        stage.lab.change = lambda reading: (
-            replace(reading, position=change(reading.position)) if len(reading.names) > 6 else reading
-        )
-
-    return happen
-
-
 FAULTS = {
     "hand gone": (silence("hand"), "joints stale"),
-    "hand limp": (fingers(lambda pos: HOME[6:] + 1e-5 * np.random.default_rng().random()), "hand astray"),
-    "hand frozen": (fingers(lambda pos: HOME[6:], by=0.05), "joints frozen"),
-    "finger elsewhere": (fingers(lambda pos: pos + (np.arange(13) == 2)), "joints implausible"),
-    "fingers exchanged": (fingers(lambda pos: pos[[3, 4, 5, 0, 1, 2, *range(6, 13)]]), "hand astray"),
-    "hand on half the scale": (fingers(lambda pos: 0.5 * pos), "hand astray"),
     "controller of the hand": (switches_controllers(1), "controller"),
-    "not a number": (fingers(lambda pos: np.nan * pos), "joints not finite"),
+    "not a number": (
+        joints(lambda each: replace(each, position=np.nan * HOME[: len(each.names)])),
+        "joints not finite",
+    ),
     "control loop gone": (silence("control loop"), "policy late"),
     "images old": (sets("image_age", 0.2), "image stale"),
     "arm gone": (silence("arm"), "joints stale"),
@@ -155,7 +139,7 @@ FAULTS = {
     "two operators": (add_operator, "other operator"),
     "operator stops": (sends("stop", messages.boolean(True)), "stop request"),
 }
-"""Each fault, and the only bit that is set."""
+"""Each fault, and the only bit that is set; those of measured positions are in `test_servo_core.py`."""
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -181,7 +165,6 @@ def test_a_fault_stops_the_robot_with_its_own_bit(fault: str, stage: Stage):
 
 
 def test_repeated_and_older_joint_states_are_ignored(stage: Stage):
-    """Such as from a recording that is played while joints move."""
     lab, said = stage.lab, deque[messages.JointReading](maxlen=200)
     lab.change = lambda reading: said.append(reading) or reading
     stage.arm(60)

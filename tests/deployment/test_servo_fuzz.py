@@ -22,7 +22,6 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
 def watched(num_rows: int, num_ticks: int, seed: int, limits: ServoLimits = LIMITS) -> Laws:
-    """Check `num_rows * num_ticks` ticks of random inputs."""
     core, state = ServoCore(limits), ServoState.idle(num_rows, limits)
     chaos, laws = Chaos(num_rows, limits, seed), Laws(num_rows, limits)
     for _ in range(num_ticks):
@@ -99,7 +98,7 @@ def slow_limits(dt: float) -> ServoLimits:
 def test_no_law_is_broken_where_braking_takes_nearly_the_whole_stop_time(dt: float):
     limits = slow_limits(dt)
     assert (limits.joints.speed[:6] / limits.joints.acceleration[:6] > 0.28).all()
-    laws = watched(150, 500, seed=3, limits=limits)
+    laws = watched(250, 300, seed=3, limits=limits)
     assert laws.ticks_in[Mode.STOPPED] > 0.1 * laws.ticks_in.sum()
     assert min(laws.reached.values()) > 0.9, laws.reached
 
@@ -114,9 +113,3 @@ def test_a_stop_ends_in_time_though_the_arm_is_dragged_on(dt: float):
         output = lab.tick(given(is_stop_requested=np.ones(1, dtype=bool)))
         laws.check(lab.last_inputs, output)
     assert Mode.STOPPED in laws.mode
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_no_law_is_broken_in_two_million_ticks(seed: int):
-    check_that_everything_happened(watched(num_rows=1000, num_ticks=1000, seed=seed))

@@ -76,7 +76,6 @@ def test_held_joints_move_evenly_from_their_measured_position(stage: Stage):
 
 
 def test_older_messages_do_not_move_held_joints(stage: Stage):
-    """Such as of a recording that is played."""
     hand, node = stage.lab.profile.robots[1], Broker().node(stage.lab.clock)
     joints, driver = JointStates(node, stage.lab.profile, len(HOME)), node.publisher(hand.state_topic)
     ours = tuple(joint.name_in_state or "" for joint in hand.joints.values())
@@ -128,9 +127,7 @@ def test_the_end_of_the_control_loop_stops_the_robot_and_ends_the_servo(stage: S
     assert not changes[-3:].any()
 
 
-def test_an_unexpected_error_is_raised_after_the_robot_was_stopped(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-):
+def test_an_unexpected_error_is_raised_after_the_robot_was_stopped(stage: Stage, monkeypatch):
     def fail(*_: object, **__: object) -> int:
         raise RuntimeError("no network")
 

@@ -1,8 +1,9 @@
-"""A servo process over DDS, with a laboratory in this process. `test_process_faults` has more processes."""
+"""A servo process over DDS, with a laboratory in this process."""
 
 import multiprocessing
 import os
 import re
+import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -99,6 +100,32 @@ def test_a_terminated_servo_stops_the_robot_first(monkeypatch: pytest.MonkeyPatc
         run.until(lambda: not steps()[-2:].any())  # what is still on its way is the stop
         assert steps()[:num_sent].max() > 1e-4
         assert len(lab.commands["arm"]) - num_sent < 2.0 * STOP_TIME / LIMITS.dt
+
+
+AGE = 0.5  #: Age at which something is too old here [s]: 2 s of real time.
+
+
+@pytest.mark.slow
+def test_faults_of_processes_stop_the_robot_until_it_is_armed_again(monkeypatch: pytest.MonkeyPatch):
+    """Without new memory it goes on. A control loop that is killed closes its end of the link."""
+    with running(limits_of(AGE), monkeypatch) as run:
+        pid = run.process.pid
+        run.until(lambda: run.mode == Mode.RUN)
+        os.kill(pid, signal.SIGSTOP)  # no processor time
+        end = run.clock.now() + 2.0 * AGE
+        run.until(lambda: run.clock.now() > end)
+        os.kill(pid, signal.SIGCONT)
+        run.until(lambda: run.mode == Mode.STOPPED)
+        assert "clock" in flag_names(Fault, run.lab.ticks[-1].stopped_by)
+        run.until(lambda: run.mode == Mode.RUN)
+        resource.prlimit(pid, resource.RLIMIT_AS, (1, 1))
+        end = run.clock.now() + 1.0
+        run.until(lambda: run.clock.now() > end)
+        assert run.mode == Mode.RUN
+        run.loop.close()
+        run.lab.loop = None
+        run.until(lambda: not run.process.is_alive())
+        assert not np.diff(run.lab.commands["arm"][-3:], axis=0).any()
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import torch
 from laws import contains
 
 from paper_robot import ARM_JOINTS, JOINTS
-from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, link_frames
 from pixel2catch.workcells import find_workcell
@@ -33,7 +33,7 @@ def put(model: mujoco.MjModel, data: mujoco.MjData, joint_pos: np.ndarray) -> No
 def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
-    palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
+    palm_pos, _ = chain_of(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0]).pose(torch.from_numpy(arm_pos))
     space = Workspace(workcell=UR5E_ALLEGRO).space
     frames = np.array([link_frames(space, row) for row in arm_pos])
     np.testing.assert_allclose(frames[:, -1, :, 3], palm_pos.numpy(), atol=1e-12)

@@ -58,7 +58,6 @@ class WireLab:
             self.send(each.activity, messages.activity({each.name: messages.ACTIVE, "other": 1}, 0.0))
 
     def step(self) -> None:
-        """Move the joints, and send and read messages."""
         self._move()
         if self._tick == 0:
             self.send_status()
@@ -130,7 +129,6 @@ class Stage:
         return self.lab.ticks[-1].mode
 
     def arm(self, num_ticks: int = 5) -> None:
-        """Wait for all status messages, arm, and wait."""
         self.wait(11)
         self.lab.request_arm()
         assert self.wait(num_ticks) in (Mode.ARMED, Mode.RAMP, Mode.RUN)

@@ -14,7 +14,6 @@ from pixel2catch.sim.graphs import fused
 
 
 def require_equal_steps(plain: CatchEnv, compiled: CatchEnv, num_steps: int) -> None:
-    """Make steps of both with equal actions."""
     generator = torch.Generator().manual_seed(1)
     for _ in range(num_steps):
         actions = {

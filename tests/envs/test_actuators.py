@@ -28,7 +28,7 @@ from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, s
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import PROPOSED
-from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_step, filter_transition
+from pixel2catch.robots.joint_dynamics import JointDynamics, filter_step
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.batch import BatchSimulation
@@ -189,7 +189,7 @@ def test_a_new_episode_does_not_feel_the_last_one():
 DT = 1.0 / 240.0
 NUM_STEPS, HOLD = 40, 8
 TIMES = DT * np.arange(NUM_STEPS + 1)
-DIRECT = JointDynamics.nominal(("elbow_joint", "index_joint_1"))
+DIRECT = JointDynamics.nominal().select(("elbow_joint", "index_joint_1"))
 FILTERED = DIRECT.with_values(filter_gain=[300.0, 200.0], filter_lookahead=[0.1, 0.08])
 
 
@@ -211,7 +211,7 @@ def passed(dynamics: JointDynamics, commands: np.ndarray) -> np.ndarray:
 def test_what_arrives_is_the_mean_of_the_delayed_ramp_over_the_step(latency):
     """At any latency: against a fine sum over every step."""
     dynamics = DIRECT.with_values(latency=np.array(latency))
-    arrived, commands, lag = passed(dynamics, ramps()), ramps(), command_lag(dynamics, DT)
+    arrived, commands, lag = passed(dynamics, ramps()), ramps(), dynamics.command_lag(DT)
     fine = (np.arange(2000) + 0.5) / 2000 * DT
     for j in range(2):
         sent = TIMES[:-1, None] + fine - lag[j]
@@ -221,7 +221,7 @@ def test_what_arrives_is_the_mean_of_the_delayed_ramp_over_the_step(latency):
 
 def test_step_response_of_the_filter_is_the_analytic_one():
     """A damped oscillator, ω² = gain and 2ζω = gain · lookahead, from rest to 1."""
-    transition = torch.tensor(filter_transition(FILTERED, DT))
+    transition = torch.tensor(FILTERED.filter_transition(DT))
     state, goal, path = torch.zeros(1, 2, 2, dtype=torch.float64), torch.ones(1, 2, dtype=torch.float64), []
     for _ in range(NUM_STEPS):
         filter_step(transition, state, goal)

@@ -8,6 +8,7 @@ from rollouts import AT_ONCE, EXACT, HOVERING, after, make, object_path, object_
 from torch import Tensor
 
 from paper_robot import JOINTS
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.tensors import clone
@@ -15,10 +16,11 @@ from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS
 
 OBJECT = slice(len(JOINTS), len(JOINTS) + 7)
+CAMERA = nominal_projection(RGB_CAMERA, torch.zeros(1))
 THROWN = ThrowCfg(hover_steps=(1, 1))
 
 
@@ -132,10 +134,10 @@ def test_objects_hover_and_then_fly_to_where_they_are_aimed():
 def test_box_and_tracked_position_are_as_late_as_the_latency():
     """And exact; the first position of the episode stays."""
     env = make(4, sensing=replace(EXACT, latency_steps=(2, 2)), throws=THROWN)
-    boxes = [detect(*env.world.surface_points(), EXACT.least_visible)[0]] * 3
+    boxes = [detect(*env.world.surface_points(CAMERA.center), EXACT.least_visible, CAMERA)[0]] * 3
     path = [object_pos(env)] * 3
     for step in rollout(env, 20):
-        box, is_seen = detect(*env.world.surface_points(), EXACT.least_visible)
+        box, is_seen = detect(*env.world.surface_points(CAMERA.center), EXACT.least_visible, CAMERA)
         boxes.append(torch.where(is_seen[:, None], box, boxes[-1]))
         path.append(env.world.privileged(step.log).object_pos)
         torch.testing.assert_close(step.measurement.box, boxes[-3])
@@ -151,7 +153,7 @@ def test_snapshots_do_not_follow_the_simulation():
     snapshots = (
         *(first.observation.state, *first.observation.policy.values(), *first.rewards.values()),
         *(*vars(truth).values(), *first.log, *vars(first.record).values()),
-        *(first.joint_pos_target, env.world.joint_pos, *env.world.surface_points()),
+        *(first.joint_pos_target, env.world.joint_pos, *env.world.surface_points(CAMERA.center)),
     )
     copies = [value.clone() for value in snapshots]
     list(rollout(env, 8, action=-1.0))

@@ -6,8 +6,7 @@ import pytest
 import torch
 from rollouts import make, rollout
 
-from pixel2catch.envs.episode import FAILURES, EpisodeRecord, StepExtremes, failure
-from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, EpisodeStatistics, StepExtremes, failure
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg

@@ -8,7 +8,7 @@ import torch
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
-from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
+from pixel2catch.envs.episode import Episode, draw_episode
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
@@ -123,7 +123,8 @@ def test_drawn_parameters_by_hand():
     episode = draw(PLAIN, 2)
     hover = torch.tensor([14, 5])
     record = replace(episode.record, steps=torch.tensor([9, 9]), held_steps=torch.tensor([0, 5]))
-    told = drawn_parameters(replace(episode, record=record, throw=replace(episode.throw, hover_steps=hover)))
+    later = replace(episode, record=record, throw=replace(episode.throw, hover_steps=hover))
+    told = later.drawn_parameters()
     drawn = episode.parameters
     for column, values in enumerate((drawn.mass_scale, drawn.restitution, drawn.friction, drawn.latency)):
         assert torch.equal(told[:, column], values)
@@ -144,7 +145,7 @@ def test_value_networks_see_the_draws_where_the_task_says_so():
             step = env.step({name: torch.zeros(3, size) for name, size in env.action_sizes.items()})
             assert step.observation.state.shape == (3, env.state_size)
             assert step.observation.state.isfinite().all()
-            told = drawn_parameters(env.episode) if value_sees_parameters else torch.zeros(3, 0)
+            told = env.episode.drawn_parameters() if value_sees_parameters else torch.zeros(3, 0)
             assert torch.equal(step.observation.state[:, 130:-21], told)
         sizes.append(env.state_size)
     assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 69 + 4]

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation import grid as grids
 from pixel2catch.evaluation.grid import (
@@ -27,7 +26,6 @@ DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Sta
 
 
 def write(file: Path, device: str) -> None:
-    """Note the order of the calls, print, and write the result."""
     with open(file.parent / "order", "a") as order:
         order.write(f"{file.name} ")
     print("printed", os.environ.get("MARK"))
@@ -152,12 +150,9 @@ def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("asked", ["slurm_partiton=gpu", "timeout_min=long"])
-def test_requests_that_the_cluster_refuses(
-    asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_requests_that_the_cluster_refuses(asked: str, tmp_path: Path, monkeypatch, refusal):
     monkeypatch.setattr(grids, "CLUSTER", "local")
-    assert main(["stress", "--out", str(tmp_path / "out"), "--slurm", asked]) == 2
-    assert asked.partition("=")[0] in capsys.readouterr().err
+    assert asked.partition("=")[0] in refusal("stress", "--out", tmp_path / "out", "--slurm", asked)
 
 
 def test_a_machine_without_cluster_or_submitit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

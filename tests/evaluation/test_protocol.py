@@ -128,8 +128,7 @@ def test_actions_are_latched_after_a_success():
     """The arm holds its position and the hand repeats its last action; the policy would move both."""
     states: list[RoundState] = []
 
-    cfg = over_the_palm(hover_steps=NEVER)
-    env = cfg.make_env(PROPOSED)
+    env = over_the_palm(hover_steps=ROUND_STEPS).make_env(PROPOSED)
     flicker = Scripted(lambda step: (0.1 * (-1.0) ** step, (-1.0) ** step))
     run_round(env, flicker, lambda step, state: states.append(state))
     env.close()

@@ -7,7 +7,7 @@ import re
 import struct
 import tracemalloc
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -61,9 +61,7 @@ PLACES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_what_is_not_a_file_of_the_kind_is_refused(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_what_is_not_a_file_of_the_kind_is_refused(line: str, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "views.csv").write_text("image\n1.png\n")
     for number, (what, make) in enumerate(PLACES.items()):
@@ -79,57 +77,31 @@ def test_what_is_not_a_file_of_the_kind_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def _naming_run(folder: Path, workcell: str) -> Path:
+def naming(folder: Path, workcell: str) -> Iterator[tuple[Path, Callable[[Path], object]]]:
+    """Write each kind of file that names a work cell, with this name; yield it and what reads it."""
+    policy, text, profile = untrained(workcell), json.dumps(workcell), KINDS["profile"].write(folder)
+    policy.save(folder / "policy")
+    yield folder / "policy", load_policy
+    (folder / "policy.onnx").write_bytes(to_onnx(policy))
+    yield folder / "policy.onnx", load_policy
+    yield checkpoint(folder, workcell), lambda file: method_of(Checkpoint.load(file, "cpu").contract)
+    profile.write_text(re.sub("(?m)^workcell:.*", f"workcell: {text}", profile.read_text()))
+    yield profile, Profile.load
     content = json.loads(KINDS["run"].write(folder).read_text())
     content["env"]["scene"]["workcell"] = workcell
     (folder / "config.json").write_text(json.dumps(content))
-    return folder
+    yield folder, require_run
+    header = np.array(json.dumps({"format_version": 1, "workcell": workcell}))
+    np.savez(folder / "path.npz", header=header, joints=np.array(ARM), times=0.0, positions=0.0)
+    yield folder / "path.npz", Trajectory.load
 
 
-def _naming_profile(folder: Path, workcell: str) -> Path:
-    file = KINDS["profile"].write(folder)
-    text, number = re.subn("(?m)^workcell:.*", f"workcell: {json.dumps(workcell)}", file.read_text())
-    assert number == 1
-    file.write_text(text)
-    return file
-
-
-def _naming_trajectory(folder: Path, workcell: str) -> Path:
-    file, header = folder / "path.npz", {"format_version": 1, "workcell": workcell}
-    np.savez(file, header=np.array(json.dumps(header)), joints=np.array(ARM), times=0.0, positions=0.0)
-    return file
-
-
-def _naming_policy(folder: Path, workcell: str) -> Path:
-    untrained(workcell).save(folder)
-    return folder
-
-
-def _naming_onnx(folder: Path, workcell: str) -> Path:
-    (folder / "policy.onnx").write_bytes(to_onnx(untrained(workcell)))
-    return folder / "policy.onnx"
-
-
-NAMING = {
-    "policy": (_naming_policy, load_policy),
-    "run": (_naming_run, require_run),
-    "profile": (_naming_profile, Profile.load),
-    "trajectory": (_naming_trajectory, Trajectory.load),
-    "onnx": (_naming_onnx, load_policy),
-    "checkpoint": (checkpoint, lambda file: method_of(Checkpoint.load(file, "cpu").contract)),
-}
-"""The files that name a work cell: what writes one with another name, and what reads it."""
-
-
-@pytest.mark.parametrize("name", NAMING)
-def test_a_file_does_not_choose_what_python_runs(name: str, tmp_path: Path):
+def test_a_file_does_not_choose_what_python_runs(tmp_path: Path):
     """Its work cell is a name; a path of a Python file is none, even if the file is there."""
-    own = tmp_path / "own.py"
-    own.write_text("raise SystemExit('it ran')")
-    write, read = NAMING[name]
-    file = write(tmp_path, str(own))
-    with pytest.raises(Pixel2CatchError, match=r"work cell .*--import FILE\.py"):
-        read(file)
+    (tmp_path / "own.py").write_text("raise SystemExit('it ran')")
+    for file, read in naming(tmp_path, str(tmp_path / "own.py")):
+        with pytest.raises(Pixel2CatchError, match=r"work cell .*--import FILE\.py"):
+            read(file)
 
 
 def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
@@ -179,7 +151,6 @@ def packed_bag(path: Path, size: int, mode: CompressionMode = CompressionMode.ST
 
 
 def test_large_chunks_of_a_bag_are_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """One is too large, or all of one time together."""
     file = packed_bag(tmp_path / "bag", 2**21)
     for limit in ("MOST_CHUNK", "MOST_AT_ONCE"):
         with monkeypatch.context() as patch:
@@ -262,9 +233,7 @@ def test_a_file_may_be_as_long_as_its_bound(tmp_path: Path):
         '<mujoco><worldbody><geom name="%n" size="1"/></worldbody></mujoco>',
     ],
 )
-def test_a_harmful_model_is_refused_before_mujoco_reads_it(
-    content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_harmful_model_is_refused_before_mujoco_reads_it(content: str, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(mujoco.MjSpec, "from_file", None)
     file = tmp_path / "robot.xml"
     file.write_text(content)

@@ -61,8 +61,6 @@ class Kind:
 
 
 class Learner:
-    """A learner with one tensor, for checkpoints of it."""
-
     cfg = TrainCfg(device="cpu")
     contract = contract_of(find_method("catch+fit"))
 
@@ -74,7 +72,6 @@ class Learner:
 
 
 def untrained(workcell: str = "ur5e_allegro") -> Policy:
-    """A small policy for a work cell of this name."""
     torch.manual_seed(0)
     return Policy(replace(contract_of(find_method("catch+fit")), workcell=workcell), hidden=(8,))
 
@@ -181,7 +178,6 @@ def _text(name: str, content: str) -> Callable[[Path], Path]:
 
 
 def checkpoint(folder: Path, workcell: str = "ur5e_allegro") -> Path:
-    """Write a checkpoint of a policy for a work cell of this name."""
     contract = untrained(workcell).contract
     save_checkpoint(folder / "checkpoint.pt", Learner(), contract, Progress(transitions=5))  # type: ignore
     return folder / "checkpoint.pt"

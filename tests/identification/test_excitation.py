@@ -76,7 +76,7 @@ def test_joints_that_violate_a_limit_move_less(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(excitation, "assess", judged)
     said: list[str] = []
-    trajectory, _ = excitation.find_excitation(WHOLE, JointDynamics.nominal(JOINTS), said.append)
+    trajectory, _ = excitation.find_excitation(WHOLE, JointDynamics.nominal().select(JOINTS), said.append)
     assert said == ["trying less motion: the index finger is too fast"]
     index = JOINTS.index("index_joint_1")
     full = np.ptp(draw_excitation(WHOLE, {}).positions, axis=0)

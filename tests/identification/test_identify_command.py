@@ -21,7 +21,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 PHYSICS_HZ = 60
-NOMINAL = JointDynamics.nominal(ARM)
+NOMINAL = JointDynamics.nominal().select(ARM)
 TRUTH = NOMINAL.with_values(damping=1.3 * NOMINAL.damping, latency=0.02)
 SMALL = ("--robot", "ur5e", "--free", "damping", "latency")
 
@@ -146,9 +146,7 @@ def test_the_next_fit_starts_from_the_file_and_warns_that_nothing_was_held_out(
     np.testing.assert_allclose(found.latency, known.latency, atol=2e-4)
 
 
-def test_bad_input_leaves_nothing(
-    recordings: list[str], out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_bad_input_leaves_nothing(recordings: list[str], out: Path, tmp_path: Path, capsys):
     new = ("--out", str(tmp_path / "out"))
     for args, words in (
         ([*recordings, *SMALL, *new, "--profile", "ur5e_allegro_v4", "--command-topic", "/arm"], "leave out"),

@@ -129,18 +129,27 @@ def test_a_bag_may_be_compressed(mode: CompressionMode, tmp_path: Path):
     sent = measured(short()) + commands(short(), TRAJECTORY)
     path = save_bag(tmp_path / "bag", sent, StoragePlugin.SQLITE3, mode)
     assert_same(read_rosbag(path, ARM), short(), NANOSECOND)
+    (file,) = path.glob("*.db3*")
+    if mode is CompressionMode.FILE:
+        assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
+    else:
+        with pytest.raises(RecordingError, match=r"its messages are compressed, .* give its folder"):
+            read_rosbag(file, ARM)
 
 
 def test_channels_of_an_mcap_file_that_are_not_ros_are_left_out(tmp_path: Path):
-    """A logger's channel with a schema of Protobuf, which is no text."""
+    """A logger's channel with a schema of Protobuf, which is no text, in a file of any profile."""
     text = TYPES["std_msgs/msg/String"]("x")
     sent = [*measured(short()), *commands(short(), TRAJECTORY), ("/log", nanoseconds(0.1), text)]
     (file,) = save_bag(tmp_path / "bag", sent).glob("*.mcap")
     content = file.read_bytes().replace(b"/log\3\0\0\0cdr", b"/log\3\0\0\0pb3")
     schema = re.compile(rb"(?<=std_msgs/msg/String\x07\0\0\0)ros2msg(.{4}).", re.DOTALL)
     content = schema.sub(lambda found: b"protob2" + found[1] + b"\xff", content)
-    file.write_bytes(content)
+    file.write_bytes(content.replace(b"\4\0\0\0ros2", b"\4\0\0\0ros1", 1))
     assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
+    file.write_bytes(content.replace(b"\3\0\0\0cdr", b"\3\0\0\0pb3"))
+    with pytest.raises(RecordingError, match="have the encoding pb3, but only cdr, of ROS 2, is read"):
+        read_rosbag(file, ARM)
 
 
 def test_one_of_several_command_topics_is_chosen_by_name(tmp_path: Path):

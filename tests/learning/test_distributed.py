@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -101,9 +100,7 @@ def test_interruption(tmp_path: Path) -> None:
     while "transitions" not in process.stdout.readline():
         pass
     process.send_signal(signal.SIGINT)
-    started = time.monotonic()
     output, _ = process.communicate(timeout=PATIENCE)
-    assert time.monotonic() - started < 20
     assert output.count("go on with --resume") == 1, output
     ended = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     transitions = summary(tmp_path / "run")["transitions"]

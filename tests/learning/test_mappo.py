@@ -64,9 +64,7 @@ class DrawsOfSkrl:
 
 
 @pytest.mark.parametrize("name", FROZEN)
-def test_training_gives_the_numbers_of_skrl(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_gives_the_numbers_of_skrl(name: str, tmp_path: Path, monkeypatch) -> None:
     torch.manual_seed(1)
     Policy(CONTRACT, SMALL.hidden).save(tmp_path)
     cfg = {

@@ -194,6 +194,10 @@ def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert before == {path: path.read_bytes() for path in before}
     assert not list(tmp_path.rglob("*.tmp"))
     assert train(longer, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 8192
+    capsys.readouterr()
+    with contextlib.ExitStack() as stack, pytest.raises(CheckpointError, match="no earlier checkpoint"):
+        train(SMALL, during_step(0, lambda: stack.enter_context(full_disk(5000))), CONTRACT, tmp_path / "new")
+    assert "finished" not in capsys.readouterr().out
 
 
 def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:

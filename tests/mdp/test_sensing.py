@@ -6,18 +6,21 @@ import pytest
 import torch
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.camera.pinhole import nominal_projection, scaled_box
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.camera_errors import (
+from pixel2catch.mdp.sensing import (
     CameraErrors,
+    Detection,
+    SensingCfg,
+    detect,
     is_camera_exact,
     sample_camera_errors,
-    scaled_box,
     tracked_position,
 )
-from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+
+CAMERA = nominal_projection(RGB_CAMERA, torch.zeros(1))
 
 
 def detection(mark: float, num_envs: int = 1, **changes: torch.Tensor) -> Detection:
@@ -59,7 +62,7 @@ def in_front(depth: float = 2.0) -> torch.Tensor:
 @pytest.mark.parametrize(("visible", "expected"), [(0, False), (1, False), (2, True), (20, True)])
 def test_too_little_of_an_object_is_no_detection(visible, expected):
     """The box of all of it: 6 cm at 2 m are 618 * 0.06 / 2 = 18.5 px, about the optical axis."""
-    found, is_seen = detect(in_front(), torch.arange(20)[None] < visible, 0.1)
+    found, is_seen = detect(in_front(), torch.arange(20)[None] < visible, 0.1, CAMERA)
     assert is_seen.item() is expected
     if visible == 20:
         middle, half = RGB_CAMERA.cx, 618.163 * 0.03 / 2
@@ -68,8 +71,8 @@ def test_too_little_of_an_object_is_no_detection(visible, expected):
 
 def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
     everything = torch.ones(1, 20, dtype=torch.bool)
-    assert not detect(in_front(-2.0), everything, 0.05)[1]
-    assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05)[1]
+    assert not detect(in_front(-2.0), everything, 0.05, CAMERA)[1]
+    assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05, CAMERA)[1]
 
 
 def test_a_camera_with_images_of_another_size_is_refused():
@@ -144,8 +147,7 @@ def test_an_error_has_its_size_in_every_direction_and_comes_alone(name, amount, 
 def test_a_turned_camera_is_turned_by_the_angle():
     """Of a rotation by angle a about axis k, trace = 1 + 2 cos(a)."""
     sight, _ = draw(SensingCfg(camera_turn=0.02))
-    nominal = nominal_projection(RGB_CAMERA, torch.zeros(1)).matrix
-    rotation = torch.linalg.solve(nominal, sight.camera.matrix).double()
+    rotation = torch.linalg.solve(CAMERA.matrix, sight.camera.matrix).double()
     trace = rotation.diagonal(dim1=-2, dim2=-1).sum(dim=-1)
     angle = torch.acos((trace - 1.0).clamp(-2.0, 2.0) / 2.0)
     assert angle.median().item() == pytest.approx(0.02, rel=0.05)
@@ -181,8 +183,7 @@ def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
     """5 px at depth d are 5 d / fx: 2 cm at 2.5 m, across the optical axis, along -y for u."""
     forward = torch.tensor([0.8746197, 0.0, -0.4848096])
     object_pos = (torch.tensor(RGB_CAMERA.pos) + 2.5 * forward)[None]
-    nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal, nominal, object_pos, torch.tensor([[5.0, 0.0]]))
+    found = tracked_position(CAMERA, CAMERA, object_pos, torch.tensor([[5.0, 0.0]]))
     expected = torch.tensor([[0.0, -5.0 * 2.5 / RGB_CAMERA.fx, 0.0]])
     torch.testing.assert_close(found - object_pos, expected, atol=1e-5, rtol=0)
 
@@ -191,6 +192,5 @@ def test_a_misplaced_camera_misplaces_the_tracked_position_as_much():
     """The tracker reports where the object would be if the camera were where it is assumed."""
     object_pos = torch.tensor([[2.0, 0.1, 1.2]])
     offset = torch.tensor([[0.01, -0.02, 0.005]])
-    nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal.moved(offset), nominal, object_pos, torch.zeros(1, 2))
+    found = tracked_position(CAMERA.moved(offset), CAMERA, object_pos, torch.zeros(1, 2))
     torch.testing.assert_close(found, object_pos - offset, atol=2e-6, rtol=0)

@@ -16,7 +16,7 @@ from pixel2catch.cli.link import Network
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.lens import SQUARE, SQUARES, BoardView, CharucoBoard
-from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.geometry import chain_of
 from pixel2catch.robots.poses import pose_matrix
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
@@ -53,7 +53,8 @@ def lens(distortion: tuple[float, ...] = ()) -> CameraFile:
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:
     """Pose of the palm in the world at joint positions [rad]."""
-    return first_chain(UR5E_ALLEGRO).link_poses(torch.from_numpy(joint_pos)[None])[0, -1].numpy()
+    chain = chain_of(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0])
+    return chain.link_poses(torch.from_numpy(joint_pos)[None])[0, -1].numpy()
 
 
 def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:

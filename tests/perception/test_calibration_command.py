@@ -56,9 +56,7 @@ def error_of(capsys: pytest.CaptureFixture[str], *args: str | Path) -> str:
     return capsys.readouterr().err
 
 
-def test_finds_the_camera_that_took_the_images(
-    laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path, capsys):
     out = tmp_path / "new" / "camera.json"
     args = [laboratory / "views.csv", "--intrinsics", laboratory / "lens.json", "--out", out]
     assert main(["calibrate", *map(str, args)]) == 0
@@ -86,9 +84,7 @@ def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.Capt
     assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")  # nothing to do
 
 
-def test_tables_and_images_that_cannot_be_are_refused(
-    laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path: Path, capsys):
     rows = read_rows(laboratory)
     lens = ("--intrinsics", laboratory / "lens.json", "--out", tmp_path / "camera.json")
     degrees = [[name, *np.degrees(positions)] for name, *positions in rows]
@@ -173,9 +169,7 @@ def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, sprea
     assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
 
 
-def test_a_camera_is_calibrated_as_the_arm_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_camera_is_calibrated_as_the_arm_moves(tmp_path: Path, monkeypatch, capsys):
     """The arm holds a pose until its image is there, then the next; after 8 there is nothing more to take."""
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
     shown = [(joint_pos, image_of(joint_pos, i)) for i, joint_pos in enumerate(poses(8, seed=2))]

@@ -67,9 +67,7 @@ def near(time: float) -> np.ndarray:
     return list(poses(4, seed=2))[3] + 0.05 * time
 
 
-def test_the_command_prints_what_it_measured_on_the_network(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_the_command_prints_what_it_measured_on_the_network(monkeypatch, capsys):
     monkeypatch.setattr(timing, "SECONDS", 0.5)
     rng = np.random.default_rng(0)
     memory_network(monkeypatch, lambda time: (near(time), rendered(board_in_camera(near(time)), rng)), OFFSET)

@@ -35,9 +35,7 @@ def test_the_true_box_is_that_of_the_painted_pixels(thing: Thing, time: float):
     assert np.abs(changed_box(paint(ROOM, thing, FLIGHT, time)) - truth).max() < 1.5 + 0.125 * speed
 
 
-def test_clips_in_a_folder_are_compared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_clips_in_a_folder_are_compared(tmp_path: Path, capsys, monkeypatch):
     shown = film([ROOM], BALL, FLIGHT, 20)
     save_video(tmp_path / "throw.mp4", shown.images)
     known = [(i, truth) for i, truth in enumerate(shown.truths) if truth]

@@ -26,9 +26,7 @@ def test_segmenters_and_their_missing_options():
         PerceptionArgs(segmenter="sam2").make_segmenter()
 
 
-def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(tmp_path: Path, monkeypatch):
     args, said = PerceptionArgs(segmenter="sam2", checkpoint=save_tiny_sam2(tmp_path)), list[str]()
     assert isinstance(args.make_segmenter(say=said.append), Sam2Segmenter)
     (line,) = said

@@ -103,9 +103,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_track_compares_with_labels_in_the_pixels_of_the_file(
-    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_track_compares_with_labels_in_the_pixels_of_the_file(wide: Path, tmp_path: Path, capsys):
     options = ["--at", f"{HELD * CONTROL_DT:.3f}", "--box", *box_at(HELD), "--segmenter", "color"]
     options += ["--color", "340", "20", "--truth", str(wide / "throw.json")]
     assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 0
@@ -120,9 +118,7 @@ def test_track_compares_with_labels_in_the_pixels_of_the_file(
     assert "boxes against the labels" in capsys.readouterr().out
 
 
-def test_track_refuses_camera_labels_and_box_of_another_size(
-    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_track_refuses_camera_labels_and_box_of_another_size(wide: Path, tmp_path: Path, capsys):
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "camera.json")
     save_labels(tmp_path / "labels.json", replace(LABELS, images=()))
     for options, words in (

@@ -210,9 +210,7 @@ def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch
         runpy.run_path(str(sam2.__file__))
 
 
-def test_what_cannot_be_is_refused_before_anything_is_loaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_is_refused_before_anything_is_loaded(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
         Sam2Segmenter(tmp_path, "cpu", is_compiled=True)

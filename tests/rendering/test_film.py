@@ -11,16 +11,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg, RecordedThrow, recorded_throws
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rendering.film import (
-    BAD,
-    FPS,
-    INK,
-    LAST_PICTURES,
-    SLOW,
-    FilmRenderer,
-    storyboard,
-    write_throws,
-)
+from pixel2catch.rendering import film
 from pixel2catch.rendering.video import draw_box, write_film
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
@@ -68,7 +59,7 @@ def test_drawn_box_by_hand():
 
 def test_a_file_that_cannot_be_written(throws: list[RecordedThrow], tmp_path: Path):
     with pytest.raises(InvalidValueError, match=r"film\.mov"):
-        write_throws(tmp_path / "film.mov", throws, SceneCfg())
+        film.write_throws(tmp_path / "film.mov", throws, SceneCfg())
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".webp", ".gif"])
@@ -93,7 +84,7 @@ def falling(num_steps: int, catch: int) -> RecordedThrow:
     home = np.array([joint.home for joint in workcell.joints])
     qpos, qvel = np.tile(model.qpos0, (num_steps, 1)), np.zeros((num_steps, model.nv))
     qpos[:, : len(home)] = home
-    palm = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(home[None, :6]).float())[0][0].numpy()
+    palm = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(home[None, :6]))[0][0].numpy()
     for step in range(10, num_steps):
         share = min((step - 10) / (catch - 10), 1.0)
         qpos[step, OBJECT_POS] = (1.0 - share) * qpos[0, OBJECT_POS] + share * palm
@@ -110,7 +101,7 @@ def falling(num_steps: int, catch: int) -> RecordedThrow:
 
 def test_the_film_is_slow_about_the_catch():
     throw = falling(70, catch=30)
-    board = storyboard(throw, find_workcell("ur5e_allegro"))
+    board = film.storyboard(throw, find_workcell("ur5e_allegro"))
     assert throw.release == 10
     assert 28 <= board.catch <= 30  # within 12 cm of the palm
     assert board.steps[0] == 4.0
@@ -118,8 +109,8 @@ def test_the_film_is_slow_about_the_catch():
     pace = np.diff(board.steps)
     assert (pace > 0.0).all()
     slow = pace[board.is_slow[:-1] & board.is_slow[1:]]
-    np.testing.assert_allclose(slow, 30 / FPS / SLOW)
-    assert np.median(pace[~board.is_slow[:-1]]) == pytest.approx(30 / FPS)
+    np.testing.assert_allclose(slow, 30 / film.FPS / film.SLOW)
+    assert np.median(pace[~board.is_slow[:-1]]) == pytest.approx(30 / film.FPS)
     shown = board.steps[board.is_slow]
     assert shown[0] == board.catch - 5
     assert board.catch + 6 < shown[-1] < board.catch + 7
@@ -130,28 +121,28 @@ def test_the_film_is_slow_about_the_catch():
 
 @pytest.mark.usefixtures("opengl")
 def test_a_still_has_path_caption_and_the_robots_view(throws: list[RecordedThrow]):
-    with FilmRenderer(SceneCfg(), width=320) as renderer:
+    with film.FilmRenderer(SceneCfg(), width=320) as renderer:
         strip = renderer.strip(throws[0])
     assert strip.shape == (180, 6 * 320, 3)
     last = strip[:, -320:]
     frame = last[108:176, [226, 227, 314, 315]]  # the inset has 86 x 64 px, 6 px from the corner
-    assert (frame == INK).all()
+    assert (frame == film.INK).all()
     red, green, blue = np.moveaxis(strip.astype(int), -1, 0)
     is_path = (red > 180) & (green > 110) & (blue < 90)
     counts = [is_path[:, i : i + 320].sum() for i in range(0, 6 * 320, 320)]
     assert counts[0] < 5
     assert min(counts[3:]) > 30
-    assert (np.abs(last[-16:-8, 20:60].astype(int) - BAD).sum(axis=-1) < 20).mean() > 0.2  # it is a miss
+    assert (np.abs(last[-16:-8, 20:60].astype(int) - film.BAD).sum(axis=-1) < 20).mean() > 0.2  # it is a miss
 
 
 @pytest.mark.slow
 def test_a_grid_has_all_throws(throws: list[RecordedThrow], opengl: None, tmp_path: Path):
     numbers: list[int] = []
     path = tmp_path / "grid.mp4"
-    count = write_throws(path, throws, SceneCfg(), on_throw=numbers.append)
+    count = film.write_throws(path, throws, SceneCfg(), on_throw=numbers.append)
     with av.open(str(path)) as container:
         shapes = {frame.to_ndarray(format="rgb24").shape for frame in container.decode(video=0)}
     assert shapes == {(270, 960, 3)}
     assert numbers == [0, 1]
-    boards = [storyboard(throw, find_workcell("ur5e_allegro")) for throw in throws]
-    assert count == max(len(board.steps) for board in boards) + LAST_PICTURES - 1
+    boards = [film.storyboard(throw, find_workcell("ur5e_allegro")) for throw in throws]
+    assert count == max(len(board.steps) for board in boards) + film.LAST_PICTURES - 1

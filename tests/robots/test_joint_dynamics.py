@@ -2,21 +2,22 @@
 
 import numpy as np
 
-from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics, command_lag
+from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics
 from pixel2catch.robots.ur5e import ARM as ARM_GROUP
 
 ARM = tuple(joint.name for joint in ARM_GROUP.joints)
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
-ELBOW = JointDynamics.nominal(["elbow_joint"])
+NOMINAL = JointDynamics.nominal()
+ELBOW = NOMINAL.select(["elbow_joint"])
 
 
 def test_nominal_dynamics_are_the_simulators():
-    arm = JointDynamics.nominal(ARM)
+    arm = NOMINAL.select(ARM)
     np.testing.assert_array_equal(arm.stiffness, [joint.stiffness for joint in ARM_GROUP.joints])
     np.testing.assert_array_equal(arm.armature, [joint.armature for joint in ARM_GROUP.joints])
     assert not arm.latency.any()
     assert not arm.has_filter.any()
-    assert len(JointDynamics.nominal().joints) == 19
+    assert len(NOMINAL.joints) == 19
 
 
 def test_dynamics_are_compared_by_value():
@@ -24,11 +25,11 @@ def test_dynamics_are_compared_by_value():
     assert same == ELBOW
     assert hash(same) == hash(ELBOW)
     assert all(ELBOW.with_values(**{name: 0.123}) != ELBOW for name in PARAMETERS)
-    assert JointDynamics.nominal(["wrist_1_joint"]) != ELBOW
+    assert NOMINAL.select(["wrist_1_joint"]) != ELBOW
 
 
 def test_joints_over_others():
-    arm, both = JointDynamics.nominal(ARM), JointDynamics.nominal(ELBOW_AND_INDEX).with_values(latency=0.1)
+    arm, both = NOMINAL.select(ARM), NOMINAL.select(ELBOW_AND_INDEX).with_values(latency=0.1)
     full = both.over(arm)
     assert full.joints == (*ARM, "index_joint_1")
     assert full.latency.tolist() == [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1]
@@ -39,10 +40,10 @@ def test_joints_over_others():
         **dict.fromkeys(ARM, 0.0),
         "index_joint_1": 0.1,
     }
-    assert arm.over(JointDynamics.nominal()) == JointDynamics.nominal()
+    assert arm.over(NOMINAL) == NOMINAL
 
 
 def test_command_lag_by_hand():
     """Half a step, another one for the filter, and the latency."""
-    both = JointDynamics.nominal(ELBOW_AND_INDEX).with_values(latency=0.003, filter_gain=[300.0, np.inf])
-    np.testing.assert_allclose(command_lag(both, 0.01), (0.013, 0.008))
+    both = NOMINAL.select(ELBOW_AND_INDEX).with_values(latency=0.003, filter_gain=[300.0, np.inf])
+    np.testing.assert_allclose(both.command_lag(0.01), (0.013, 0.008))

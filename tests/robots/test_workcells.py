@@ -73,7 +73,7 @@ def test_nothing_flies_through_the_wrist(workcell: WorkcellSpec):
     """Rays across the line from an arm's last joint to its flange hit the robot, from 12 % of the way on."""
     model, data = at_home(workcell)
     for palm, placed in zip(workcell.palms, workcell.robots, strict=True):
-        start = data.joint(workcell.joints[palm.stop - 1].name).xanchor
+        start = data.joint(workcell.joints[palm.carriers][-1].name).xanchor
         line = data.site(placed.prefix + placed.robot.mount).xpos - start
         across = np.linalg.svd(line[None])[2][1:]
         for share, side in itertools.product(np.linspace(0.12, 0.99, 30), (*across, *-across)):

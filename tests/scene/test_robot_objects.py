@@ -55,7 +55,6 @@ def test_selection_by_group_name_and_list():
 
 @pytest.mark.parametrize("name", [*SOME, "cross"])
 def test_table_rows_turn_one_model_into_another(name):
-    """Writing an object's rows into another's model gives that object's model, in every field."""
     cfg = SceneCfg()
     table = object_table(cfg)
     model, expected = build_model(cfg, "cube_s"), build_model(cfg, name)

@@ -92,7 +92,6 @@ def set_contact(simulation: Simulation, name: str, values: Tensor) -> None:
 
 
 def push(simulation: Simulation, velocity: Sequence[float]) -> None:
-    """Linear and angular velocity of every object."""
     simulation.bind("qvel")[:, TABLE.indices.dofs] = torch.tensor(velocity, dtype=simulation.dtype)
     simulation.forward()
 

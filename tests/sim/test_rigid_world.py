@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from copies import NUM_ENVS, NUM_JOINTS, TABLE
+from copies import NUM_ENVS, TABLE
 from jaxtyping import Float
 from numpy import ndarray
-from test_agreement import CATCH_SPOT, start, swing
+from test_agreement import require_equal_catches, start
 
 from pixel2catch.errors import InvalidValueError, NonFiniteError, UnknownNameError
 from pixel2catch.robots.poses import quaternion
@@ -210,17 +210,7 @@ def both() -> list[Simulation]:
 
 
 def test_the_converter_loses_nothing(both):
-    """Four objects of other masses fall onto the moving hand; paths agree until and after they touch it."""
-    paths = []
-    for simulation in both:
-        start(simulation)
-        copies.place(simulation, CATCH_SPOT)
-        paths.append(torch.stack(list(swing(simulation, 40))))
-        simulation.check()
-    torch.testing.assert_close(paths[0][:18], paths[1][:18], atol=1e-9, rtol=0)
-    joints, pos = slice(0, NUM_JOINTS), slice(NUM_JOINTS, NUM_JOINTS + 3)
-    torch.testing.assert_close(paths[0][..., joints], paths[1][..., joints], atol=2e-3, rtol=0)
-    torch.testing.assert_close(paths[0][..., pos], paths[1][..., pos], atol=1e-2, rtol=0)
+    require_equal_catches(both, 40, before=1e-9, after=1e-2)
 
 
 def test_forces_on_the_object_reach_the_engine(both):

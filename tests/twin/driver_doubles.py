@@ -59,7 +59,6 @@ class Double:
         return self.node.publisher(Topic(name=name, type=kind, is_latched=is_latched))
 
     def step(self) -> None:
-        """Run a cycle, if one is due."""
         if self.clock.now() < self._due - 1e-9:
             return
         self._due = max(self._due, self.clock.now() - 1e-9) + 1.0 / self.rate
@@ -213,7 +212,6 @@ class RealSense:
         self._rng, self._shape = np.random.default_rng(0), (RGB_CAMERA.height, RGB_CAMERA.width, 3)
 
     def step(self) -> None:
-        """Send the image that is due."""
         if self.clock.now() < self._due - 1e-9:
             return
         self._due, stamp = self._due + self.period, self.clock.stamp() - self.age

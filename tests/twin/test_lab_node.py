@@ -299,9 +299,7 @@ def test_a_small_receive_buffer_is_named(tmp_path: Path):
         receive_buffers(path)
 
 
-def test_without_a_driver_one_line_says_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_without_a_driver_one_line_says_so(monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     monkeypatch.setattr("pixel2catch.deployment.laboratory.DISCOVERY", 0.1)
     monkeypatch.setattr(Doctor, "_checks", lambda self: [])  # tests/cli/test_doctor.py has them

@@ -36,7 +36,7 @@ def run(*args: str | Path) -> None:
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A robot up to 40 % off the nominal one, and 12 ms late."""
     path = tmp_path_factory.mktemp("truth") / "truth.json"
-    drawn = unlike_nominal(np.random.default_rng(3), JointDynamics.nominal(specs=UR5E_ALLEGRO.joints))
+    drawn = unlike_nominal(np.random.default_rng(3), JointDynamics.nominal(UR5E_ALLEGRO.joints))
     exact_file(drawn, UR5E_ALLEGRO).save(path)
     return path
 
@@ -79,9 +79,7 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     assert np.ptp(read.q_cmd, axis=0).min() > 0.1
 
 
-def test_who_ended_a_recording_too_early_is_said_and_it_fails(
-    truth: Path, swing: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_who_ended_a_recording_too_early_is_said_and_it_fails(truth: Path, swing: Path, capsys, monkeypatch):
     def is_ended(by: str) -> None:
         out = swing.with_name(by)
         assert main(["record", str(swing), "--out", str(out), "--lockstep", str(truth)]) == 2

@@ -12,16 +12,14 @@ from pixel2catch.cli.main import main
 
 
 @pytest.mark.usefixtures("opengl")
-def test_a_throw_is_rehearsed_and_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_throw_is_rehearsed_and_reported(tmp_path: Path, monkeypatch, capsys):
     """Processes, network and report; `test_stepped` has what is thrown and caught, in time that is stepped.
 
     On a busy machine images are late, and the robot may be stopped before the throw: then that is said.
     """
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     out, recording = tmp_path / "rehearsal", tmp_path / "tape"
-    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3"]
+    args = ["rehearse", "--throws", "1", "--clock", "0.4", "--seed", "3"]
     assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads((out / "report.json").read_text())
     assert "throws in" in capsys.readouterr().out

@@ -81,21 +81,20 @@ def knowing_ages(policy: Policy) -> Policy:
     return aware
 
 
-SLOW = replace(ONE, throws=2, perception_ms=60.0, perception_jitter_ms=10.0, clock_error_ms=5.0)
+SLOW = replace(ONE, perception_ms=60.0, perception_jitter_ms=10.0, clock_error_ms=5.0)
 
 
 def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_path: Path):
     """And the robot does not stop, as images come in time."""
     recording = tmp_path / "tape"
     report = rehearsed(replace(SLOW, record=recording), knowing_ages(POLICY))
-    assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")] * 2
+    assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")]
     with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic == TARGETS.name]
         rows = [JointTargets.of(messages.read_float_array(data)) for *_, data in reader.messages(wanted)]
     made, newest = np.array([(row.target_stamp, row.image_stamp) for row in rows]).T
     gaps = np.diff(made)
-    gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
-    assert len(gaps) > 100
+    assert len(gaps) > 50
     assert gaps.mean() == pytest.approx(CONTROL_DT, rel=0.01)
     uneven = np.abs(gaps - CONTROL_DT)
     assert np.quantile(uneven, 0.95) <= CYCLE + SHIFT + 1e-6
@@ -103,7 +102,7 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
     assert (made - newest).max() < LATENCY + CONTROL_DT + 0.005 + 2 * CYCLE
     deploy = report["deploy"]
     assert deploy["num_missed"] / deploy["num_steps"] == pytest.approx(0.5, abs=0.1)
-    assert deploy["stops"] == {"stop request": 2}
+    assert deploy["stops"] == {"stop request": 1}
     told = 1e3 * LATENCY + SLOW.clock_error_ms + SLOW.perception_ms
     times = deploy["image_to_command_ms"]
     assert told <= times["p50"] <= times["p95"] <= told + 10.0 + 3e3 * CONTROL_DT

@@ -77,13 +77,11 @@ def test_a_series_runs_against_the_twin(series: Path):
     assert (series / "throws" / "0001" / "strip.png").stat().st_size > 100_000
 
 
-def test_a_finished_series_is_reported_again_and_another_one_is_refused(
-    series: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_finished_series_is_reported_again_and_another_one_is_refused(series: Path, refusal: Any):
     before = (series / "plan.json").read_bytes()
     assert main(["trials", *IN_TWIN, "--out", str(series)]) == 0
-    assert main(["trials", *IN_TWIN, "--throws", "2", "--out", str(series)]) == 2
-    assert "another series (throws: 1 in the series, 2 now)" in capsys.readouterr().err
+    words = "another series (throws: 1 in the series, 2 now)"
+    assert words in refusal("trials", *IN_TWIN, "--throws", "2", "--out", series)
     assert (series / "plan.json").read_bytes() == before
 
 
@@ -97,9 +95,8 @@ BAD = {
 
 
 @pytest.mark.parametrize("args", BAD)
-def test_bad_input_is_refused_at_once(args: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["trials", "--policies", *args.split(), "--out", str(tmp_path / "out")]) == 2
-    assert BAD[args] in capsys.readouterr().err
+def test_bad_input_is_refused_at_once(args: str, tmp_path: Path, refusal: Any):
+    assert BAD[args] in refusal("trials", "--policies", *args.split(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -165,7 +162,6 @@ def test_keys_and_the_page_judge_throws_also_after_a_kill(robot: Any, series: Pa
     assert [row["outcome"] for row in rows] == ["caught", "reached", "dropped"]
 
 
-def test_a_deployment_without_a_throw_ends_it(robot: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_deployment_without_a_throw_ends_it(robot: Any, tmp_path: Path, refusal: Any):
     Path(sys.executable).write_text("#!/bin/sh\necho 'error: no camera' >&2\nexit 2\n")
-    assert main(["trials", *ONE, "--out", str(tmp_path / "out")]) == 2
-    assert "ended before a throw: error: no camera" in capsys.readouterr().err
+    assert "ended before a throw: error: no camera" in refusal("trials", *ONE, "--out", tmp_path / "out")

@@ -23,7 +23,6 @@ FLAGS = [
 
 @pytest.fixture
 def browser_page() -> Iterator[Any]:
-    """An empty page of a headless Chromium."""
     chromium = shutil.which("chromium")
     if chromium is None:
         pytest.skip("there is no Chromium; on Debian: apt-get install chromium")

@@ -80,7 +80,6 @@ class Desk:
 
 @contextmanager
 def link(address: str) -> Iterator[Connection]:
-    """What the page's script connects to."""
     with connect(
         f"{address.replace('http', 'ws')}/link", origin=Origin(address), open_timeout=PATIENCE
     ) as visitor:
@@ -88,7 +87,6 @@ def link(address: str) -> Iterator[Connection]:
 
 
 def consume(visitor: Connection) -> None:
-    """Take what comes until the connection is closed."""
     while True:
         visitor.recv(PATIENCE)
 

@@ -1,5 +1,6 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -110,7 +111,7 @@ def evaluate(
         policy = load_policy(policy)
     if device.startswith("cuda"):
         require_cuda(device)
-    policy = policy.to(device)
+    policy = copy.deepcopy(policy).to(device)
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,

@@ -12,7 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.batches import Points, Vectors
+from pixel2catch.camera.pinhole import Projection, center_and_size, nominal_projection, project
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
 
@@ -34,33 +35,26 @@ def level_boxes(box: Float[Tensor, "num_boxes 4"], camera: Projection) -> Float[
     """Return boxes as the level camera sees them [px], not clipped to an image; empty boxes stay.
 
     The centre is mapped exactly. The extent is that of the ellipse in the box under the derivative of the
-    map at the centre.
-
-    Args:
-        box: Boxes in the images of the camera [px].
-        camera: The calibrated camera, one for all boxes or one for each.
+    map at the centre. There is one calibrated camera for all boxes, or one for each.
     """
     level = nominal_projection(LEVEL_CAMERA, box).matrix
     # Products and sums, not a matmul: that may round to TF32 on a GPU.
     turn = (level[:, None] * camera.inverse.transpose(-2, -1).unsqueeze(-3)).sum(-1).expand(len(box), 3, 3)
-    lower, upper = box.split(2, dim=-1)
-    center, half_size = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    center, size = center_and_size(box)
     place = (turn[..., :2] * center[:, None]).sum(-1) + turn[..., 2]
     depth = place[:, 2:].clamp(min=LEAST_DEPTH)
     middle = place[:, :2] / depth
     slope = (turn[:, :2, :2] - middle[..., None] * turn[:, 2:, :2]) / depth[..., None]
-    extent = (slope * half_size[:, None]).square().sum(-1).sqrt()
-    is_empty = (half_size == 0.0).all(-1, keepdim=True)
+    extent = (slope * 0.5 * size[:, None]).square().sum(-1).sqrt()
+    is_empty = (size == 0.0).all(-1, keepdim=True)
     return torch.where(is_empty, box, torch.cat((middle - extent, middle + extent), dim=-1))
 
 
-def level_sight(
-    points: Float[Tensor, "num_envs num_points 3"], camera_pos: Float[Tensor, "num_envs 3"]
-) -> Float[Tensor, "num_envs num_points 3"]:
+def level_sight(points: Points, camera_pos: Vectors) -> Points:
     """Return where the level camera at a place sees world points [m].
 
     That is across and down from its axis, as shares of the depth, and 1 over the depth [1/m].
     """
-    pixels, depth = nominal_projection(LEVEL_CAMERA, points).pixels(points - camera_pos[:, None])
+    pixels, depth = project(LEVEL_CAMERA, points - camera_pos[:, None])
     axis, focal = constant(((RGB_CAMERA.cx, RGB_CAMERA.cy), (RGB_CAMERA.fx, RGB_CAMERA.fy)), points.device)
     return torch.cat(((pixels - axis) / focal, 1.0 / depth.clamp(min=LEAST_DEPTH)[..., None]), dim=-1)

@@ -17,8 +17,7 @@ class CameraRegion:
     """Uniform ranges of cameras in the world frame; the principal point is that of the release."""
 
     pos: tuple[Range, Range, Range]  #: Position [m].
-    #: A point on the optical axis [m].
-    look_at: tuple[Range, Range, Range]
+    look_at: tuple[Range, Range, Range]  #: A point on the optical axis [m].
     roll: Range  #: Turn about the optical axis, from an image whose rows are level [rad].
     view_width: Range  #: Horizontal angle of view [rad].
 

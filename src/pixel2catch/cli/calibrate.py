@@ -169,7 +169,7 @@ class Calibrate:
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.lens import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
-        from pixel2catch.robots.geometry import first_chain
+        from pixel2catch.robots.geometry import chain_of
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -177,7 +177,7 @@ class Calibrate:
         joint_pos, names = read_table(path, joints, text=IMAGE_COLUMN)
         require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos)
         board, views, blank = CharucoBoard(self.square), [], []
-        chain, steps = first_chain(workcell), STEP * np.eye(len(joints))
+        chain, steps = chain_of(workcell, workcell.palms[0]), STEP * np.eye(len(joints))
         turned = np.stack([joint_pos, *(joint_pos + each for each in (*steps, *-steps))])
         palms = chain.link_poses(torch.from_numpy(turned.reshape(-1, len(joints))))[:, -1].numpy()
         palms = palms.reshape(len(turned), len(joint_pos), *palms.shape[1:])

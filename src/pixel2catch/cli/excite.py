@@ -57,7 +57,7 @@ class Excite:
         for path in outs:
             require_free_file(path)
         workcell, found = find_workcell(self.workcell), []
-        nominal = JointDynamics.nominal(specs=workcell.joints)
+        nominal = JointDynamics.nominal(workcell.joints)
         file = DynamicsFile.load(self.dynamics, workcell)
         dynamics = file.dynamics.over(nominal).select(joints_of(workcell, self.robot))
         with working() as report:

@@ -97,12 +97,9 @@ class Identify:
             from pixel2catch.identification.importers import RecordedNames
             from pixel2catch.ros2.profile import Profile
 
-            topics = {self.command_topic or "": tuple[str, ...]()}
-            names = (
-                RecordedNames.of(Profile.load(self.profile), joints)
-                if self.profile
-                else RecordedNames(command_topics=topics)
-            )
+            names = RecordedNames(command_topics={self.command_topic or "": ()})
+            if self.profile:
+                names = RecordedNames.of(Profile.load(self.profile), joints)
         for path in self.recordings:
             report(f"reading {path}")
             if path.suffix == ".npz":

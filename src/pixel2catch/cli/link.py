@@ -136,7 +136,7 @@ class Link(Network):
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(profile.workcell)
-        dynamics = JointDynamics.nominal(specs=workcell.joints)
+        dynamics = JointDynamics.nominal(workcell.joints)
         if self.dynamics:
             dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
         elif not self.is_twin:

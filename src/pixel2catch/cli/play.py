@@ -56,7 +56,6 @@ class Play:
         task, objects = self.task.make(policy), select_objects(self.objects)
         cfg = EvaluationCfg(objects=objects, num_envs=self.throws, seed=self.seed, task=task)
         out, throws = self.out or Path("play.mp4"), recorded_throws(cfg, policy, method)
-        out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_throws(
             out,
             throws,

@@ -34,9 +34,8 @@ DETOUR = 0.5  #: Length by which each intermediate pose must shorten a path [rad
 class Motion:
     """Joint targets by time."""
 
-    at: Callable[
-        [float], Joints
-    ]  #: Targets [rad] by the time since the start [s], before it and after the end.
+    #: Targets [rad] by the time since the start [s], before it and after the end.
+    at: Callable[[float], Joints]
     duration: float  #: [s]
 
     @classmethod

@@ -5,19 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
-from pixel2catch.robots.joint_dynamics import (
-    EFFORT_MARGIN,
-    DryFriction,
-    JointDynamics,
-    command_lag,
-    filter_step,
-    filter_transition,
-)
+from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -43,19 +37,20 @@ class JointActuators:
     ) -> None:
         """Take over the controls of a simulation; `nominal` are the joints without an identification."""
         num_joints = len(dynamics.joints)
-        self._qpos = simulation.bind("qpos")[:, :num_joints]
-        self._qvel = simulation.bind("qvel")[:, :num_joints]
         self._ctrl = simulation.bind("ctrl")
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
         numbers = (efforts, velocity_limits, dynamics.frictionloss)
-        self._limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
+        self.limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
-        # Copies of the present gains; in MuJoCo's parameters they are ten numbers apart, which is slower.
-        self._stiffnesses, self._dampings = (
-            each.expand_as(self._ctrl).clone() for each in (self._stiffness, self._damping)
+        # Copies of the present gains: in MuJoCo's parameters they are ten numbers apart, which is slower.
+        self._state = ActuatorState(
+            joint_pos=simulation.bind("qpos")[:, :num_joints],
+            joint_vel=simulation.bind("qvel")[:, :num_joints],
+            stiffness=self._stiffness.expand_as(self._ctrl).clone(),
+            damping=self._damping.expand_as(self._ctrl).clone(),
         )
         self._command, self._last_vel = torch.zeros_like(self._ctrl), torch.zeros_like(self._ctrl)
         self._path, self._dry_friction, self._implicit = None, None, 1.0
@@ -66,15 +61,8 @@ class JointActuators:
                 torch.as_tensor(each).to(self._command) for each in (dynamics.frictionloss, dynamics.armature)
             )
             self._dry_friction, self._implicit = DryFriction(friction, armature, self._command, dt), 0.5
-        #: Largest torque of each joint [N·m].
-        self.effort_limit: Float[Tensor, " num_joints"] = self._limits.effort_limit
 
-    def reset(
-        self,
-        mask: Bool[Tensor, " num_envs"],
-        joint_pos: Float[Tensor, "num_envs num_joints"],
-        parameters: EpisodeParameters,
-    ) -> None:
+    def reset(self, mask: Flags, joint_pos: Joints, parameters: EpisodeParameters) -> None:
         """Begin in the masked environments, with new gains, at joint positions [rad] as the command."""
         write(mask, joint_pos, self._command)
         self._last_vel.masked_fill_(mask[:, None], 0.0)
@@ -88,8 +76,8 @@ class JointActuators:
             (self._gainprm[..., 0], stiffness),
             (self._biasprm[..., 1], -stiffness),
             (self._biasprm[..., 2], -self._implicit * damping),
-            (self._stiffnesses, stiffness),
-            (self._dampings, damping),
+            (self._state.stiffness, stiffness),
+            (self._state.damping, damping),
         ):
             write(mask, value, target)
 
@@ -101,31 +89,25 @@ class JointActuators:
             return state
         return (*state, *self._path.live, self._dry_friction.bend, self._dry_friction.last)
 
-    def increment(
-        self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def increment(self, joint_pos_target: Joints, num_steps: int) -> Joints:
         """Return the change of the command in each of `num_steps` physics steps to the target [rad]."""
         return (joint_pos_target.to(self._command) - self._command) / num_steps
 
-    def advance(self, increment: Float[Tensor, "num_envs num_joints"]) -> None:
+    def advance(self, increment: Joints) -> None:
         """Move the command, and set controls and friction of the next physics step."""
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
-        state = ActuatorState(
-            joint_pos=self._qpos, joint_vel=self._qvel, stiffness=self._stiffnesses, damping=self._dampings
-        )
-        self._ctrl.copy_(self._limits.limited(aim, state))
+        state = self._state
+        self._ctrl.copy_(self.limits.limited(aim, state))
         if self._dry_friction is None:
-            self._friction.copy_(self._limits.friction(self._qvel))
+            self._friction.copy_(self.limits.friction(state.joint_vel))
         else:
-            beyond = state.stiffness * (self._limits.led(aim, state) - self._ctrl)
-            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * self._qvel)
-            self._friction.copy_(self._dry_friction.torque(self._qpos))
+            beyond = state.stiffness * (self.limits.led(aim, state) - self._ctrl)
+            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * state.joint_vel)
+            self._friction.copy_(self._dry_friction.torque(state.joint_pos))
             self._friction.add_(self._damped_at_limit(beyond, state))
 
-    def _damped_at_limit(
-        self, beyond: Float[Tensor, "num_envs num_joints"], state: "ActuatorState"
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def _damped_at_limit(self, beyond: Joints, state: "ActuatorState") -> Joints:
         """Torque that MuJoCo's damping takes from a servo at its limit in a physics step [N·m], to be added.
 
         The change of speed is assumed to be that of the step before. A servo whose excess over its limit
@@ -141,10 +123,10 @@ class JointActuators:
 class ActuatorState:
     """Joints and present gains of the servos, one row per environment."""
 
-    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint positions [rad].
-    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
-    stiffness: Float[Tensor, "num_envs num_joints"]  #: Gain on the position error [N·m/rad].
-    damping: Float[Tensor, "num_envs num_joints"]  #: Gain on the speed [N·m·s/rad].
+    joint_pos: Joints  #: Joint positions [rad].
+    joint_vel: Joints  #: Joint speeds [rad/s].
+    stiffness: Joints  #: Gain on the position error [N·m/rad].
+    damping: Joints  #: Gain on the speed [N·m·s/rad].
 
 
 @dataclass(frozen=True)
@@ -155,9 +137,7 @@ class ActuatorLimits:
     velocity_limit: Float[Tensor, " num_joints"]  #: Largest speed [rad/s].
     frictionloss: Float[Tensor, " num_joints"]  #: Dry friction [N·m].
 
-    def led(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def led(self, command: Joints, state: ActuatorState) -> Joints:
         """Return the position command nearest to `command` that keeps the joint's speed limit.
 
         A servo whose damping d dominates moves at k / d times the distance of its command. The release uses
@@ -166,9 +146,7 @@ class ActuatorLimits:
         lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
         return torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
 
-    def limited(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def limited(self, command: Joints, state: ActuatorState) -> Joints:
         """Return the position command nearest to `command` that keeps the speed and effort limits.
 
         MuJoCo's `forcerange` is not used: while it clamps a force, the damping is explicit and unstable.
@@ -178,9 +156,7 @@ class ActuatorLimits:
         reach = EFFORT_MARGIN * self.effort_limit / state.stiffness
         return torch.clamp(command, balance - reach, balance + reach)
 
-    def friction(
-        self, joint_vel: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def friction(self, joint_vel: Joints) -> Joints:
         """Return the dry friction of nominal joints [N·m], a smooth function of the speed.
 
         Differs: MuJoCo's `frictionloss` is a constraint, which doubles the time of a physics step.
@@ -195,17 +171,14 @@ class CommandPath:
     exact at any latency.
     """
 
-    def __init__(
-        self, dynamics: JointDynamics, dt: float, command: Float[Tensor, "num_envs num_joints"]
-    ) -> None:
-        """Make the paths for physics steps `dt` [s], for commands of this number, type and device."""
-        share = _shares(0.5 + command_lag(dynamics, dt) / dt)
+    def __init__(self, dynamics: JointDynamics, dt: float, command: Joints) -> None:
+        share = _shares(0.5 + dynamics.command_lag(dt) / dt)
         self._share = torch.as_tensor(share).to(command)[:, None]
         self._history = command.expand(len(share), -1, -1).clone()
-        self._transition = torch.as_tensor(filter_transition(dynamics, dt)).to(command)
+        self._transition = torch.as_tensor(dynamics.filter_transition(dt)).to(command)
         self._state = torch.stack((command, torch.zeros_like(command)), dim=-1)
 
-    def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
+    def reset(self, mask: Flags, joint_pos: Joints) -> None:
         """Set all past commands of the masked environments to their joints' positions [rad]."""
         self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
         at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
@@ -216,7 +189,7 @@ class CommandPath:
         """Return the tensors of the state, one row per environment."""
         return self._history.movedim(0, 1), self._state
 
-    def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
+    def advance(self, command: Joints) -> Joints:
         """Return the targets of the servos in a physics step [rad] from the commands at its end [rad].
 
         The next step overwrites them.

@@ -5,27 +5,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.batches import Boxes, ByAgent, Flags, Joints, Scalars, Vectors
 from pixel2catch.camera.level import level_boxes
 from pixel2catch.checks import Count, Device, Seed, require
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector
-from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
-from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.episode import Episode, EpisodeRecord, EpisodeStatistics, StepExtremes, draw_episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.control_step import (
-    ActionMap,
-    BoxHistory,
-    History,
-    Measurement,
-    Privileged,
-    Transition,
-    put,
-)
+from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, Privileged, Transition
 from pixel2catch.mdp.observations import observe, privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
@@ -43,11 +35,10 @@ STAGGER_STEPS = 45
 class Observation:
     """Inputs of the networks."""
 
-    policy: dict[str, Float[Tensor, "num_envs _"]]  #: Observation of each agent, by name.
+    policy: ByAgent  #: Observation of each agent, by name.
     #: Input of every value network: all observations, and values that only the simulator has.
     state: Float[Tensor, "num_envs _"]
-    #: Observation of each agent of the imitated method; empty without one.
-    teacher: dict[str, Float[Tensor, "num_envs _"]]
+    teacher: ByAgent  #: Observation of each agent of the imitated method; empty without one.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,18 +46,17 @@ class Step:
     """Result of one control step; environments whose episode ended have begun a new one."""
 
     observation: Observation  #: Inputs of the networks for the next step.
-    rewards: dict[str, Float[Tensor, " num_envs"]]  #: Reward of each agent, by name.
-    terminated: Bool[Tensor, " num_envs"]  #: Whether the episode ended, time-outs included (paper).
-    truncated: Bool[Tensor, " num_envs"]  #: Never: a time-out is a termination.
+    rewards: dict[str, Scalars]  #: Reward of each agent, by name.
+    terminated: Flags  #: Whether the episode ended, time-outs included (paper).
+    truncated: Flags  #: Never: a time-out is a termination.
     record: EpisodeRecord  #: The episodes up to this step, before any reset.
     log: StepExtremes  #: Contacts in this step, and the largest overlaps, speeds and torques.
     measurement: Measurement  #: Measurement that `observation` was computed from.
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Commanded joint targets [rad].
-    #: Torques of the joints at its end as shares of their limits, without signs.
-    torque_share: Float[Tensor, "num_envs num_joints"]
+    joint_pos_target: Joints  #: Commanded joint targets [rad].
+    torque_share: Joints  #: Torques of the joints at its end as shares of their limits, without signs.
 
 
-LastAction = tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]
+LastAction = tuple[Joints, Joints]
 """The last action in joint order, in [-1, 1], and the joint targets that it led to [rad]."""
 
 
@@ -88,14 +78,8 @@ LiveState = tuple[tuple[Tensor, ...], Episode, DelayLine[Tensor], SensorState]
 class CatchEnv:
     """`num_envs` robots that learn to catch; `step` does not wait for the device.
 
-    Attributes:
-        num_envs: Number of environments.
-        device: Device of every tensor.
-        observation_sizes: Length of each agent's observation, by name.
-        action_sizes: Number of each agent's actions, by name.
-        state_size: Length of the value networks' input.
-        episode: The present episode of each environment; the next step overwrites its tensors.
-        statistics: Sums over ended episodes.
+    `observation_sizes` and `action_sizes` have the lengths of each agent's observation and action, by name,
+    `state_size` that of the value networks' input. The next step overwrites the tensors of `episode`.
     """
 
     def __init__(
@@ -173,13 +157,13 @@ class CatchEnv:
         assign(self._sensors, self._first_sensor_state())
         return self._observe()
 
-    def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
+    def step(self, actions: ByAgent) -> Step:
         """Act for one control step; what lies outside [-1, 1] is clipped, NaN raises, on a device in `check`.
 
         The next step overwrites the returned tensors, except `observation` and `rewards`.
         """
         require_shapes("action", actions, {name: (self.num_envs, n) for name, n in self.action_sizes.items()})
-        action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
+        action = self.method.joint_actions(actions)
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
         if self.device.type == "cpu":
             self._require_numbers()
@@ -226,7 +210,7 @@ class CatchEnv:
                 f"an action of agent '{names[0]}' is NaN; each must be a number, and counts within [-1, 1]."
             )
 
-    def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
+    def _control_step(self, action: Joints) -> Step:
         """Advance by a control step in memory that keeps its address: a device records and replays it."""
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
         disturbed = action + self.episode.parameters.action_bias + self._action_noise * noise
@@ -277,9 +261,7 @@ class CatchEnv:
         """Return the delayed targets at the beginning of an episode: the joint positions."""
         return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
-    def _transition(
-        self, command: LastAction, log: StepExtremes, is_diverged: Bool[Tensor, " num_envs"]
-    ) -> Transition:
+    def _transition(self, command: LastAction, log: StepExtremes, is_diverged: Flags) -> Transition:
         """Return the last control step; where the simulation diverged, the object counts as fallen."""
         before, record = self._sensors.now, self.episode.record
         fallen = replace(before, object_pos=torch.zeros_like(before.object_pos))
@@ -300,7 +282,7 @@ class CatchEnv:
             cfg or self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator
         )
 
-    def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
+    def _begin(self, ended: Flags, record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release objects whose hovering is over."""
         fresh = self._draw_episode()
         assign(self.episode.record, record)
@@ -310,7 +292,7 @@ class CatchEnv:
         self.world.release(is_released, self.episode.throw)
         self.world.simulation.forward(ended | is_released)
 
-    def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastAction, log: StepExtremes) -> None:
+    def _sense(self, begun: Flags, command: LastAction, log: StepExtremes) -> None:
         """Detect and measure after a control step; ended episodes leave nothing behind.
 
         Images are exposed a fraction of a control step earlier, and arrive after whole ones.
@@ -345,25 +327,21 @@ class CatchEnv:
         )
         assign(sensors, updated)
 
-    def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
+    def _age(self, detection: Detection) -> Scalars:
         """Return the age of a delivered detection, by its stamp [control steps]."""
         return self.episode.parameters.latency + detection.stale + detection.age_error
 
     def _first_boxes(self, detection: Detection) -> BoxHistory:
         return BoxHistory.begun(self._measured_box(detection), self._age(detection), self.method.num_boxes)
 
-    def _measured_box(self, detection: Detection) -> Float[Tensor, "num_envs 4"]:
+    def _measured_box(self, detection: Detection) -> Boxes:
         """Return the box of a detection as the method observes it [px]."""
         if not self.method.is_levelled:
             return detection.box
         return level_boxes(detection.box, self._detector.assumed(self.episode))
 
     def _measure(
-        self,
-        command: LastAction,
-        detection: Detection,
-        boxes: BoxHistory,
-        initial_object_pos: Float[Tensor, "num_envs 3"],
+        self, command: LastAction, detection: Detection, boxes: BoxHistory, initial_object_pos: Vectors
     ) -> Measurement:
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
@@ -385,7 +363,7 @@ class CatchEnv:
         sensors = self._sensors
         policy = observe(self.method.layouts, sensors.history)
         teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
-        drawn = (drawn_parameters(self.episode),) if self.cfg.value_sees_parameters else ()
+        drawn = (self.episode.drawn_parameters(),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *drawn, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,10 +21,10 @@ from pixel2catch.scene.objects import SEEN
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
-COMMON = {
-    "sensing": ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera"),
-    "randomization": ("action_noise",),
-}
+COMMON = (
+    *("sensing.corner_noise", "sensing.edge_noise", "sensing.box_scale", "sensing.least_visible"),
+    *("sensing.joint_noise", "sensing.camera", "randomization.action_noise"),
+)
 """Fields that are not drawn per episode: they are the same in all variants."""
 
 
@@ -47,8 +48,7 @@ class CatchEnvCfg:
 
     name: str = "nominal"  #: Name of the task, which is written into its policies.
     scene: SceneCfg = field(default_factory=SceneCfg)  #: Robots, physics and camera of the model.
-    #: Identified dynamics of joints; other joints have nominal dynamics.
-    dynamics: JointDynamics | None = None
+    dynamics: JointDynamics | None = None  #: Identified dynamics of joints; others are nominal.
     objects: Annotated[tuple[str, ...], NOT_EMPTY] = SEEN  #: Names of the objects that are thrown.
     throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Ranges from which throws are drawn.
     #: What is drawn for each episode.
@@ -65,10 +65,9 @@ class CatchEnvCfg:
                 "must not exceed 1"
             )
         for variant in self.variants:
-            for part, names in COMMON.items():
-                for name in names:
-                    if getattr(getattr(variant, part), name) != getattr(getattr(self, part), name):
-                        raise InvalidValueError(f"{part}.{name} differs in a variant; use the task's value")
+            for name in COMMON:
+                if attrgetter(name)(variant) != attrgetter(name)(self):
+                    raise InvalidValueError(f"{name} differs in a variant; use the task's value")
 
     @property
     def all_variants(self) -> tuple["CatchEnvCfg", ...]:

@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import torch
 
-from pixel2catch.camera.boxes import perturb_box
-from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.camera.pinhole import Projection, nominal_projection, perturb_box, scaled_box
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
-from pixel2catch.mdp.camera_errors import scaled_box, tracked_position
 from pixel2catch.mdp.control_step import Privileged
-from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
+from pixel2catch.mdp.sensing import Detection, SensingCfg, detect, tracked_position
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
@@ -18,7 +16,6 @@ class Detector:
     """Detects objects once in every control step: projects surface points instead of taking images."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
-        """Detect in a world; the generator draws the errors of every image."""
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:

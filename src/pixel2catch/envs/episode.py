@@ -1,5 +1,6 @@
-"""What is drawn at the start of each environment's episode, and what happened in it so far, as tensors."""
+"""What is drawn at the start of each environment's episode, what happened in it, and sums over episodes."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -8,16 +9,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pixel2catch.batches import ByAgent, Counts, Features, Flags, Scalars, Vectors
 from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.control_step import Columns, Transition, take
-from pixel2catch.mdp.randomization import (
-    EpisodeParameters,
-    RandomizationCfg,
-    sample_delay,
-    sample_parameters,
-)
+from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_delay, sample_parameters
+from pixel2catch.mdp.sensing import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
@@ -32,16 +29,15 @@ class StepExtremes(NamedTuple):
 
     #: Which palms and fingers touched the object: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table.
-    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched another one.
-    penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
-    joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
-    torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
-    #: Largest net force of all contacts on the object [N], in MuJoCo; 0 in other engines.
-    object_force: Float[Tensor, " num_envs"]
+    is_robot_on_table: Flags  #: Whether a robot touched the table.
+    is_self_contact: Flags  #: Whether a robot touched itself, or another one.
+    is_robot_contact: Flags  #: Whether a robot touched another one.
+    penetration: Scalars  #: Deepest overlap of the object with anything [m].
+    joint_speed: Scalars  #: Largest speed of an arm joint [rad/s].
+    torque_share: Scalars  #: Largest joint torque, as a share of its limit.
+    object_force: Scalars  #: Largest net contact force on the object [N]; 0 in other engines than MuJoCo.
 
-    def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
+    def cleared(self, mask: Flags) -> "StepExtremes":
         """Return the log, cleared in the masked environments."""
         return select(mask, StepExtremes(*(torch.zeros_like(value) for value in self)), self)
 
@@ -54,35 +50,31 @@ class StepExtremes(NamedTuple):
 class EpisodeRecord:
     """The present episode of each environment so far."""
 
-    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
-    steps: Int[Tensor, " num_envs"]  #: Control steps.
-    #: Consecutive control steps with the object near the palm, up to now.
-    held_steps: Int[Tensor, " num_envs"]
-    rested_steps: Int[Tensor, " num_envs"]  #: Control steps since the first success.
-    is_tracked: Bool[Tensor, " num_envs"]  #: Whether the palm reached the object (T.R.).
-    is_success: Bool[Tensor, " num_envs"]  #: Whether it was held long enough (S.R.).
-    is_palm_contact: Bool[Tensor, " num_envs"]  #: Whether a palm itself touched it.
-    is_hand_contact: Bool[Tensor, " num_envs"]  #: Whether any part of the hand touched it.
-    is_dropped: Bool[Tensor, " num_envs"]  #: Whether it fell or passed the robot.
-    is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
-    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another robot.
-    contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
+    object_id: Counts  #: Row of the object in the table of objects.
+    steps: Counts  #: Control steps.
+    held_steps: Counts  #: Consecutive control steps with the object near the palm, up to now.
+    rested_steps: Counts  #: Control steps since the first success.
+    is_tracked: Flags  #: Whether the palm reached the object (T.R.).
+    is_success: Flags  #: Whether it was held long enough (S.R.).
+    is_palm_contact: Flags  #: Whether a palm itself touched it.
+    is_hand_contact: Flags  #: Whether any part of the hand touched it.
+    is_dropped: Flags  #: Whether it fell or passed the robot.
+    is_table_contact: Flags  #: Whether the robot touched the table.
+    is_self_contact: Flags  #: Whether the robot touched itself.
+    is_robot_contact: Flags  #: Whether it touched another robot.
+    contact_steps: Counts  #: Control steps with contact of object and hand.
     #: Deepest overlap of the object with anything in each step of `contact_steps`, summed over them [m].
-    penetration_sum: Float[Tensor, " num_envs"]
-    #: Deepest overlap of the object with anything, over all physics steps [m].
-    max_penetration: Float[Tensor, " num_envs"]
-    #: Largest speed of an arm joint, over all physics steps [rad/s].
-    max_joint_speed: Float[Tensor, " num_envs"]
-    max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
-    #: Largest net contact force on the object in control steps in which the hand touched it [N].
-    max_object_force: Float[Tensor, " num_envs"]
+    penetration_sum: Scalars
+    max_penetration: Scalars  #: Deepest overlap of the object with anything, over all physics steps [m].
+    max_joint_speed: Scalars  #: Largest speed of an arm joint, over all physics steps [rad/s].
+    max_torque_share: Scalars  #: Largest joint torque as a share of its limit.
+    max_object_force: Scalars  #: Largest `object_force` in steps in which the hand touched the object [N].
     #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
-    hold_speed: Float[Tensor, " num_envs"]
-    hold_palms: Float[Tensor, " num_envs"]  #: Mean number of palms in reach then; likewise.
+    hold_speed: Scalars
+    hold_palms: Scalars  #: Mean number of palms in reach then; likewise.
 
     @classmethod
-    def start(cls, object_id: Int[Tensor, " num_envs"]) -> "EpisodeRecord":
+    def start(cls, object_id: Counts) -> "EpisodeRecord":
         """Return records of episodes that have just begun."""
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
         begun = {name: no if name.startswith("is_") else none.float() for name in cls.__dataclass_fields__}
@@ -124,9 +116,7 @@ class EpisodeRecord:
             hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
         )
 
-    def _at_rest(
-        self, mean: Float[Tensor, " num_envs"], value: Float[Tensor, " num_envs"], transition: Transition
-    ) -> Float[Tensor, " num_envs"]:
+    def _at_rest(self, mean: Scalars, value: Scalars, transition: Transition) -> Scalars:
         """Update a mean over the last steps of a hold; after a success it stays."""
         is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
         longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
@@ -138,7 +128,7 @@ FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
 then a fall; time-out with the object still up."""
 
 
-def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
+def failure(record: EpisodeRecord) -> Counts:
     """Return the index into `FAILURES` of each episode; meaningless for a success."""
     lost = torch.where(record.contact_steps <= 3, 1, 2)
     reached = torch.where(record.is_dropped, lost, 3)
@@ -152,13 +142,34 @@ class Episode:
     parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
     throw: Throw  #: The throw.
     camera_errors: CameraErrors | None  #: None without camera errors in the task.
-    #: Control steps between a command and its effect; not always whole.
-    command_delay: Float[Tensor, " num_envs"]
-    #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
-    drag: Float[Tensor, " num_envs"] | None
-    #: Likewise its sideways acceleration, world frame; none without such a force.
-    side_force: Float[Tensor, "num_envs 3"] | None
+    command_delay: Scalars  #: Control steps between a command and its effect; not always whole.
+    drag: Scalars | None  #: Deceleration by air over the square of the speed [1/m]; none without air.
+    side_force: Vectors | None  #: Likewise its sideways acceleration, world frame; none without such a force.
     record: EpisodeRecord  #: What became of the episode so far.
+
+    def drawn_parameters(self) -> Features:
+        """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
+        parameters, throw, record = self.parameters, self.throw, self.record
+        columns = [
+            parameters.mass_scale,
+            parameters.restitution,
+            parameters.friction,
+            parameters.latency,
+            self.command_delay,
+            record.steps / 90.0,
+            record.held_steps / 20.0,
+            (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
+            torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
+        ]
+        if self.drag is not None:
+            columns.append(10.0 * self.drag)
+        tables = [parameters.stiffness_scale, parameters.damping_scale, parameters.action_bias, throw.aim]
+        if self.camera_errors is not None:
+            columns += [10.0 * self.camera_errors.drop_rate, self.camera_errors.clock_error]
+            tables += [self.camera_errors.box_bias]
+        if self.side_force is not None:
+            tables.append(100.0 * self.side_force)
+        return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)
 
 
 def draw_episode(
@@ -213,9 +224,7 @@ def draw_episode(
     return episode
 
 
-def _side_force(
-    ranges: RandomizationCfg, throw: Throw, generator: torch.Generator
-) -> Float[Tensor, "num_envs 3"]:
+def _side_force(ranges: RandomizationCfg, throw: Throw, generator: torch.Generator) -> Vectors:
     """Draw level accelerations across the throws, to either side, over the square of the speed [1/m]."""
     num_envs = len(throw.pos)
     along = torch.nn.functional.normalize(throw.lin_vel[:, :2], dim=-1)
@@ -231,26 +240,87 @@ def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[floa
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
 
 
-def drawn_parameters(episode: Episode) -> Float[Tensor, "num_envs k"]:
-    """Return draws and progress of the episode, scaled to the order of 1, for value networks (ours)."""
-    parameters, throw, record = episode.parameters, episode.throw, episode.record
-    columns = [
-        parameters.mass_scale,
-        parameters.restitution,
-        parameters.friction,
-        parameters.latency,
-        episode.command_delay,
-        record.steps / 90.0,
-        record.held_steps / 20.0,
-        (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
-        torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
-    ]
-    if episode.drag is not None:
-        columns.append(10.0 * episode.drag)
-    tables = [parameters.stiffness_scale, parameters.damping_scale, parameters.action_bias, throw.aim]
-    if episode.camera_errors is not None:
-        columns += [10.0 * episode.camera_errors.drop_rate, episode.camera_errors.clock_error]
-        tables += [episode.camera_errors.box_bias]
-    if episode.side_force is not None:
-        tables.append(100.0 * episode.side_force)
-    return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)
+RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
+"""Names of rates, besides `tracking_rate`."""
+
+SHARES = ("is_tracked", "is_hand_contact", "is_dropped", *(f"is_{name}" for name in RATES))
+SUMS = ("steps", "contact_steps", "penetration_sum")
+SUCCESS_SUMS = ("hold_speed", "hold_palms")  #: Sums over successes.
+
+MAXIMA = ("max_penetration", "max_joint_speed", "max_torque_share", "max_object_force")
+
+
+class EpisodeStatistics:
+    """Sums over ended episodes, and over the reward terms of every step, since the last `pop`."""
+
+    def __init__(
+        self, object_names: tuple[str, ...], reward_names: Mapping[str, tuple[str, ...]], device: torch.device
+    ) -> None:
+        """Start empty, for objects by row of the object table and the reward terms of each agent."""
+        self._object_names, self._reward_names = object_names, reward_names
+        self._modes = torch.arange(len(FAILURES), device=device)
+        num_columns = 1 + len(SHARES) + len(SUMS) + len(SUCCESS_SUMS) + len(FAILURES)
+        self._by_object = torch.zeros(len(object_names), num_columns, device=device)
+        self._maxima = torch.zeros(len(MAXIMA), device=device)
+        self._rewards = torch.zeros(2 + sum(map(len, reward_names.values())), device=device)
+
+    def add(self, ended: Flags, record: EpisodeRecord, reward_terms: ByAgent, is_diverged: Flags) -> None:
+        """Add the reward terms of a control step, the records of episodes that it ended, and divergences."""
+        columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
+        columns += [torch.where(record.is_success, getattr(record, name), 0.0) for name in SUCCESS_SUMS]
+        modes = (failure(record)[:, None] == self._modes) & ~record.is_success[:, None]
+        rows = torch.cat((torch.ones_like(columns[0])[:, None], torch.stack(columns, dim=-1), modes), dim=-1)
+        rows = torch.where(ended[:, None], rows, 0.0)
+        self._by_object.index_add_(0, record.object_id, rows)
+        maxima = torch.stack([getattr(record, name) for name in MAXIMA], dim=-1)
+        torch.maximum(self._maxima, torch.where(ended[:, None], maxima, 0.0).amax(dim=0), out=self._maxima)
+        means = torch.cat([values.mean(dim=0) for values in reward_terms.values()])
+        self._rewards += torch.cat((torch.ones_like(means[:1]), is_diverged.sum()[None], means))
+
+    def pop(
+        self,
+        total: Callable[[Tensor], Tensor] = torch.clone,
+        largest: Callable[[Tensor], Tensor] = torch.clone,
+    ) -> dict[str, float]:
+        """Return rates and means since the last call, NaN without episodes; wait for the device.
+
+        `total` adds the sums of all processes, `largest` takes the largest of their maxima.
+        """
+        buffers = (self._by_object, self._rewards, self._maxima)
+        *sums, maxima = (buffer.flatten() for buffer in buffers)
+        packed = torch.cat((total(torch.cat(sums)), largest(maxima.clone())))
+        objects, rewards, maxima = (
+            part.view_as(buffer).tolist()
+            for part, buffer in zip(packed.cpu().split([b.numel() for b in buffers]), buffers, strict=True)
+        )
+        for buffer in buffers:
+            buffer.zero_()
+        result = _means([sum(column) for column in zip(*objects, strict=True)])
+        result |= dict(zip(MAXIMA, maxima, strict=True)) | {"diverged": rewards[1]}
+        result |= {
+            f"success_rate/{n}": _means(row)["success_rate"]
+            for n, row in zip(self._object_names, objects, strict=True)
+        }
+        names = [f"reward_term/{name}" for names in self._reward_names.values() for name in names]
+        return result | {
+            name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[2:], strict=True)
+        }
+
+
+def _means(row: list[float]) -> dict[str, float]:
+    episodes = row[0]
+    values: dict[str, float] = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
+    failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))
+    return {
+        "episodes": episodes,
+        "tracking_rate": _ratio(values["is_tracked"], episodes),
+        **{f"{name}_rate": _ratio(values[f"is_{name}"], episodes) for name in RATES},
+        "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
+        **{name: _ratio(values[name], values["is_success"]) for name in SUCCESS_SUMS},
+        "episode_steps": _ratio(values["steps"], episodes),
+        **{f"failure/{name}": _ratio(count, episodes) for name, count in failures.items()},
+    }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")

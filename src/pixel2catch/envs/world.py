@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import camera_center, is_unoccluded
+from pixel2catch.batches import Counts, Flags, Joints, PointFlags, Points, Quaternions, Scalars, Vectors
+from pixel2catch.camera.pinhole import is_unoccluded
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.control_step import Columns, Privileged, merged, take
@@ -20,17 +21,16 @@ from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import contact_solref
-from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
+from pixel2catch.scene.constants import GRAVITY
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
 from pixel2catch.sim.factory import make_simulation
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.sim.simulation import Places, Simulation
 from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
 
-NUM_SURFACE_POINTS = 64
-"""Points on the object that the camera detects. Source: ours, see `benchmarks/box_error.py`."""
+NUM_SURFACE_POINTS = 64  #: Points of the object. Source: ours, see `benchmarks/box_error.py`.
 
 MASS_POWER = {
     **dict.fromkeys(("body_mass", "body_subtreemass", "body_inertia", "dof_M0"), 1),
@@ -53,15 +53,10 @@ FIELDS = (
 class Occluders:
     """Bounding balls of the robot's geoms and of the objects, and the table's top."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        groups: tuple[int, ...],
-        surface: Float[Tensor, "num_objects num_points 3"],
-    ) -> None:
-        """Read geoms of some groups from a model; points on every object are about its centre [m]."""
+    def __init__(self, model: mujoco.MjModel, surface: Float[Tensor, "num_objects num_points 3"]) -> None:
+        """Read the geoms of a model; points on every object are about its centre [m]."""
         surroundings = [model.geom(name).id for name in ("floor", "table")]
-        is_ball = np.isin(model.geom_group, groups)
+        is_ball = np.isin(model.geom_group, OCCLUDER_GROUPS)
         is_ball[surroundings] = False
         radius = np.where(is_ball, model.geom_rbound + OCCLUDER_MARGIN, -np.inf)
         self._radius = torch.tensor(radius).to(surface)
@@ -69,23 +64,15 @@ class Occluders:
         table = model.geom("table")
         self._top = float(table.pos[2] + table.size[2]) + OCCLUDER_MARGIN
 
-    def may_hide(
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        center: Float[Tensor, "num_envs 3"],
-        object_id: Int[Tensor, " num_envs"],
-        geom_pos: Float[Tensor, "num_envs num_geoms 3"],
-    ) -> Bool[Tensor, " num_envs"]:
+    def may_hide(self, origin: Places, center: Vectors, object_id: Counts, geom_pos: Points) -> Flags:
         """Return whether anything may hide a part of an object from a camera; False is certain.
 
         Rays to points of the object's ball stay within its radius of the ray to its centre. Camera, centre
         and geoms are in the world frame [m].
         """
         radius = self._object_radius[object_id]
-        way, offset = (
-            (center - origin).T[..., None],
-            (geom_pos - origin.unsqueeze(-2)).movedim(-1, 0).contiguous(),
-        )
+        way = (center - origin).T[..., None]
+        offset = (geom_pos - origin.unsqueeze(-2)).movedim(-1, 0).contiguous()
         share = (offset * way).sum(dim=0) / way.square().sum(dim=0)
         apart = (offset - share.clamp(0.0, 1.0) * way).square().sum(dim=0).sqrt()
         is_near = apart < self._radius + radius[:, None]
@@ -104,7 +91,7 @@ class CatchWorld:
     ) -> None:
         """Build the model and its copies; joints without `dynamics` are nominal."""
         workcell = find_workcell(scene.workcell)
-        nominal = JointDynamics.nominal(specs=workcell.joints)
+        nominal = JointDynamics.nominal(workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
         dynamics.require(workcell.joints)
         self._num_joints = len(workcell.joints)
@@ -114,10 +101,10 @@ class CatchWorld:
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene
-        self._palms = [model.site(palm.spec.site).id for palm in workcell.palms]
         tensor = partial(torch.tensor, dtype=self.simulation.dtype, device=self.device)
-        self._normals = tensor([palm.spec.normal for palm in workcell.palms])
-        tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
+        palms = [palm.spec for palm in workcell.palms]
+        self._palms = [(model.site(palm.site).id, tensor(palm.normal)) for palm in palms]
+        tips = [finger.tip for palm in palms for finger in palm.fingers]
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         sensors = [*contact_sensors(workcell)]  # each has the number of contacts and the least distance
@@ -125,7 +112,7 @@ class CatchWorld:
         self._contacts = slice(first, first + 2 * len(sensors))
         self._anything, self._num_robots = sensors.index("object_any"), len(workcell.robots)
         self.arms = merged(workcell.of_role("arm"))
-        sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
+        sizes = [1 + len(palm.fingers) for palm in palms]
         starts = np.cumsum([0, *sizes[:-1]]).tolist()
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
         self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
@@ -146,16 +133,16 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
-        self._occluders = Occluders(model, OCCLUDER_GROUPS, self._surface)
+        self._occluders = Occluders(model, self._surface)
         self._reach = torch.tensor([reach_of(spec.radius) for spec in thrown], device=self.device)
         first = self.objects.indices.dofs.start
         self._linear = slice(first, first + 3)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
         #: Environments that `run` advances; the CPU leaves others as they are. None: all.
-        self.is_active: Bool[Tensor, " num_envs"] | None = None
+        self.is_active: Flags | None = None
 
     @property
-    def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
+    def joint_pos(self) -> Joints:
         """Return the true joint positions [rad]."""
         return _snapshot(self._fields.qpos[:, : self._num_joints])
 
@@ -166,11 +153,11 @@ class CatchWorld:
         state = (fields.qpos, fields.qvel, fields.qacc_warmstart, fields.xfrc_applied)
         return (*state, *self._actuators.live)
 
-    def is_diverged(self) -> Bool[Tensor, " num_envs"]:
+    def is_diverged(self) -> Flags:
         """Return where a speed is not a number, or beyond `DIVERGED_SPEED`."""
         return ~(self._fields.qvel.abs() < DIVERGED_SPEED).all(dim=-1)
 
-    def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
+    def reset(self, mask: Flags, parameters: EpisodeParameters, throw: Throw) -> None:
         """Set the masked robots to their start, with new dynamics and a new hovering object."""
         self._set_object(mask, parameters)
         joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
@@ -184,7 +171,7 @@ class CatchWorld:
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
         write(mask, weight, lift)
 
-    def release(self, mask: Bool[Tensor, " num_envs"], throw: Throw) -> None:
+    def release(self, mask: Flags, throw: Throw) -> None:
         """Throw the masked objects.
 
         Half a step of gravity is added to the speed, because the integrator moves by the speed at the end of
@@ -198,18 +185,14 @@ class CatchWorld:
 
     def run(
         self,
-        joint_pos_target: Float[Tensor, "num_envs num_joints"],
-        drag: Float[Tensor, " num_envs"] | None = None,
-        side_force: Float[Tensor, "num_envs 3"] | None = None,
+        joint_pos_target: Joints,
+        drag: Scalars | None = None,
+        side_force: Vectors | None = None,
         num_steps: int | None = None,
     ) -> StepExtremes:
-        """Simulate one control step; commands ramp linearly to the target (first-order hold).
+        """Simulate a control step, or some physics steps; commands ramp linearly to the target [rad].
 
-        Args:
-            joint_pos_target: Joint targets at its end [rad].
-            drag: Deceleration of the object by air over the square of its speed [1/m].
-            side_force: Its sideways acceleration over the square of its speed, world frame [1/m].
-            num_steps: Physics steps. Default: those of a control step.
+        Drag and side force of the air are accelerations of the object over the square of its speed [1/m].
         """
         num_steps = num_steps or self._scene.decimation
         increment = self._actuators.increment(joint_pos_target, num_steps)
@@ -224,9 +207,7 @@ class CatchWorld:
         assert peaks is not None
         return self._log(*peaks)
 
-    def _slow_object(
-        self, drag: Float[Tensor, " num_envs"], side_force: Float[Tensor, "num_envs 3"] | None
-    ) -> None:
+    def _slow_object(self, drag: Scalars, side_force: Vectors | None) -> None:
         """Apply the force of the air to the object; tumbling is neglected."""
         force = self._fields.qfrc_applied[:, self._linear]
         velocity = self._fields.qvel[:, self._linear]
@@ -239,22 +220,15 @@ class CatchWorld:
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""
-        return self._log(*self._magnitudes()).cleared(
-            torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        )
+        return StepExtremes(*map(torch.zeros_like, self._log(*self._magnitudes())))
 
     def privileged(self, log: StepExtremes) -> Privileged:
         """Return the true state, with the contacts of a control step from its log."""
         fields = self._fields
+        normals = [fields.site_xmat[:, palm].view(-1, 3, 3) @ normal for palm, normal in self._palms]
         return Privileged(
-            palm_pos=torch.stack([fields.site_xpos[:, palm] for palm in self._palms], dim=1).float(),
-            palm_normal=torch.stack(
-                [
-                    fields.site_xmat[:, palm].view(-1, 3, 3) @ normal
-                    for palm, normal in zip(self._palms, self._normals, strict=True)
-                ],
-                dim=1,
-            ).float(),
+            palm_pos=torch.stack([fields.site_xpos[:, palm] for palm, _ in self._palms], dim=1).float(),
+            palm_normal=torch.stack(normals, dim=1).float(),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
             object_pos=_snapshot(fields.qpos[:, self.objects.indices.qpos])[:, :3],
             object_lin_vel=_snapshot(fields.qvel[:, self._linear]),
@@ -264,21 +238,15 @@ class CatchWorld:
             is_self_contact=log.is_self_contact,
             is_robot_contact=log.is_robot_contact,
             joint_vel=_snapshot(fields.qvel[:, : self._num_joints]),
-            torque_share=self._torque_share(),
+            torque_share=(fields.actuator_force.abs() / self._actuators.limits.effort_limit).float(),
         )
 
-    def surface_points(
-        self, camera_pos: Float[Tensor, "*num_envs 3"] | None = None
-    ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Return surface points of the object, world frame [m], and which of them nothing hides.
-
-        They are seen from one place or one for each environment [m]. Default: the release's camera.
-        """
+    def surface_points(self, origin: Places) -> tuple[Points, PointFlags]:
+        """Return surface points of the object, world frame [m], and which are seen from a place [m]."""
         pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
         points = torch.baddbmm(
             pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
         )
-        origin = camera_center(RGB_CAMERA, points) if camera_pos is None else camera_pos
         may_hide = None
         if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
@@ -321,10 +289,10 @@ class CatchWorld:
     def _log(
         self,
         is_found: Bool[Tensor, "num_envs num_sensors"],
-        overlap: Float[Tensor, " num_envs"],
+        overlap: Scalars,
         joint_speed: Float[Tensor, "num_envs num_arm_joints"],
-        torque: Float[Tensor, "num_envs num_joints"],
-        square_force: Float[Tensor, " num_envs"],
+        torque: Joints,
+        square_force: Scalars,
     ) -> StepExtremes:
         """Return the log of physics steps from the largest of their `_magnitudes`, in SI units."""
         anything, num_robots = self._anything, self._num_robots
@@ -336,12 +304,9 @@ class CatchWorld:
             is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
             penetration=overlap.clamp(min=0.0).float(),
             joint_speed=joint_speed.amax(dim=-1).float(),
-            torque_share=(torque / self._actuators.effort_limit).amax(dim=-1).float(),
+            torque_share=(torque / self._actuators.limits.effort_limit).amax(dim=-1).float(),
             object_force=square_force.sqrt().float(),
         )
-
-    def _torque_share(self) -> Float[Tensor, "num_envs num_joints"]:
-        return (self._fields.actuator_force.abs() / self._actuators.effort_limit).float()
 
 
 def _snapshot(live: Tensor) -> Tensor:
@@ -349,7 +314,7 @@ def _snapshot(live: Tensor) -> Tensor:
     return live.to(torch.float32, copy=True)
 
 
-def rotation_matrix(quat: Float[Tensor, "num_envs 4"]) -> Float[Tensor, "num_envs 3 3"]:
+def rotation_matrix(quat: Quaternions) -> Float[Tensor, "num_envs 3 3"]:
     """Return the rotations of unit quaternions (w, x, y, z)."""
     w, x, y, z = quat.unbind(dim=-1)
     rows = (

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from pixel2catch import files
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
@@ -26,15 +27,6 @@ from pixel2catch.evaluation.report import (
     difference,
     spread,
     write_report,
-)
-from pixel2catch.files import (
-    as_json,
-    decoded,
-    json_text,
-    read_json_object,
-    read_text,
-    reading,
-    write_atomically,
 )
 from pixel2catch.reports import Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS
@@ -145,9 +137,9 @@ class ComparisonFolder:
         file, fix = self.path / FILE, "Mend it, or name another folder with --out."
         if not file.exists():
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
-        with reading("study", file, fix, StudyError):
-            content = read_json_object(file)
-            return decoded(Plan, content["plan"] | {"sessions": content["sessions"]})
+        with files.reading("study", file, fix, StudyError):
+            content = files.read_json_object(file)
+            return files.decoded(Plan, content["plan"] | {"sessions": content["sessions"]})
 
     def open(self, plan: Plan) -> None:
         """Begin a study, or continue it, with new methods or seeds or without; add the plan's sessions.
@@ -157,7 +149,9 @@ class ComparisonFolder:
         methods, seeds, sessions = plan.methods, plan.seeds, plan.sessions
         if any(self.path.glob("runs/*")) or any(self.path.glob("evaluations/*")):
             before = self.plan()
-            if changes := differences(before.configuration, as_json(plan.configuration), "in the study"):
+            if changes := differences(
+                before.configuration, files.as_json(plan.configuration), "in the study"
+            ):
                 raise StudyError(
                     f"the study in '{self.path}' was begun with another configuration ({changes}); "
                     "give its values, or name another folder with --out."
@@ -166,13 +160,13 @@ class ComparisonFolder:
             methods = tuple(dict.fromkeys((*longer, *shorter)))
             seeds, sessions = max(before.seeds, seeds), (*before.sessions, *sessions)
         asked = {"methods": methods, "seeds": seeds, "configuration": plan.configuration}
-        write_atomically({self.path / FILE: json_text({"plan": asked, "sessions": sessions})})
+        files.write_atomically({self.path / FILE: files.json_text({"plan": asked, "sessions": sessions})})
 
 
 def _read(path: Path) -> Json | None:
     """Return the content of a JSON file; nothing if it is absent or incomplete."""
     try:
-        return read_json_object(path)
+        return files.read_json_object(path)
     except (FileNotFoundError, ValueError):
         return None
 
@@ -252,9 +246,9 @@ def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
 
 def read_metrics(path: Path, names: Sequence[str] = COLUMNS) -> Columns:
     """Return columns of a `metrics.csv`, whose last line may be incomplete."""
-    with reading("metrics", path, "Train again, or take the file out of the study."):
+    with files.reading("metrics", path, "Train again, or take the file out of the study."):
         try:
-            table = csv.DictReader(io.StringIO(read_text(path, MOST_METRICS)))
+            table = csv.DictReader(io.StringIO(files.read_text(path, MOST_METRICS)))
             rows = [[float(row[name] or "nan") for name in names] for row in table]
         except csv.Error as error:
             raise InvalidValueError(f"it is no table ({error})") from error

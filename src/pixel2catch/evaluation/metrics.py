@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from pixel2catch.envs.episode import FAILURES, failure
-from pixel2catch.envs.statistics import MAXIMA
+from pixel2catch.envs.episode import FAILURES, MAXIMA, failure
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.methods import Method

@@ -26,6 +26,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.batches import Counts, Flags, Joints
 from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, LiveState, Observation, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
@@ -125,30 +126,20 @@ class Trials:
 class RoundState(Trials):
     """The state of each trial of a round."""
 
-    is_running: Bool[Tensor, " num_envs"]  #: Whether the trial is undecided.
-    is_testing: Bool[Tensor, " num_envs"]  #: Whether the hold is being tested.
-    test_steps: Int[Tensor, " num_envs"]  #: Control steps of the test so far.
-    #: Whether enough parts touched the object at every step of the hold test so far.
-    is_firm: Bool[Tensor, " num_envs"]
-    action: Float[Tensor, "num_envs num_joints"]  #: Last actions in joint order.
+    is_running: Flags  #: Whether the trial is undecided.
+    is_testing: Flags  #: Whether the hold is being tested.
+    test_steps: Counts  #: Control steps of the test so far.
+    is_firm: Flags  #: Whether enough parts touched the object at every step of the hold test so far.
+    action: Joints  #: Last actions in joint order.
 
-    def chosen(
-        self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def chosen(self, action: Joints, workcell: WorkcellSpec) -> Joints:
         """Return the policy's action; in a test, the arms' hold or shake and the hands' last action."""
         arms, hands = workcell.of_role("arm"), workcell.of_role("hand")
         shake = _shake(self.test_steps, workcell)
         held = put([(arms, take(shake, arms)), (hands, take(self.action, hands))])
         return select(self.is_testing, held, action)
 
-    def advanced(
-        self,
-        step: Step,
-        action: Float[Tensor, "num_envs num_joints"],
-        workcell: WorkcellSpec,
-        *,
-        is_late: bool,
-    ) -> "RoundState":
+    def advanced(self, step: Step, action: Joints, workcell: WorkcellSpec, *, is_late: bool) -> "RoundState":
         """Return the state after a control step with these actions; after the trial it is late."""
         is_counted = self.is_testing if is_late else self.is_running
         record = select(is_counted, step.record, self.record)
@@ -285,7 +276,8 @@ def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]
     observation = env.reset()
     state, trial_steps = _round_start(env), env.cfg.trial_steps
     for number in range(1, trial_steps + TEST_STEPS + 1):
-        action = state.chosen(_policy_action(env, actor, observation), env.workcell)
+        chosen = env.method.joint_actions(actor.act(observation.policy))
+        action = state.chosen(chosen, env.workcell)
         step = _step(env, action, state.is_running)
         state = state.advanced(step, action, env.workcell, is_late=number > trial_steps)
         observation = step.observation
@@ -312,7 +304,7 @@ class ClosedLoopHold:
             write(begun, self._env.live, self._kept)
             self._is_held |= begun
 
-    def result(self) -> Int[Tensor, " num_envs"]:
+    def result(self) -> Counts:
         """Return whether each throw passes, -1 where it is not tested; call it after the round."""
         if self._kept is not None:
             with self._env.branched(self._kept) as observation:
@@ -323,7 +315,8 @@ class ClosedLoopHold:
         env = self._env
         for number in range(HOLD_TEST_STEPS, HOLD_TEST_STEPS + CLOSED_LOOP_STEPS):
             steps = torch.full_like(self._is_held, number, dtype=torch.long)
-            action = _policy_action(env, self._actor, observation) + _shake(steps, env.workcell)
+            chosen = env.method.joint_actions(self._actor.act(observation.policy))
+            action = chosen + _shake(steps, env.workcell)
             step = _step(env, action, self._is_held)
             observation = step.observation
             self._is_held &= ~step.terminated & (step.record.held_steps > 0)
@@ -331,9 +324,7 @@ class ClosedLoopHold:
                 self._is_held &= step.log.is_touching.sum(dim=-1) >= LEAST_PARTS
 
 
-def shake_action(
-    test_steps: Int[Tensor, " num_envs"], commands: Sequence[JointCommand]
-) -> Float[Tensor, "num_envs num_joints"]:
+def shake_action(test_steps: Counts, commands: Sequence[JointCommand]) -> Joints:
     """Return an arm's action by the number of steps since the test began: 0 in the hold test, then a sine."""
     time = (test_steps - HOLD_TEST_STEPS + 0.5) * CONTROL_DT
     wave = torch.where(time > 0.0, torch.sin(2.0 * pi * SHAKE_FREQUENCY * time), 0.0)
@@ -342,9 +333,7 @@ def shake_action(
     return wave[:, None] * torch.tensor(amplitude, device=test_steps.device)
 
 
-def _shake(
-    test_steps: Int[Tensor, " num_envs"], workcell: WorkcellSpec
-) -> Float[Tensor, "num_envs num_joints"]:
+def _shake(test_steps: Counts, workcell: WorkcellSpec) -> Joints:
     commands, waves = commands_of(workcell), list[Tensor]()
     for group in workcell.groups:
         wave = shake_action(test_steps, commands[workcell.columns(group.name)])
@@ -352,14 +341,7 @@ def _shake(
     return torch.cat(waves, dim=-1)
 
 
-def _policy_action(
-    env: CatchEnv, actor: Actor, observation: Observation
-) -> Float[Tensor, "num_envs num_joints"]:
-    chosen = actor.act(observation.policy)
-    return put([(agent.joints, chosen[agent.name]) for agent in env.method.agents])
-
-
-def _step(env: CatchEnv, action: Tensor, is_running: Bool[Tensor, " num_envs"]) -> Step:
+def _step(env: CatchEnv, action: Tensor, is_running: Flags) -> Step:
     """Make a control step; on the CPU the physics of other environments stands still."""
     env.world.is_active = is_running if env.device.type == "cpu" else None
     step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})

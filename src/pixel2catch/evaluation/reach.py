@@ -10,10 +10,9 @@ from math import cos, radians
 
 import numpy as np
 import torch
-from jaxtyping import Bool
 from scipy.spatial import KDTree
-from torch import Tensor
 
+from pixel2catch.batches import Flags
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import rotation_matrix
 from pixel2catch.mdp.terminations import DROP_HEIGHT, DROP_X
@@ -54,7 +53,7 @@ def _palm_places(workcell: WorkcellSpec) -> tuple[KDTree, np.ndarray, np.ndarray
     return KDTree(pos), normal, time[:, 0]
 
 
-def is_reachable(episode: Episode, workcell: WorkcellSpec) -> Bool[Tensor, " num_envs"]:
+def is_reachable(episode: Episode, workcell: WorkcellSpec) -> Flags:
     """Return which throws of episodes the arms of a work cell can reach."""
     throw = episode.throw
     drag = torch.zeros_like(throw.pos[:, 0]) if episode.drag is None else episode.drag

@@ -4,6 +4,7 @@ Each level is a pure function from a task to a task. The values come from the so
 result. A step is a control step of 33 ms.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from math import radians
@@ -20,71 +21,56 @@ from pixel2catch.workcells import find_workcell
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: Returns a changed task; it can be pickled.
 AIR_DENSITY = 1.2  #: At 20 °C and 1013 hPa [kg/m³]. Source: ideal gas, rounded.
 
-CAMERA_POSITION_SOURCE = (
-    "1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an arm "
-    "(librealsense issue 9784); 4 cm: twice its mean"
-)
-CAMERA_ROTATION_SOURCE = (
-    "0.5°: a calibration by a few images; 1°, 2°: a mount that is bumped or set by eye (ours)"
-)
-FOCAL_SOURCE = (
-    "2 %: two D435 differ by 1.5 % (608.9 px of realsense-ros issue 701, 618.2 px of the release); 5 %: the "
-    "maker's tolerance of the field of view, 69° ± 3°"
-)
-BIAS_SOURCE = (
-    "motion blur: in 8 ms of exposure an object of 4.5 m/s at 2.5 m moves by 9 px; a box that follows one "
-    "end of the streak is half of that off; 10 px: twice as dark"
-)
-SCALE_SOURCE = "a mask that loses or adds 1.5 px of the rim of an object 15 px wide"
-EDGE_SOURCE = "twice the paper's 5 px, which are part of the 10"
-BLACKOUT_SOURCE = "6: frames until motion segmentation found a thrown object again, 4 to 6; 3: half"
-DROPS_SOURCE = "ours; 30 %: background subtraction by KNN lost the object in 7 of 24 synthetic throws"
-LATENCY_SOURCE = (
-    "exposure, transfer and SAM 2 (18 to 20 ms on one H100, measured) are 2 to 3 steps; more than 100 ms of "
-    "a D435 alone is librealsense issue 6036; 0: no latency at all; 1, 2: those of training; between whole "
-    "steps: no camera's images fall on control steps"
-)
-CLOCK_SOURCE = (
-    "ours: images that are stamped as they arrive instead of as they are taken, or by another computer's "
-    "clock: 10 ms: a readout; 20 ms: with half an exposure in a dim room; 40 ms: a frame at 30 Hz in a "
-    "buffer, and more; no stamps: every image is taken to be as old as the mean of the training"
-)
-GAINS_SOURCE = "30 %: stiffness of the wrists identified from slow motion is 19 to 35 % off; 50 %: ours"
-DELAY_SOURCE = "servoj's look-ahead time, 0.03 s by default and 0.1 s as often set, minus what the gains lag"
-LATENCY_AND_DELAY_SOURCE = (
-    "levels of the two axes above at once, as on a robot; and half a step less of both, between whole steps"
-)
-RESTITUTION_SOURCE = (
-    "0.75: a tennis ball that falls 2.54 m rebounds to 1.35 to 1.47 m (ITF rules), which is 0.73 to 0.76; 0 "
-    "and 0.5: the ends of the training; 0.25: its middle"
-)
-AIR_SOURCE = "density of air at 20 °C (International Standard Atmosphere); the thrower makes up for mean drag"
-HUMAN_SOURCE = (
-    "derived: speed 5 % within a thrower (2.4 % in throwing contests, Walsh and Heazlewood; 7 % is the 95th "
-    "percentile of handball players, Int. J. Computer Science in Sport 15/1); 2.5° of angle from a release "
-    "timed to about 10 ms (Hore et al. 1996, J. Neurophysiol. 75, 1013, tennis balls at 3 m; taken as two "
-    "standard deviations) by a hand that turns at 9 rad/s (4.5 m/s on a radius of 0.5 m); released between "
-    "hip and chest, 2 to 3 m away"
-)
-REALITY_SOURCE = (
-    "a careful laboratory: the smallest level of each axis, a third of a blur streak of bias, and air, spin "
-    "and unknown mass, which cannot be avoided. Throws are those of training"
-)
-FOAM_SOURCE = "foam; the lower end of the training"
-BALL_SOURCE = "a tennis ball is 56.0 to 59.4 g (ITF rules)"
-ELBOW_SOURCE = "a hand at 4.5 m/s that turns about the elbow, 0.45 m away"
-WRIST_SOURCE = "ours: with a flick of the wrist, four turns a second"
-SIZE_SOURCE = "ours: the two scales of the training objects differ by 1.12 to 1.2"
-LOW_SOURCE = "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training"
-HIGH_SOURCE = "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m"
-FAR_SOURCE = "ours: released 2.9 to 3.5 m away"
-NEAR_SOURCE = "ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training"
-CAMERAS_SOURCE = "the region of `camera.region`, and 1 cm, 0.5° and 1 % of errors of a careful calibration"
-PEOPLE_SOURCE = (
-    "30 recorded throws of a bottle from 3 to 4 m: `envs.tasks.PEOPLE_THROWS`; aimed: without their scatter; "
-    "all: with the disturbances of the task people"
-)
-TOGETHER_SOURCE = "levels of the axes above"
+_SOURCES = """
+nominal: the task of training, at a finer physics rate
+camera_position: 1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an
+    arm (librealsense issue 9784); 4 cm: twice its mean
+camera_rotation: 0.5°: a calibration by a few images; 1°, 2°: a mount that is bumped or set by eye (ours)
+focal_length: 2 %: two D435 differ by 1.5 % (608.9 px of realsense-ros issue 701, 618.2 px of the release);
+    5 %: the maker's tolerance of the field of view, 69° ± 3°
+box_bias: motion blur: in 8 ms of exposure an object of 4.5 m/s at 2.5 m moves by 9 px; a box that follows one
+    end of the streak is half of that off; 10 px: twice as dark
+box_scale: a mask that loses or adds 1.5 px of the rim of an object 15 px wide
+edge_noise: twice the paper's 5 px, which are part of the 10
+drops: ours; 30 %: background subtraction by KNN lost the object in 7 of 24 synthetic throws
+blackout: 6: frames until motion segmentation found a thrown object again, 4 to 6; 3: half
+latency: exposure, transfer and SAM 2 (18 to 20 ms on one H100, measured) are 2 to 3 steps; more than 100 ms
+    of a D435 alone is librealsense issue 6036; 0: no latency at all; 1, 2: those of training; between whole
+    steps: no camera's images fall on control steps
+clock_error: ours: images that are stamped as they arrive instead of as they are taken, or by another
+    computer's clock: 10 ms: a readout; 20 ms: with half an exposure in a dim room; 40 ms: a frame at 30 Hz in
+    a buffer, and more; no stamps: every image is taken to be as old as the mean of the training
+gains: 30 %: stiffness of the wrists identified from slow motion is 19 to 35 % off; 50 %: ours
+command_delay: servoj's look-ahead time, 0.03 s by default and 0.1 s as often set, minus what the gains lag
+latency_and_delay: levels of the two axes above at once, as on a robot; and half a step less of both, between
+    whole steps
+mass: foam; the lower end of the training | a tennis ball is 56.0 to 59.4 g (ITF rules)
+restitution: 0.75: a tennis ball that falls 2.54 m rebounds to 1.35 to 1.47 m (ITF rules), which is 0.73 to
+    0.76; 0 and 0.5: the ends of the training; 0.25: its middle
+size: ours: the two scales of the training objects differ by 1.12 to 1.2
+spin: a hand at 4.5 m/s that turns about the elbow, 0.45 m away | ours: with a flick of the wrist, four turns
+    a second
+air: density of air at 20 °C (International Standard Atmosphere); the thrower makes up for mean drag
+throws: ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training | ours: released 2.9 to 3.5 m away
+    | ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training | ours: peak 1.9 to 2.3 m high, the camera at 2.2 m
+    | derived: speed 5 % within a thrower (2.4 % in throwing contests, Walsh and Heazlewood; 7 % is the 95th
+    percentile of handball players, Int. J. Computer Science in Sport 15/1); 2.5° of angle from a release
+    timed to about 10 ms (Hore et al. 1996, J. Neurophysiol. 75, 1013, tennis balls at 3 m; taken as two
+    standard deviations) by a hand that turns at 9 rad/s (4.5 m/s on a radius of 0.5 m); released between hip
+    and chest, 2 to 3 m away
+cameras: the region of `camera.region`, and 1 cm, 0.5° and 1 % of errors of a careful calibration
+people: 30 recorded throws of a bottle from 3 to 4 m: `envs.tasks.PEOPLE_THROWS`; aimed: without their
+    scatter; all: with the disturbances of the task people
+together: levels of the axes above | levels of the axes above | levels of the axes above
+    | a careful laboratory: the smallest level of each axis, a third of a blur streak of bias, and air, spin
+    and unknown mass, which cannot be avoided. Throws are those of training
+"""
+"""Source of all levels of an axis, or of each | in their order."""
+
+SOURCES = {
+    axis: " ".join(text.split()).split(" | ")
+    for axis, text in re.findall(r"^(\w+): (.+(?:\n    .+)*)", _SOURCES, re.MULTILINE)
+}
 
 
 @dataclass(frozen=True)
@@ -183,12 +169,12 @@ def _sensing(
     return {label.format(value): part("sensing", **{field: value * scale}) for value in values}
 
 
-def _axis(name: str, unit: str, changes: Mapping[str, Change], *sources: str) -> Axis:
-    """Return an axis from its changes by label; one source is that of all levels."""
-    each = sources if len(sources) > 1 else sources * len(changes)
+def _axis(name: str, unit: str, changes: Mapping[str, Change]) -> Axis:
+    """Return an axis from its changes by label, and `SOURCES`; one source is that of all levels."""
+    sources = SOURCES[name] if len(SOURCES[name]) > 1 else SOURCES[name] * len(changes)
     levels = (
         Level(label=label, change=change, source=source)
-        for (label, change), source in zip(changes.items(), each, strict=True)
+        for (label, change), source in zip(changes.items(), sources, strict=True)
     )
     return Axis(name=name, unit=unit, levels=tuple(levels))
 
@@ -254,29 +240,29 @@ OF_PEOPLE = {
 }
 
 _ALL = (
-    _axis("nominal", "", {"": together()}, "the task of training, at a finer physics rate"),
-    _axis("camera_position", "cm", _sensing("camera_offset", (1, 2, 4), 1e-2), CAMERA_POSITION_SOURCE),
-    _axis("camera_rotation", "°", _sensing("camera_turn", (0.5, 1, 2), radians(1.0)), CAMERA_ROTATION_SOURCE),
-    _axis("focal_length", "%", _sensing("focal_error", (2, 5), 1e-2), FOCAL_SOURCE),
-    _axis("box_bias", "px", _sensing("box_bias", (5, 10)), BIAS_SOURCE),
-    _axis("box_scale", "", _sensing("box_scale", (0.8, 1.2)), SCALE_SOURCE),
-    _axis("edge_noise", "px", {"10": part("sensing", edge_noise=5.0)}, EDGE_SOURCE),
-    _axis("drops", "%", _sensing("drop_rate", (5, 15, 30), 1e-2), DROPS_SOURCE),
-    _axis("blackout", "steps", _sensing("blackout_steps", (3, 6)), BLACKOUT_SOURCE),
-    _axis("latency", "steps", LATENCIES, LATENCY_SOURCE),
-    _axis("clock_error", "", CLOCKS, CLOCK_SOURCE),
-    _axis("gains", "%", {f"±{percent}": _gains(percent) for percent in (30, 50)}, GAINS_SOURCE),
-    _axis("command_delay", "", {"1 step": _delay(1), "2 steps": _delay(2)}, DELAY_SOURCE),
-    _axis("latency_and_delay", "steps", BOTH_LATE, LATENCY_AND_DELAY_SOURCE),
-    _axis("mass", "g", {"15": _mass(15), "60": _mass(60)}, FOAM_SOURCE, BALL_SOURCE),
-    _axis("restitution", "", RESTITUTIONS, RESTITUTION_SOURCE),
-    _axis("size", "", {f"{scale:g}": part("scene", object_scale=scale) for scale in (0.8, 1.2)}, SIZE_SOURCE),
-    _axis("spin", "rad/s", {"10": SPIN, "25": part("throws", spin=25.0)}, ELBOW_SOURCE, WRIST_SOURCE),
-    _axis("air", "", {f"{grams} g": together(AIR, _mass(grams)) for grams in (30, 15)}, AIR_SOURCE),
-    _axis("throws", "", THROWS, NEAR_SOURCE, FAR_SOURCE, LOW_SOURCE, HIGH_SOURCE, HUMAN_SOURCE),
-    _axis("cameras", "", ANY_CAMERA, CAMERAS_SOURCE),
-    _axis("people", "", OF_PEOPLE, PEOPLE_SOURCE),
-    _axis("together", "", COMBINED, *(3 * (TOGETHER_SOURCE,)), REALITY_SOURCE),
+    _axis("nominal", "", {"": together()}),
+    _axis("camera_position", "cm", _sensing("camera_offset", (1, 2, 4), 1e-2)),
+    _axis("camera_rotation", "°", _sensing("camera_turn", (0.5, 1, 2), radians(1.0))),
+    _axis("focal_length", "%", _sensing("focal_error", (2, 5), 1e-2)),
+    _axis("box_bias", "px", _sensing("box_bias", (5, 10))),
+    _axis("box_scale", "", _sensing("box_scale", (0.8, 1.2))),
+    _axis("edge_noise", "px", {"10": part("sensing", edge_noise=5.0)}),
+    _axis("drops", "%", _sensing("drop_rate", (5, 15, 30), 1e-2)),
+    _axis("blackout", "steps", _sensing("blackout_steps", (3, 6))),
+    _axis("latency", "steps", LATENCIES),
+    _axis("clock_error", "", CLOCKS),
+    _axis("gains", "%", {f"±{percent}": _gains(percent) for percent in (30, 50)}),
+    _axis("command_delay", "", {"1 step": _delay(1), "2 steps": _delay(2)}),
+    _axis("latency_and_delay", "steps", BOTH_LATE),
+    _axis("mass", "g", {"15": _mass(15), "60": _mass(60)}),
+    _axis("restitution", "", RESTITUTIONS),
+    _axis("size", "", {f"{scale:g}": part("scene", object_scale=scale) for scale in (0.8, 1.2)}),
+    _axis("spin", "rad/s", {"10": SPIN, "25": part("throws", spin=25.0)}),
+    _axis("air", "", {f"{grams} g": together(AIR, _mass(grams)) for grams in (30, 15)}),
+    _axis("throws", "", THROWS),
+    _axis("cameras", "", ANY_CAMERA),
+    _axis("people", "", OF_PEOPLE),
+    _axis("together", "", COMBINED),
 )
 
 AXES: dict[str, Axis] = catalogue(Axis, {axis.name: axis for axis in _ALL})

@@ -131,10 +131,14 @@ def _stalls(recording: Recording) -> DataCheck:
 
 
 def _repeated_samples(recording: Recording) -> DataCheck:
-    """Check how often a sample repeats the one before while the robot moves by more than encoder steps."""
-    change = np.abs(recording.q[10:] - recording.q[:-10])
-    least = MOVING_SPEED * (recording.t_meas[10:] - recording.t_meas[:-10])[:, None]
-    is_moving = (change > np.maximum(least, 10 * REPEATED_STEPS * encoder_step(recording.q))).any(1)
+    """Check how often a sample repeats the one before while a joint moves by more than encoder steps.
+
+    It must move before and after: a joint that waits for its command repeats samples, too.
+    """
+    time, q = recording.t_meas, recording.q
+    change = np.minimum(np.abs(q[10:] - q[5:-5]), np.abs(q[5:-5] - q[:-10]))
+    least = MOVING_SPEED / 2 * (time[10:] - time[:-10])[:, None]
+    is_moving = (change > np.maximum(least, 5 * REPEATED_STEPS * encoder_step(q))).any(1)
     is_repeated = (np.diff(recording.q, axis=0) == 0).all(1)[5:-4]
     if not is_moving.any():
         return DataCheck(name="repeated samples", is_good=None, detail="the robot does not move")

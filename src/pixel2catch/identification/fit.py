@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.signal import detrend
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.intervals import (
@@ -18,6 +19,7 @@ from pixel2catch.identification.intervals import (
     FRICTION_DEVIATION,
     LATENCY_DEVIATION,
     block_covariance,
+    lag_deviation,
     model_covariance,
 )
 from pixel2catch.identification.recording import Recording
@@ -43,7 +45,7 @@ COARSE_ROUNDS = 2  # evaluations of the Jacobian with that time step (ours)
 COARSE = 0.01  # least decrease of a coarse step, as a share of the squares (ours)
 ROUGH = 0.03  # least decrease of a step while only the lag moves, as a share of the squares (ours)
 OUTLYING = 4.0  # residual that counts half, in mean absolute ones (ours; lost commands are far beyond)
-FINE = 0.3  # least step, in standard errors of the fit (ours)
+FINE = 2e-4  # least decrease of a step with the final time step, as a share of the squares (ours)
 MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away the Jacobian is different)
 MAX_STEPS = 3  # most steps with one Jacobian (ours; each is about a fifth of the one before, or useless)
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; their steps are tried at once, the best is taken (ours)
@@ -84,8 +86,8 @@ class Fit:
     free: tuple[str, ...]  #: the parameters that were fitted
     #: of each joint's free parameters, in the coordinates of the fit, with prior and errors of the model
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
-    encoders: Encoders  #: fitted play, and drift of the clocks
-    encoder_deviations: Encoders  #: standard deviations of these
+    encoders: Encoders  #: fitted play and zeros, and drift of the clocks
+    encoder_deviations: Encoders  #: standard deviations of play and drift
 
 
 def fit_dynamics(
@@ -104,14 +106,14 @@ def fit_dynamics(
     directions = coarse.directions(coarse.names, is_coupled=True)
     point, _ = _solved(coarse, point, directions, COARSE_ROUNDS, COARSE)
     fine = _Problem(recordings, start, cfg, report)
-    point, jacobian = _solved(fine, point, directions, MAX_ROUNDS, 0.0)
+    point, jacobian = _solved(fine, point, directions, MAX_ROUNDS, FINE)
     covariance, num = fine.covariance(point, jacobian), len(cfg.free)
     deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * fine.unit
     return Fit(
         dynamics=fine.dynamics(point),
         free=cfg.free,
         covariance=covariance[:, :num, :num],
-        encoders=fine.encoders(point * fine.unit),
+        encoders=fine.with_zeros(fine.encoders(point * fine.unit), point),
         encoder_deviations=fine.encoders(deviations),
     )
 
@@ -197,8 +199,8 @@ class _Problem:
 
     def encoders(self, values: Point) -> Encoders:
         """Return the encoders' part of values: the play of each joint, then the drift in each recording."""
-        columns = values[:, self.num_free :]
-        return Encoders(play=columns[:, 0].copy(), drift=columns[:, 1:].T.copy())
+        play, *drift = values[:, self.num_free :].T.copy()
+        return Encoders(play=play, drift=np.stack(drift), zero=np.zeros((len(drift), len(play))))
 
     def bounded(self, point: Point) -> Point:
         """Return the nearest point within the bounds of the fit."""
@@ -243,13 +245,17 @@ class _Problem:
         steps = jacobian.directions.steps
         covariance = np.einsum("kja,kl,ljb->jab", steps, block_covariance(equations.hessian, scores), steps)
         dynamics, num = self.dynamics(point), self.num_free
+        inertias = self._dynamics.armature, self._motion.link_inertia
+        motions = [(np.diff(each.q, axis=0), np.diff(each.t_meas)[:, None]) for each in self._recordings]
+        speed = np.sqrt(np.mean([np.mean((q / time) ** 2, axis=0) for q, time in motions], axis=0))
         covariance[:, :num, :num] += model_covariance(
-            dynamics, self._dynamics.armature, self._motion.link_inertia, self._cfg.free, LATENCY_UNIT
+            dynamics, *inertias, speed, self._cfg.free, LATENCY_UNIT
         )
         seconds = [np.ptp(recording.t_meas) for recording in self._recordings]
         # A joint that turns around rests until its command moved by the play and 2 frictionloss / stiffness.
         play = 2.0 * FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness
-        beside = [play, *(np.full(len(covariance), LATENCY_DEVIATION / s) for s in seconds)]
+        lag = lag_deviation(dynamics, speed) * dynamics.damping / dynamics.stiffness
+        beside = [play, *(np.hypot(LATENCY_DEVIATION, lag) / length for length in seconds)]
         for column, deviation in enumerate(beside, start=num):
             covariance[:, column, column] += (deviation / self.unit[column]) ** 2
         return covariance
@@ -259,10 +265,19 @@ class _Problem:
         self._report(f"fitting at {1.0 / self._cfg.physics_dt:.0f} Hz, {size:.3f} mrad")
 
     def residuals(self, points: Sequence[Point]) -> Float[np.ndarray, "num_points num_settled num_joints"]:
-        """Return simulated minus measured positions [rad]."""
+        """Return simulated minus measured positions [rad], without the encoders' zeros, which drift."""
         dynamics = [self.dynamics(point) for point in points]
         encoders = [self.encoders(point * self.unit) for point in points]
-        return self._motion.simulate(dynamics, encoders) - self._measured
+        residuals = self._motion.simulate(dynamics, encoders) - self._measured
+        for part in self._motion.split(residuals):
+            part[:] = detrend(part, axis=1)
+        return residuals
+
+    def with_zeros(self, encoders: Encoders, point: Point) -> Encoders:
+        """Return encoders whose zeros are what is measured beside the simulation at a fitted point."""
+        (simulated,) = self._motion.simulate([self.dynamics(point)], [encoders])
+        parts = self._motion.split(self._measured - simulated)
+        return replace(encoders, zero=np.stack([part.mean(axis=0) for part in parts]))
 
     def squares(self, point: Point, residuals: Residuals, weight: Weight) -> float:
         """Return the weighted squares of the residuals, and of the distance from the start over the prior."""
@@ -321,8 +336,7 @@ def _followed(
         weight = _information(residuals)
         squares = problem.squares(point, residuals, weight)
         equations = problem.normal_equations(point, replace(jacobian, residuals=residuals), weight)
-        noise = correlation_time(np.sqrt(weight) * residuals).mean() * len(equations.gradient)
-        if equations.decrease < max(FINE**2 * noise, least_share * squares):
+        if equations.decrease < least_share * squares:
             break
         points = [problem.bounded(point + equations.step(damping)) for damping in DAMPINGS]
         tried = problem.residuals(points)
@@ -344,16 +358,3 @@ def _information(residuals: Residuals) -> Weight:
     share = 1.0 / (1.0 + (residuals / np.maximum(scale, LEAST_RESIDUAL)) ** 2)
     square = (share * residuals**2).sum(axis=0) / share.sum(axis=0)
     return share / np.maximum(square, LEAST_RESIDUAL**2)
-
-
-def correlation_time(residuals: Residuals) -> Float[np.ndarray, " num_joints"]:
-    """Return how many consecutive samples are one independent sample: 1 for white noise, else more.
-
-    It is 1 plus twice the sum of the autocorrelations before the first that is not positive.
-    """
-    centered = residuals - residuals.mean(axis=0)
-    spectrum = np.abs(np.fft.rfft(centered, n=2 * len(residuals), axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum, axis=0)[: len(residuals)]
-    correlation = correlation / np.maximum(correlation[0], np.finfo(float).tiny)
-    is_before = np.cumprod(correlation > 0.0, axis=0)
-    return np.maximum(2.0 * (correlation * is_before).sum(axis=0) - 1.0, 1.0)

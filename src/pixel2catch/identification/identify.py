@@ -107,7 +107,7 @@ def start_of_fit(
             "with it, then the hand with --start and the dynamics file of the arm."
         )
     file = DynamicsFile.load(path, workcell) if path else None
-    nominal = JointDynamics.nominal(specs=workcell.joints)
+    nominal = JointDynamics.nominal(workcell.joints)
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
@@ -154,11 +154,11 @@ def identify(
     fitted = [source.recording for source in sources if not source.is_held_out]
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
-    drift = fit.encoders.drift
-    if len(fitted) < len(sources):  # the mean drift stands for that of the recording that was held out
-        drift = np.vstack((drift, drift.mean(axis=0)))
+    columns = {"drift": fit.encoders.drift, "zero": fit.encoders.zero}
+    if len(fitted) < len(sources):  # means stand for the recording that was held out
+        columns = {name: np.vstack((rows, rows.mean(axis=0))) for name, rows in columns.items()}
     perfect = Encoders.perfect(len(sources), len(fit.dynamics.joints))
-    encoders = perfect, dataclasses.replace(fit.encoders, drift=drift)
+    encoders = perfect, dataclasses.replace(fit.encoders, **columns)
     before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
     motions = tuple(
         dataclasses.replace(source, before=path_before, after=path_after)
@@ -194,7 +194,7 @@ def worse_than_command(motions: Sequence[CheckedRecording]) -> list[str]:
 def tracking_errors(motions: Sequence[CheckedRecording]) -> dict[str, PerJoint]:
     """Return the root mean square of predicted minus measured positions of all motions, per joint [rad].
 
-    The prediction is the `command`, or the simulation `before` or `after` the fit with its play and drift.
+    The prediction is the `command`, or the simulation `before` or `after` the fit with its encoders.
     """
     paths = {"command": [motion.recording.held(motion.time) for motion in motions]}
     paths |= {name: [getattr(motion, name) for motion in motions] for name in ("before", "after")}

@@ -101,8 +101,9 @@ def read_rosbag(
     if not is_bag(path):
         raise RecordingError(
             f"{path}: not a recording; give an .npz file (arrays joints, t_cmd, q_cmd, t_meas, q), a "
-            f"rosbag2: its folder with {METADATA}, its .mcap or its .db3 file, or a folder with "
-            f"{COMMAND_TABLE} and a .csv file of the measurements."
+            f"rosbag2: its folder with {METADATA}, its .mcap or its .db3 file (a ROS 1 .bag: "
+            f"convert it with 'rosbags-convert'), or a folder with {COMMAND_TABLE} and a .csv file of the "
+            "measurements."
         )
     with opened_bag(path, RecordingError, "identification") as reader:
         bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)

@@ -20,11 +20,12 @@ LIMIT_DEVIATION = 0.15
 common scale of a joint's torques; viscous friction that the limit does not hold back was 8 % of it
 (`benchmarks/identify_independent_truth.py`)."""
 
-FRICTION_DEVIATION = 0.1  # of dry friction, as a share (ours; at rest it is 10 to 30 % above that in motion)
+FRICTION_DEVIATION = 0.1
+"""Deviation of dry friction, as a share. Source: ours; at rest it is 10 to 30 % above that in motion.
+Friction of fingers that differs by ±20 % between directions made damping 2.6 % larger."""
 
-LAG_DEVIATION = 0.003
-"""Deviation of damping over stiffness, as a share. Source: ours: error of single joints of another robot
-(seeds 30, 31 and 40 of the same)."""
+LAG_DEVIATION = 0.008
+"""Deviation of damping over stiffness, as a share. Source: ours: error of joints on belts (the same)."""
 
 LATENCY_DEVIATION = 4e-4
 """Deviation of the latency [s], of its change in a recording, and of inertia over damping. Source: ours, of
@@ -32,6 +33,7 @@ the order of a servo's cycle: a command waits for the next one, which looks like
 Armature over damping of every joint, identified from recordings of the twin, was 0.42 ms more than the
 twin's, and stiff wrists of another robot had torques 1.6 and 1.9 times too large (seed 50 of the same)."""
 
+PerJoint = Float[np.ndarray, " num_joints"]
 Hessian = Float[np.ndarray, "num_directions num_directions"]
 
 
@@ -48,10 +50,17 @@ def block_covariance(hessian: Hessian, scores: Float[np.ndarray, "num_blocks num
     return inverse + factor * inverse @ (scores.T @ scores) @ inverse
 
 
+def lag_deviation(dynamics: JointDynamics, speed: PerJoint) -> PerJoint:
+    """Return the deviation of damping over stiffness, as a share, of joints that move at a speed [rad/s]."""
+    share = dynamics.frictionloss / (dynamics.damping * speed)
+    return np.hypot(LAG_DEVIATION, FRICTION_DEVIATION * share)
+
+
 def model_covariance(
     dynamics: JointDynamics,
-    armature: Float[np.ndarray, " num_joints"],
-    link_inertia: Float[np.ndarray, " num_joints"],
+    armature: PerJoint,
+    link_inertia: PerJoint,
+    speed: PerJoint,
     free: Sequence[str],
     latency_unit: float,
 ) -> Float[np.ndarray, "num_joints num_free num_free"]:
@@ -59,19 +68,18 @@ def model_covariance(
 
     With another torque limit, the same motion has another common scale; the armature compensates what the
     links' inertia should have changed. The servo's cycle delays the gain of speed, which looks like more
-    armature, or, where the torque limit fixes the inertia, like less torque in everything else.
+    armature, or, where the torque limit fixes the inertia, like less torque in everything else. Friction that
+    differs by direction or load looks like damping, which latency compensates in part.
 
     Of the armatures [kg·m²] before and after the fit the smaller counts, as logarithms are lopsided. The link
-    inertia is what each joint moves beside its armature [kg·m²]. The latency unit counts as 1 [s].
+    inertia is what each joint moves beside its armature [kg·m²], the speed that of its motion [rad/s]. The
+    latency unit counts as 1 [s].
     """
     least, inertia = np.minimum(dynamics.armature, armature), dynamics.armature + link_inertia
     heaviness, has_scale = link_inertia / least, "stiffness" in free
-    own = {
-        "damping": LAG_DEVIATION,
-        "frictionloss": FRICTION_DEVIATION,
-        "latency": LATENCY_DEVIATION / latency_unit,
-    }
-    scale, servo, link, cycle = np.zeros((4, len(dynamics.joints), len(free)))
+    own = {"frictionloss": FRICTION_DEVIATION, "latency": LATENCY_DEVIATION / latency_unit}
+    deviation = lag_deviation(dynamics, speed)
+    scale, servo, link, cycle, lag = np.zeros((5, len(dynamics.joints), len(free)))
     for i, name in enumerate(free):
         if name in ("stiffness", "damping", "frictionloss"):
             scale[:, i] = has_scale * LIMIT_DEVIATION
@@ -80,6 +88,10 @@ def model_covariance(
             scale[:, i] = has_scale * LIMIT_DEVIATION * (1.0 + heaviness)
             link[:, i] = LIMIT_DEVIATION * heaviness
             cycle[:, i] = LATENCY_DEVIATION * dynamics.damping / least
-    deviations = np.stack((scale, servo, link, cycle))
+        if name == "damping":
+            lag[:, i] = deviation
+        if name == "latency":
+            lag[:, i] = -deviation * dynamics.damping / dynamics.stiffness / (2 * latency_unit)
+    deviations = np.stack((scale, servo, link, cycle, lag))
     alone = np.diag([own.get(name, 0.0) ** 2 for name in free])
     return np.einsum("mja,mjb->jab", deviations, deviations) + alone

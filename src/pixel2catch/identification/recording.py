@@ -143,13 +143,10 @@ class Recording:
                 raise RecordingError(f"no array {', '.join(missing)}; a recording has {', '.join(ARRAYS)}")
             joints = tuple((names or {}).get(name, name) for name in _texts(arrays.pop("joints")))
             arrays = {name: _numbers(values) for name, values in arrays.items()}
-        known = specs_of(workcell)
-        unknown = [joint for joint in joints if joint not in known]
-        if unknown:
-            raise RecordingError(
-                f"{path}: work cell '{workcell.name}' has no joint {', '.join(unknown)}; it has "
-                f"{', '.join(known)}. Rename these joints in the file, or leave them out."
-            )
+        if unknown := [joint for joint in joints if joint not in workcell.joint_names]:
+            problem = f"{path}: work cell '{workcell.name}' has no joint {', '.join(unknown)}"
+            fix = f"it has {', '.join(workcell.joint_names)}. Rename these in the file, or leave them out"
+            raise RecordingError(f"{problem}; {fix}.")
         return Recording(name=str(path), workcell=workcell, joints=joints, **arrays)
 
 

@@ -32,6 +32,7 @@ from pixel2catch.robots.joint_dynamics import PARAMETERS
 DYNAMICS, REPORT, NUMBERS = "dynamics.json", "report.md", "result.json"  # names of the files
 UNKNOWN_WIDTH = 0.3  # half-width from which a parameter is not identifiable: 30 %, or 3 ms (ours)
 NOTABLE_DRIFT = 5e-4  # least difference of the clocks at the end of a recording that is reported [s] (ours)
+NOTABLE_ZERO = 2e-3  # least error of a zero that is reported [rad] (ours)
 NOTABLE_PLAY = 2e-4  # least play that is reported [rad] (ours, a UR's noise)
 
 COLORS = {"command": "#9A9A9A", "before": "#E69F00", "measured": "#000000", "after": "#0072B2"}
@@ -120,7 +121,7 @@ def _estimate(known: Estimate, j: int) -> str:
 
 
 def warnings(result: Identification) -> list[str]:
-    """Return warnings: clocks that drift apart, play, commands that predict motion, nothing held out."""
+    """Return warnings: drifting clocks, play, zeros, commands that predict motion, nothing held out."""
     texts, fit, joints = [], result.fit, result.fit.dynamics.joints
     if not result.of(is_held_out=True):
         texts.append(NOTHING_HELD_OUT)
@@ -147,6 +148,12 @@ def warnings(result: Identification) -> list[str]:
         fix = "tighten it, or train with an error of the encoders as large (sensing.joint_bias)"
         play_text = f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit compensates it; "
         texts.append(f"{play_text}training has none: {fix}.")
+    zeros = zip(map(short, joints), fit.encoders.zero.mean(axis=0), strict=True)
+    if off := [f"{name} {1e3 * zero:+.1f}" for name, zero in zeros if abs(zero) > NOTABLE_ZERO]:
+        texts.append(
+            f"Measurements are beside the simulation throughout [mrad]: {', '.join(off)}. The fit "
+            "compensates this. Causes: the encoder's zero, friction that differs by direction, or weight."
+        )
     return texts
 
 

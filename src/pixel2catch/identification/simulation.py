@@ -16,14 +16,7 @@ from mujoco.batch import Batch
 
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, groups_of, held, specs_of
-from pixel2catch.robots.joint_dynamics import (
-    EFFORT_MARGIN,
-    DryFriction,
-    JointDynamics,
-    command_lag,
-    filter_step,
-    filter_transition,
-)
+from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
 from pixel2catch.robots.workcell import WorkcellSpec, add_robots
 
 FIT_DT = 1.0 / 480.0
@@ -43,16 +36,18 @@ Settled = Float[np.ndarray, "num_settled num_joints"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Encoders:
-    """Errors between the motion of joints and its recording: play, and clocks that drift apart."""
+    """Errors between the motion of joints and its recording: play, clocks that drift apart, and zeros."""
 
     play: PerJoint  #: width of the play between servo and encoder [rad]; the encoder lags by half of it
     #: excess speed of the measurements' clock over that of the commands, as a share
     drift: Float[np.ndarray, "num_recordings num_joints"]
+    zero: Float[np.ndarray, "num_recordings num_joints"]  #: what they read where the joints are at zero [rad]
 
     @classmethod
     def perfect(cls, num_recordings: int, num_joints: int) -> "Encoders":
-        """Return encoders with neither play nor drift."""
-        return cls(play=np.zeros(num_joints), drift=np.zeros((num_recordings, num_joints)))
+        """Return encoders without errors."""
+        each = np.zeros((num_recordings, num_joints))
+        return cls(play=np.zeros(num_joints), drift=each, zero=each)
 
 
 def behind_play(positions: Positions, play: PerJoint) -> Positions:
@@ -281,9 +276,9 @@ class RecordedMotion:
             num_before += len(time)
         return np.concatenate(starts)
 
-    def split(self, positions: Settled) -> list[np.ndarray]:
-        """Return simulated positions, recording by recording."""
-        return np.split(positions, np.cumsum([len(grid.index) for grid in self._grids])[:-1])
+    def split(self, positions: Float[np.ndarray, "*points num_settled num_joints"]) -> list[np.ndarray]:
+        """Return views of simulated positions, recording by recording."""
+        return np.split(positions, np.cumsum([len(grid.index) for grid in self._grids])[:-1], axis=-2)
 
     def simulate(
         self, candidates: Sequence[JointDynamics], encoders: Sequence[Encoders] = ()
@@ -304,7 +299,8 @@ class RecordedMotion:
             first = num * different.index(candidate)
             own_paths = zip(self._grids, paths[first : first + num], own.drift, strict=True)
             sampled = [grid.sample(path[: len(grid.edges)], drift) for grid, path, drift in own_paths]
-            measured.append(np.concatenate([behind_play(each, own.play) for each in sampled]))
+            pairs = zip(sampled, own.zero, strict=True)
+            measured.append(np.concatenate([zero + behind_play(each, own.play) for each, zero in pairs]))
         return np.stack(measured)
 
     def _roll_out(
@@ -318,7 +314,7 @@ class RecordedMotion:
         start = np.stack([grid.start for _, grid in copies], axis=1)
         qpos[:], qvel[:] = start
         servos = RecordedServos(batch, candidates, self._efforts, self.link_inertia, self._dt)
-        transition = np.stack([filter_transition(each, self._dt) for each in candidates])
+        transition = np.stack([each.filter_transition(self._dt) for each in candidates])
         filtered = np.moveaxis(start, 0, -1).copy()  # state of the command filters
         has_filter = any(each.has_filter.any() for each in candidates)
         commands, index = _commands(copies, self._dt)
@@ -345,7 +341,7 @@ def _commands(copies: Sequence[tuple[JointDynamics, _Grid]], dt: float) -> tuple
     keys = []
     num_steps = max(len(grid.edges) for _, grid in copies) - 1
     for dynamics, grid in copies:
-        lag = command_lag(dynamics, dt)
+        lag = dynamics.command_lag(dt)
         keys.append((id(grid), lag.tobytes(), dynamics.has_filter.tobytes()))
         if keys[-1] not in known:
             values = step_commands(grid.recording.t_cmd, grid.recording.q_cmd, grid.edges, lag)

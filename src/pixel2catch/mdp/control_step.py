@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
+from pixel2catch.batches import Boxes, Counts, Flags, Joints, Scalars, Vectors
 from pixel2catch.mdp.tensors import select
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.spec import JointSpec
@@ -27,13 +28,10 @@ class BoxHistory:
     """Measured boxes, the newest first; an image in which nothing was found adds none."""
 
     box: Float[Tensor, "num_envs num_boxes 4"]  #: xmin, ymin, xmax, ymax [px].
-    #: Time since the exposure of each image, by its stamp [control steps].
-    age: Float[Tensor, "num_envs num_boxes"]
+    age: Float[Tensor, "num_envs num_boxes"]  #: Time since the exposure, by stamp [control steps].
 
     @classmethod
-    def begun(
-        cls, box: Float[Tensor, "num_envs 4"], age: Float[Tensor, " num_envs"], num_boxes: int
-    ) -> "BoxHistory":
+    def begun(cls, box: Boxes, age: Scalars, num_boxes: int) -> "BoxHistory":
         """Return the history of an object at rest: the same box [px], of age `age`, `age + 1`, and so on."""
         steps = torch.arange(num_boxes, device=age.device, dtype=age.dtype)
         return cls(box=box[:, None].expand(-1, num_boxes, -1).clone(), age=age[:, None] + steps)
@@ -44,11 +42,7 @@ class BoxHistory:
     ) -> "BoxHistory":
         """Return the history of one robot from images with stamps; before the first, the object was at rest.
 
-        Args:
-            boxes: Measured boxes, oldest first, at least one [px].
-            stamps: When their images were taken [s].
-            now: The time [s].
-            num_boxes: Length of the history.
+        One or more boxes are given [px], oldest first, with the times of their images and the present [s].
         """
         ages = torch.tensor([(now - stamp) / CONTROL_DT for stamp in stamps], dtype=torch.float32).flip(0)
         newest = boxes.flip(0)
@@ -57,12 +51,7 @@ class BoxHistory:
         age = torch.cat((ages[:-1], history.age[0]))[:num_boxes]
         return cls(box=box[None], age=age[None])
 
-    def advanced(
-        self,
-        box: Float[Tensor, "num_envs 4"],
-        age: Float[Tensor, " num_envs"],
-        is_new: Bool[Tensor, " num_envs"],
-    ) -> "BoxHistory":
+    def advanced(self, box: Boxes, age: Scalars, is_new: Flags) -> "BoxHistory":
         """Return the history a control step later, with the delivered box [px] where it is new."""
         older = BoxHistory(box=self.box, age=self.age + 1.0)
         newest = BoxHistory(
@@ -77,20 +66,20 @@ class Measurement:
     """What the robot measures at one control step, in simulation and in the laboratory."""
 
     boxes: BoxHistory  #: The last measured boxes of the object; those of a level camera for some methods.
-    camera_pos: Float[Tensor, "num_envs 3"]  #: Place of the calibrated camera, world frame [m].
+    camera_pos: Vectors  #: Place of the calibrated camera, world frame [m].
     #: Position of the object's centre by a tracker, as old as the box, world frame [m]; for comparisons.
-    object_pos: Float[Tensor, "num_envs 3"]
-    initial_object_pos: Float[Tensor, "num_envs 3"]  #: The first such position of the episode [m].
-    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint encoders [rad].
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Joint targets commanded at this step [rad].
+    object_pos: Vectors
+    initial_object_pos: Vectors  #: The first such position of the episode [m].
+    joint_pos: Joints  #: Joint encoders [rad].
+    joint_pos_target: Joints  #: Joint targets commanded at this step [rad].
     #: Positions of the palms by forward kinematics of `joint_pos`, world frame [m].
     palm_pos: Float[Tensor, "num_envs num_palms 3"]
     #: Their orientations likewise, (w, x, y, z), with the sign of `robots.chain`.
     palm_quat: Float[Tensor, "num_envs num_palms 4"]
-    action: Float[Tensor, "num_envs num_joints"]  #: Last actions of all agents in joint order, in [-1, 1].
+    action: Joints  #: Last actions of all agents in joint order, in [-1, 1].
 
     @property
-    def box(self) -> Float[Tensor, "num_envs 4"]:
+    def box(self) -> Boxes:
         """Return the newest measured box of the object: xmin, ymin, xmax, ymax [px]."""
         return self.boxes.box[:, 0]
 
@@ -109,20 +98,17 @@ class Privileged:
 
     palm_pos: Float[Tensor, "num_envs num_palms 3"]  #: True positions of the palms [m].
     palm_normal: Float[Tensor, "num_envs num_palms 3"]  #: Their normals, unit vectors.
-    #: True positions of the fingertips, palm by palm [m].
-    fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
-    object_pos: Float[Tensor, "num_envs 3"]  #: Position of the object's centre [m].
-    object_lin_vel: Float[Tensor, "num_envs 3"]  #: Its velocity [m/s].
-    object_reach: Float[Tensor, " num_envs"]  #: Distance from a palm under which it counts as reached [m].
+    fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]  #: True positions of fingertips, palm by palm [m].
+    object_pos: Vectors  #: Position of the object's centre [m].
+    object_lin_vel: Vectors  #: Its velocity [m/s].
+    object_reach: Scalars  #: Distance from a palm under which it counts as reached [m].
     #: Which palms and fingers touched the object since the step before: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table since the step before.
-    #: Whether a robot touched itself, or another one, since the step before.
-    is_self_contact: Bool[Tensor, " num_envs"]
-    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another one since the step before.
-    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
-    #: Torques of the joints' servos as shares of their limits, without signs.
-    torque_share: Float[Tensor, "num_envs num_joints"]
+    is_robot_on_table: Flags  #: Whether a robot touched the table since the step before.
+    is_self_contact: Flags  #: Whether a robot touched itself, or another one, since the step before.
+    is_robot_contact: Flags  #: Whether it touched another one since the step before.
+    joint_vel: Joints  #: Joint speeds [rad/s].
+    torque_share: Joints  #: Torques of the joints' servos as shares of their limits, without signs.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +117,11 @@ class Transition:
 
     before: Privileged  #: The state before the action.
     now: Privileged  #: The state after it.
-    action: Float[Tensor, "num_envs num_joints"]  #: The actions in joint order, in [-1, 1].
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The commanded joint targets [rad].
-    #: Consecutive control steps, this one included, with the object in the palm's reach.
-    held_steps: Int[Tensor, " num_envs"]
-    #: Control steps since the first success of the episode, this one included; 0 up to that success.
-    rested_steps: Int[Tensor, " num_envs"]
-    #: Control steps since the start of the episode, this one included.
-    episode_steps: Int[Tensor, " num_envs"]
+    action: Joints  #: The actions in joint order, in [-1, 1].
+    joint_pos_target: Joints  #: The commanded joint targets [rad].
+    held_steps: Counts  #: Consecutive control steps, this one included, with the object in the palm's reach.
+    rested_steps: Counts  #: Control steps since the first success, this one included; 0 up to that success.
+    episode_steps: Counts  #: Control steps since the start of the episode, this one included.
     geometry: WorkcellGeometry  #: Forward kinematics of palms and arms.
 
 
@@ -184,9 +167,7 @@ class ActionMap:
         rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands]
         return cls(torch.tensor(rows, dtype=torch.float32, device=device).T.contiguous())
 
-    def joint_pos_target(
-        self, action: Float[Tensor, "num_envs num_joints"], joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints"]:
+    def joint_pos_target(self, action: Joints, joint_pos: Joints) -> Joints:
         """Return joint targets [rad] of actions, which are clipped to [-1, 1]."""
         anchor, offset, scale, lower, upper = self.table
         target = anchor * joint_pos + offset + scale * action.clamp(-1.0, 1.0)

@@ -58,8 +58,7 @@ def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) 
 class DynamicsFile:
     """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges."""
 
-    #: Dynamics of some joints or of all.
-    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
+    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)  #: Of some joints or of all.
     #: How the gains are randomised; those of other joints are not in the file.
     gains: GainRanges = field(default_factory=GainRanges)
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.
@@ -85,13 +84,13 @@ class DynamicsFile:
         Without ranges in it, the gains keep the paper's. Warns of joints that are worse than their command.
         """
         if path is None:
-            return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
+            return cls(dynamics=JointDynamics.nominal(workcell.joints), workcell=workcell)
         with reading("dynamics file", path, "Identify again, or correct that entry."):
             content = read_json_object(path)
             take_version(content, FORMAT_VERSION)
             ranges = content.pop("gain_ranges", {})
             worse = tuple(content.pop("worse_than_command", ()))
-            dynamics = JointDynamics.from_dict(content)
+            dynamics = decoded(JointDynamics, content)
             dynamics.require(workcell.joints)
             if unknown := [name for name in worse if name not in dynamics.joints]:
                 raise UnknownNameError("joint in worse_than_command", unknown[0], dynamics.joints)
@@ -106,8 +105,7 @@ class DynamicsFile:
 
 
 def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
-    names = [joint.name for joint in workcell.joints]
-    return [names.index(name) for name in dynamics.joints]
+    return [workcell.joint_names.index(name) for name in dynamics.joints]
 
 
 def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:

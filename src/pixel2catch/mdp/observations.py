@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Boxes, ByAgent, Features, Vectors
 from pixel2catch.camera.level import level_sight
-from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.camera.pinhole import center_and_size, project
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -32,12 +33,10 @@ class ObservationInputs:
     pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
 
-ObservationTerm = Callable[[ObservationInputs], Float[Tensor, "num_envs k"]]
+ObservationTerm = Callable[[ObservationInputs], Features]
 
 
-def pixel_features(
-    before: Float[Tensor, "num_envs 4"], now: Float[Tensor, "num_envs 4"], camera: CameraSpec
-) -> Float[Tensor, "num_envs 8"]:
+def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tensor, "num_envs 8"]:
     """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
 
     z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method uses all but w and h.
@@ -45,20 +44,13 @@ def pixel_features(
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = _center_and_size(now), _center_and_size(before)
+    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
 
 
-def _center_and_size(
-    box: Float[Tensor, "num_envs 4"],
-) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
-    lower, upper = box[:, :2], box[:, 2:]
-    return (lower + upper) / 2, upper - lower
-
-
-def pixels(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def pixels(frame: ObservationInputs) -> Features:
     """Return the method's pixel features z. Source: paper, Eq. 1."""
     features = pixel_features(frame.before.box, frame.now.box, RGB_CAMERA)
     return torch.stack([features[:, column] for column in frame.pixel_columns], dim=-1)
@@ -71,39 +63,37 @@ def object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 6"]:
 
 def object_extent(frame: ObservationInputs) -> Float[Tensor, "num_envs 2"]:
     """Return width and height of the box at the object's distance [m]. Source: ours (oracle)."""
-    box, place = frame.now.box, frame.now.object_pos[:, None]
-    _, depth = nominal_projection(RGB_CAMERA, place).pixels(place)
-    focal = constant((RGB_CAMERA.fx, RGB_CAMERA.fy), box.device)
-    return (box[:, 2:] - box[:, :2]) * depth / focal
+    (_, size), (_, depth) = center_and_size(frame.now.box), project(RGB_CAMERA, frame.now.object_pos[:, None])
+    return size * depth / constant((RGB_CAMERA.fx, RGB_CAMERA.fy), size.device)
 
 
-def initial_object_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
+def initial_object_position(frame: ObservationInputs) -> Vectors:
     """Return the first object position of the episode, by a tracker [m]. Source: paper, Sec. V-A (w/o-PF)."""
     return frame.now.initial_object_pos
 
 
-def palm_pose(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def palm_pose(frame: ObservationInputs) -> Features:
     """Return position [m] and orientation (w, x, y, z) of the agent's palms. Source: paper, Sec. IV-C."""
     pose = torch.cat((frame.now.palm_pos, frame.now.palm_quat), dim=-1)
     return take(pose, frame.palms).flatten(1)
 
 
-def joint_pos(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def joint_pos(frame: ObservationInputs) -> Features:
     """Return the agent's joint positions [rad]. Source: paper, Sec. IV-C."""
     return take(frame.now.joint_pos, frame.joints)
 
 
-def last_action(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def last_action(frame: ObservationInputs) -> Features:
     """Return the agent's last action. Source: paper, Sec. IV-C."""
     return take(frame.now.action, frame.joints)
 
 
-def palm_displacement(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def palm_displacement(frame: ObservationInputs) -> Features:
     """Return the movement of the palms in a step [m]. Source: release (always zero there by mistake)."""
     return take(frame.now.palm_pos - frame.before.palm_pos, frame.palms).flatten(1)
 
 
-def joint_pos_target(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def joint_pos_target(frame: ObservationInputs) -> Features:
     """Return the agent's joint targets [rad]. Source: release."""
     return take(frame.now.joint_pos_target, frame.joints)
 
@@ -113,32 +103,31 @@ def box_age(frame: ObservationInputs) -> Float[Tensor, "num_envs 1"]:
     return frame.now.boxes.age[:, :1]
 
 
-def measured_boxes(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def measured_boxes(frame: ObservationInputs) -> Features:
     """Return the four edges of all measured boxes [px], then their ages [control steps]. Source: ours."""
     boxes = frame.now.boxes
     return torch.cat((boxes.box.transpose(1, 2), boxes.age[:, None]), dim=1).flatten(1)
 
 
-def camera_position(frame: ObservationInputs) -> Float[Tensor, "num_envs 3"]:
+def camera_position(frame: ObservationInputs) -> Vectors:
     """Return the place of the calibrated camera [m]. Source: ours, for policies of any camera."""
     return frame.now.camera_pos
 
 
-def palm_sight(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def palm_sight(frame: ObservationInputs) -> Features:
     """Return where the level camera sees the agent's palms: see `camera.level.level_sight` (ours)."""
     return level_sight(take(frame.now.palm_pos, frame.palms), frame.now.camera_pos).flatten(1)
 
 
-def box_track(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def box_track(frame: ObservationInputs) -> Features:
     """Return centre and size of the newest box [100 px], speeds between boxes [px/step], and ages (ours)."""
-    box, age = frame.now.boxes.box, frame.now.boxes.age
-    what = torch.cat((0.5 * (box[..., :2] + box[..., 2:]), box[..., 2:] - box[..., :2]), dim=-1)
+    age, what = frame.now.boxes.age, torch.cat(center_and_size(frame.now.boxes.box), dim=-1)
     gap = (age[:, 1:] - age[:, :-1]).clamp(min=0.5)
     speed = (what[:, :-1] - what[:, 1:]) / gap[..., None]
     return torch.cat((what[:, 0] / 100.0, speed.flatten(1), age), dim=-1)
 
 
-def box_fit(frame: ObservationInputs) -> Float[Tensor, "num_envs k"]:
+def box_fit(frame: ObservationInputs) -> Features:
     """Return path and growth of the box, fitted to recent boxes and extrapolated to the present.
 
     Features that need the centre or the size of the box are left out where the method does not observe it.
@@ -193,9 +182,7 @@ class ObservationLayout:
         return ObservationInputs(before=before, now=now, **own)
 
 
-def observe(
-    layouts: Mapping[str, ObservationLayout], history: History
-) -> dict[str, Float[Tensor, "num_envs _"]]:
+def observe(layouts: Mapping[str, ObservationLayout], history: History) -> ByAgent:
     """Return each agent's observation: its terms on both frames, oldest first, then its memory."""
     observations: dict[str, Tensor] = {}
     for name, layout in layouts.items():
@@ -205,7 +192,7 @@ def observe(
     return observations
 
 
-def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_envs k"]:
+def privileged_state(before: Privileged, now: Privileged) -> Features:
     """Return the input of the value networks besides the observations.
 
     Source: paper (object position, two frames); release (object displacement, object - palm).
@@ -226,13 +213,11 @@ def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_
 
 NUM_BOXES = 16  #: Boxes that `fit_boxes` takes. Source: ours, experiments/LOG.md, 2026-11-22.
 
-TIME_CONSTANTS = (3.0, 8.0)
-"""Time constants of the weights of the two fits [control steps]. Source: ours, as above."""
+TIME_CONSTANTS = (3.0, 8.0)  #: Of the weights of the two fits [control steps]. Source: ours, as above.
 
 STEPS_PER_SECOND = 30.0  #: Control steps in a second, for the units of the features. Source: release.
 
-TYPICAL_SIZE = 20.0
-"""Mean of width and height whose logarithm counts as 0 [px]. Source: ours, 6 cm at 1.9 m."""
+TYPICAL_SIZE = 20.0  #: Mean of width and height whose logarithm is 0 [px]. Source: ours, 6 cm at 1.9 m.
 
 LEAST_SIZE = 2.0  #: Smaller boxes count as this large, so that the logarithm stays finite [px]. Source: ours.
 
@@ -267,21 +252,17 @@ BOX_FIT_FEATURES = (
 
 def fit_boxes(
     box: Float[Tensor, "num_envs num_boxes 4"], age: Float[Tensor, "num_envs num_boxes"], camera: CameraSpec
-) -> Float[Tensor, "num_envs k"]:
+) -> Features:
     """Return `BOX_FIT_FEATURES`: fits of recent boxes against time, extrapolated to the present.
 
     Centres follow a parabola, logarithms of sizes a line. A box weighs exp(-(its age - the newest age) / T),
-    once with a short and once with a long time constant T. Equal ages give no slope.
-
-    Args:
-        box: Boxes (xmin, ymin, xmax, ymax), newest first [px].
-        age: Their ages [control steps].
-        camera: Its axis and focal lengths turn pixels into directions.
+    once with a short and once with a long time constant T. Equal ages give no slope. Boxes [px] are newest
+    first, with their ages [control steps]. Axis and focal lengths of the camera turn pixels into directions.
 
     Source: ours, experiments/LOG.md, 2026-11-22.
     """
-    lower, upper = box[..., :2], box[..., 2:]
-    center, size = (lower + upper) / 2.0, (upper - lower).mean(dim=-1).clamp(min=LEAST_SIZE)
+    center, sides = center_and_size(box)
+    size = sides.mean(dim=-1).clamp(min=LEAST_SIZE)
     direction = torch.stack(
         ((center[..., 0] - camera.cx) / camera.fx, (center[..., 1] - camera.cy) / camera.fy), dim=-1
     )

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.batches import Counts, Joints, Scalars
 from pixel2catch.checks import Amount, Range, Within
 from pixel2catch.devices import constant
 from pixel2catch.mdp.dynamics_file import GainRanges
@@ -32,8 +33,7 @@ class RandomizationCfg:
     initial_joint_noise: Annotated[float, Within(0.0, 1.0)] = 0.125
     #: Factor on the object's mass and inertia.
     mass_scale: Annotated[Range, Within(0.01, 100.0)] = (0.5, 1.5)
-    #: Restitution of contacts with the object.
-    restitution: Annotated[Range, Within(0.0, 1.0)] = (0.0, 0.5)
+    restitution: Annotated[Range, Within(0.0, 1.0)] = (0.0, 0.5)  #: Restitution of contacts with the object.
     #: Sliding friction of contacts with the object (release).
     friction: Annotated[Range, Within(0.0, 5.0)] = (0.5, 1.5)
     #: Share of a penetration of the object that a physics step removes: stiffness of contacts (ours).
@@ -52,18 +52,17 @@ class RandomizationCfg:
 class EpisodeParameters:
     """The draws of one episode in each environment."""
 
-    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
-    stiffness_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's stiffness.
-    damping_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's damping.
-    action_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each action.
-    joint_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each encoder [rad].
-    #: Deviation of each joint from its start position [rad].
-    joint_offset: Float[Tensor, "num_envs num_joints"]
-    mass_scale: Float[Tensor, " num_envs"]  #: Factor on the object's mass.
-    restitution: Float[Tensor, " num_envs"]  #: Restitution of contacts with the object.
-    friction: Float[Tensor, " num_envs"]  #: Sliding friction of contacts with the object.
-    push_out: Float[Tensor, " num_envs"]  #: Share of its penetration that a physics step removes.
-    latency: Float[Tensor, " num_envs"]  #: Control steps between image and delivered box; not always whole.
+    object_id: Counts  #: Row of the object in the table of objects.
+    stiffness_scale: Joints  #: Factor on each joint's stiffness.
+    damping_scale: Joints  #: Factor on each joint's damping.
+    action_bias: Joints  #: Error of each action.
+    joint_bias: Joints  #: Error of each encoder [rad].
+    joint_offset: Joints  #: Deviation of each joint from its start position [rad].
+    mass_scale: Scalars  #: Factor on the object's mass.
+    restitution: Scalars  #: Restitution of contacts with the object.
+    friction: Scalars  #: Sliding friction of contacts with the object.
+    push_out: Scalars  #: Share of its penetration that a physics step removes.
+    latency: Scalars  #: Control steps between image and delivered box; not always whole.
 
 
 def sample_parameters(
@@ -102,9 +101,7 @@ def sample_parameters(
     )
 
 
-def sample_delay(
-    limits: Range, grid: float, num_envs: int, generator: torch.Generator
-) -> Float[Tensor, " num_envs"]:
+def sample_delay(limits: Range, grid: float, num_envs: int, generator: torch.Generator) -> Scalars:
     """Draw a delay for every episode, on the generator's device [control steps].
 
     Delays from the first limit to the last, `grid` apart, are equally likely; a grid of 0 draws any.

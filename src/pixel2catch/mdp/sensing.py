@@ -1,19 +1,22 @@
-"""From the true state to what sensors measure, in simulation: occlusion, noise, latency."""
+"""From the true state to what sensors measure, in simulation: occlusion, noise, latency, camera errors."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_points
+from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalars, Vectors
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
+from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection
+from pixel2catch.camera.region import REGION
 from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.mdp.throws import Throw, drawn, random_directions
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, without errors.
 
@@ -25,8 +28,7 @@ Pixels = Annotated[float, Within(0.0, 100.0)]  #: Largest error of an edge of a 
 class SensingCfg:
     """Noise and delay of the sensors."""
 
-    #: Largest error of each edge of the box, uniform [px] (Source: paper).
-    corner_noise: Pixels = 5.0
+    corner_noise: Pixels = 5.0  #: Largest error of each edge of the box, uniform [px] (Source: paper).
     #: Control steps between image and delivered box, drawn for each episode (Source: release).
     latency_steps: Annotated[Range, Within(0.0, 60.0)] = (1, 2)
     #: Difference of neighbouring latencies [control steps] (Source: release, whole steps); 0 draws any.
@@ -55,8 +57,7 @@ class SensingCfg:
     box_bias: Annotated[Amount, Within(0.0, 300.0)] = 0.0
     #: Factor on `corner_noise` in all images of an episode.
     noise_scale: Annotated[Amount, Within(0.0, 20.0)] = 1.0
-    #: Factor on the size of every box about its centre.
-    box_scale: Annotated[float, Within(0.1, 10.0)] = 1.0
+    box_scale: Annotated[float, Within(0.1, 10.0)] = 1.0  #: Factor on the size of every box about its centre.
     edge_noise: Pixels = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
     #: Share of the images in which the object is not found.
     drop_rate: Annotated[Amount, Within(0.0, 1.0)] = 0.0
@@ -68,8 +69,7 @@ class SensingCfg:
     clock_error: Annotated[Amount, Within(0.0, 1.0)] = 0.0
     #: Standard deviation of the error of each stamp [s].
     stamp_jitter: Annotated[Amount, Within(0.0, 1.0)] = 0.0
-    #: Share of the episodes whose images have no stamps; `ASSUMED_AGE` is then used.
-    unstamped: Share = 0.0
+    unstamped: Share = 0.0  #: Share of the episodes whose images have no stamps; `ASSUMED_AGE` is then used.
 
     def __post_init__(self) -> None:
         """Refuse a camera of another resolution than that of policies, and one that would not be used."""
@@ -85,27 +85,25 @@ class SensingCfg:
             )
 
 
-ASSUMED_AGE = 1.5
-"""Assumed age of a box without a stamp [control steps]. Source: release, mean of its latencies."""
+ASSUMED_AGE = 1.5  #: Age of a box without a stamp [control steps]. Source: release, mean of its latencies.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
     """The object in one image."""
 
-    box: Float[Tensor, "num_envs 4"]  #: Its bounding box [px].
-    object_pos: Float[Tensor, "num_envs 3"]  #: Its position by a tracker, world frame [m].
-    #: Whether it was found in that image; else box and position are those of the last detection.
-    is_seen: Bool[Tensor, " num_envs"]
-    stale: Float[Tensor, " num_envs"]  #: Control steps since that detection.
-    age_error: Float[Tensor, " num_envs"]  #: Error of its age by the stamp [control steps].
+    box: Boxes  #: Its bounding box [px].
+    object_pos: Vectors  #: Its position by a tracker, world frame [m].
+    is_seen: Flags  #: Whether it was found; else box and position are those of the last detection.
+    stale: Scalars  #: Control steps since that detection.
+    age_error: Scalars  #: Error of its age by the stamp [control steps].
 
-    def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
+    def held(self, is_seen: Flags, previous: "Detection") -> "Detection":
         """Return this detection where the object is seen, else the previous one, a control step older."""
         later = replace(previous, is_seen=torch.zeros_like(is_seen), stale=previous.stale + 1.0)
         return select(is_seen, self, later)
 
-    def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
+    def exposed_before(self, previous: "Detection", time: Scalars) -> "Detection":
         """Return the detection some time before this one, 0 to 1 [control steps], by linear interpolation.
 
         The previous detection is one control step older.
@@ -120,21 +118,108 @@ class Detection:
 
 
 def detect(
-    points: Float[Tensor, "num_envs num_points 3"],
-    is_visible: Bool[Tensor, "num_envs num_points"],
-    least_visible: float,
-    camera: Projection | None = None,
-) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
+    points: Points, is_visible: PointFlags, least_visible: float, camera: Projection
+) -> tuple[Boxes, Flags]:
     """Return the box of the visible surface points, clipped to the image [px], and whether enough are seen.
 
-    Args:
-        points: Surface points, world frame [m].
-        is_visible: Which of them nothing hides.
-        least_visible: Share that must be visible and in the image.
-        camera: The camera. Default: `RGB_CAMERA`, without errors.
+    `least_visible` is the share that must be visible and in the image.
     """
-    camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)
     in_view = is_in_view(RGB_CAMERA, pixels, depth)
     is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
     return box_of_points(pixels, is_visible, RGB_CAMERA), is_seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraErrors:
+    """Errors of the camera in an episode: of its pose, its boxes, its stamps, and missing images (ours)."""
+
+    assumed: Projection  #: The calibrated camera, which trackers and policies assume.
+    camera: Projection  #: The true camera.
+    box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
+    noise_scale: Scalars  #: Factor on the noise of every edge.
+    drop_rate: Scalars  #: Share of the images in which the object is not found.
+    blackout_start: Counts  #: Control step of the first missing image.
+    blackout_steps: Counts  #: Control steps without images.
+    image_period: Scalars  #: Control steps between images that are processed.
+    clock_error: Scalars  #: Error of the age of every box, by its stamp [control steps].
+    stamp_jitter: Scalars  #: Standard deviation of a further error of each image [control steps].
+    is_stamped: Flags  #: Whether images have stamps.
+
+    def is_dark(self, steps: Counts) -> Flags:
+        """Return whether an image is missing after this many control steps of the episode."""
+        return (steps >= self.blackout_start) & (steps < self.blackout_start + self.blackout_steps)
+
+    def is_looked_at(self, steps: Counts) -> Flags:
+        """Return whether the image after this many control steps of the episode is processed."""
+        count, before = steps / self.image_period, (steps - 1) / self.image_period
+        return count.floor() > before.floor()
+
+    def age_error(self, latency: Scalars, generator: torch.Generator) -> Scalars:
+        """Return the error of the age of a box, by the stamp of its image [control steps]."""
+        jitter = torch.randn(len(latency), generator=generator, device=latency.device)
+        error = self.clock_error + self.stamp_jitter * jitter
+        return torch.where(self.is_stamped, error, ASSUMED_AGE - latency)
+
+
+def is_camera_exact(cfg: SensingCfg) -> bool:
+    """Return whether the camera has no errors besides the noise of training."""
+    names = "camera_offset camera_turn focal_error box_bias drop_rate blackout_steps clock_error stamp_jitter"
+    drawn_per_episode = (*names.split(), "unstamped", "image_period", "noise_scale")
+    exact = SensingCfg()
+    return (
+        cfg.camera.is_exact
+        and not cfg.any_camera
+        and all(getattr(cfg, n) == getattr(exact, n) for n in drawn_per_episode)
+    )
+
+
+def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
+    """Draw the errors of an episode for each environment, on the generator's device."""
+    num_envs = len(throw.pos)
+    offset, turn = (random_directions(num_envs, generator) for _ in range(2))
+    chance = torch.rand(num_envs, 5, generator=generator, device=generator.device)
+    amount = partial(drawn, num_envs=num_envs, generator=generator)
+    zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
+    spec = cfg.camera.camera
+    assumed = nominal_projection(spec, offset)
+    if cfg.any_camera:
+        assumed = REGION.sample(num_envs, generator)
+    camera = assumed if cfg.camera.is_exact else cfg.camera.sample(num_envs, generator)
+    bias_angle = 2.0 * torch.pi * chance[:, 1]
+    flight_steps = throw.flight_time() / CONTROL_DT
+    blackout_steps = amount(cfg.blackout_steps).round()
+    latest = torch.clamp(flight_steps - blackout_steps, min=0.0)
+    direction = torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1)
+    turn, offset = amount(cfg.camera_turn)[:, None] * turn, amount(cfg.camera_offset)[:, None] * offset
+    return CameraErrors(
+        assumed=Projection(
+            matrix=assumed.matrix.expand(num_envs, 3, 3), center=assumed.center.expand(num_envs, 3)
+        ),
+        camera=camera.zoomed(zoom, spec).turned(turn).moved(offset),
+        box_bias=amount(cfg.box_bias)[:, None] * direction,
+        drop_rate=amount(cfg.drop_rate),
+        blackout_start=throw.hover_steps + (chance[:, 2] * latest).round().long(),
+        blackout_steps=blackout_steps.long(),
+        clock_error=amount(cfg.clock_error) / CONTROL_DT * _sign(chance[:, 3]),
+        stamp_jitter=amount(cfg.stamp_jitter) / CONTROL_DT,
+        is_stamped=chance[:, 4] >= cfg.unstamped,
+        image_period=amount(cfg.image_period),
+        noise_scale=amount(cfg.noise_scale),
+    )
+
+
+def _sign(chance: Scalars) -> Scalars:
+    return 1.0 - 2.0 * (chance < 0.5).float()
+
+
+def tracked_position(
+    camera: Projection, assumed: Projection, object_pos: Vectors, shift: Float[Tensor, "num_envs 2"]
+) -> Vectors:
+    """Return the position that a depth camera's tracker reports, world frame [m].
+
+    The true camera sees the object's centre. The tracker's pixel has the error `shift` [px]; it is projected
+    back at the true depth by the assumed camera.
+    """
+    pixels, depth = camera.pixels(object_pos[:, None])
+    return assumed.points(pixels[:, 0] + shift, depth[:, 0])

@@ -8,15 +8,15 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.batches import Flags, Scalars
 from pixel2catch.errors import InvalidValueError
 
 T = TypeVar("T")
 
 
-def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
+def select(mask: Flags, new: T, old: T) -> T:
     """Return `new` in the masked environments, `old` in the others.
 
     Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays `None`.
@@ -34,7 +34,7 @@ def assign(target: T, source: T) -> None:
     mapped(lambda old, new: old.copy_(new), target, source)
 
 
-def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
+def write(mask: Flags, new: T, target: T) -> None:
     """Copy `new` into `target`, whose memory stays where it is, in the masked environments.
 
     On the CPU only those rows are written; on a device that would wait for it.
@@ -68,14 +68,14 @@ class DelayLine(Generic[T]):
 
     ages: tuple[T, ...]  #: Values by age in control steps, newest first.
 
-    def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
+    def delivered(self, delay: Scalars) -> T:
         """Return the value that is `delay` control steps old; between two, the newer one."""
         result = self.ages[0]
         for age, value in enumerate(self.ages[1:], start=1):
             result = select(delay >= age, value, result)
         return result
 
-    def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
+    def interpolated(self: "DelayLine[Tensor]", delay: Scalars) -> Tensor:
         """Return values (num_envs, k) `delay` control steps old, interpolated linearly."""
         ages = torch.stack(self.ages, dim=1)
         distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)

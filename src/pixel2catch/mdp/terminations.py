@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.batches import Flags, Scalars
 from pixel2catch.checks import Within
 from pixel2catch.mdp.control_step import Privileged, Transition
 
@@ -50,38 +51,38 @@ def near_palms(snapshot: Privileged) -> Bool[Tensor, "num_envs num_palms"]:
     return palm_distance(snapshot) < snapshot.object_reach[:, None]
 
 
-def needs_all(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+def needs_all(snapshot: Privileged) -> Flags:
     """Return whether there are several palms and the object needs all of them."""
     has_several = snapshot.palm_pos.shape[1] > 1
     return (snapshot.object_reach > reach_of(ONE_HAND_RADIUS)) & has_several
 
 
-def palm_share(snapshot: Privileged) -> Float[Tensor, " num_envs"]:
+def palm_share(snapshot: Privileged) -> Scalars:
     """Return the share of palms that have reached an object that needs all; one for other objects."""
     return torch.where(needs_all(snapshot), near_palms(snapshot).float().mean(dim=-1), 1.0)
 
 
-def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+def is_near(snapshot: Privileged) -> Flags:
     """Return whether a palm has reached the object: the paper's tracking."""
     return near_palms(snapshot).any(dim=-1)
 
 
-def is_success(transition: Transition) -> Bool[Tensor, " num_envs"]:
+def is_success(transition: Transition) -> Flags:
     """Return whether this step completes a hold. Source: release."""
     return transition.held_steps == HOLD_STEPS
 
 
-def is_dropped(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+def is_dropped(snapshot: Privileged) -> Flags:
     """Return whether the object fell or passed the robot. Source: release."""
     return (snapshot.object_pos[:, 2] < DROP_HEIGHT) | (snapshot.object_pos[:, 0] < DROP_X)
 
 
-def is_lost(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+def is_lost(snapshot: Privileged) -> Flags:
     """Return whether the object is dropped, or robots touch each other (ours)."""
     return is_dropped(snapshot) | snapshot.is_robot_contact
 
 
-def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
+def is_ended(transition: Transition, cfg: EpisodeCfg) -> Flags:
     """Return whether an episode ends by success, loss or time-out, all terminations. Source: release."""
     lost = is_lost if cfg.ends_on_robot_contact else is_dropped
     ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)

@@ -8,9 +8,10 @@ from math import tan
 from typing import Annotated
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.batches import Counts, Features, Quaternions, Scalars, Vectors
 from pixel2catch.checks import IN_ORDER, Amount, Range, Within
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import GRAVITY
@@ -48,20 +49,20 @@ class ThrowCfg:
 class Throw:
     """One throw per environment."""
 
-    pos: Float[Tensor, "num_envs 3"]  #: Release position [m].
-    quat: Float[Tensor, "num_envs 4"]  #: Orientation, uniform over all rotations, (w, x, y, z).
-    lin_vel: Float[Tensor, "num_envs 3"]  #: Velocity at release [m/s].
-    ang_vel: Float[Tensor, "num_envs 3"]  #: Angular velocity at release, frame of the object [rad/s].
-    aim: Float[Tensor, "num_envs 3"]  #: Intended point at the catch height [m].
-    hover_steps: Int[Tensor, " num_envs"]  #: Control steps before the release.
+    pos: Vectors  #: Release position [m].
+    quat: Quaternions  #: Orientation, uniform over all rotations, (w, x, y, z).
+    lin_vel: Vectors  #: Velocity at release [m/s].
+    ang_vel: Vectors  #: Angular velocity at release, frame of the object [rad/s].
+    aim: Vectors  #: Intended point at the catch height [m].
+    hover_steps: Counts  #: Control steps before the release.
 
-    def flight_time(self) -> Float[Tensor, " num_envs"]:
+    def flight_time(self) -> Scalars:
         """Return the time from release to the catch height, without drag [s]."""
         return flight_time(self.lin_vel, self.aim[:, 2] - self.pos[:, 2])
 
 
 def sample_throws(
-    cfg: ThrowCfg, num_envs: int, generator: torch.Generator, drag: Float[Tensor, " num_envs"] | None = None
+    cfg: ThrowCfg, num_envs: int, generator: torch.Generator, drag: Scalars | None = None
 ) -> Throw:
     """Draw throws on the generator's device.
 
@@ -80,19 +81,14 @@ def sample_throws(
     lin_vel = launch_velocity(pos, aim, peak)
     if drag is not None:
         lin_vel = velocity_through_air(pos, aim, lin_vel, drag)
-    return Throw(
-        pos=pos,
-        quat=quat,
-        lin_vel=_released(cfg, lin_vel, generator),
-        ang_vel=_spin(cfg.spin, num_envs, generator) if cfg.spin else torch.zeros_like(pos),
-        aim=aim,
-        hover_steps=hover_steps,
-    )
+    lin_vel, ang_vel = _released(cfg, lin_vel, generator), torch.zeros_like(pos)
+    if cfg.spin:
+        speed = cfg.spin * torch.rand(num_envs, 1, generator=generator, device=device)
+        ang_vel = speed * random_directions(num_envs, generator)
+    return Throw(pos=pos, quat=quat, lin_vel=lin_vel, ang_vel=ang_vel, aim=aim, hover_steps=hover_steps)
 
 
-def _released(
-    cfg: ThrowCfg, lin_vel: Float[Tensor, "num_envs 3"], generator: torch.Generator
-) -> Float[Tensor, "num_envs 3"]:
+def _released(cfg: ThrowCfg, lin_vel: Vectors, generator: torch.Generator) -> Vectors:
     """Return the intended velocity with the thrower's errors of speed, elevation and azimuth [m/s]."""
     if not (cfg.speed_deviation or cfg.angle_deviation):
         return lin_vel
@@ -110,14 +106,7 @@ def _released(
     )
 
 
-def _spin(largest: float, num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
-    speed = largest * torch.rand(num_envs, 1, generator=generator, device=generator.device)
-    return speed * random_directions(num_envs, generator)
-
-
-def launch_velocity(
-    pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], peak: Float[Tensor, " num_envs"]
-) -> Float[Tensor, "num_envs 3"]:
+def launch_velocity(pos: Vectors, aim: Vectors, peak: Scalars) -> Vectors:
     """Return the velocity at `pos` of the path with this peak height that falls through `aim` [m/s]."""
     rise = torch.sqrt(2.0 * (peak - pos[:, 2]) / GRAVITY)
     fall = torch.sqrt(2.0 * (peak - aim[:, 2]) / GRAVITY)
@@ -128,32 +117,28 @@ def launch_velocity(
 LEAST_FALL = 0.05  #: Least height at the aim of the straight line of an elevation [m]. Source: ours.
 
 
-def peak_of_elevation(
-    pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], elevation: float
-) -> Float[Tensor, " num_envs"]:
+def peak_of_elevation(pos: Vectors, aim: Vectors, elevation: float) -> Scalars:
     """Return the peak height [m] of the path from `pos` to `aim` that begins at an elevation [rad]."""
     rise = torch.linalg.vector_norm(aim[:, :2] - pos[:, :2], dim=-1) * tan(elevation)
     fall = (rise + pos[:, 2] - aim[:, 2]).clamp(min=LEAST_FALL)
     return pos[:, 2] + rise.square() / (4.0 * fall)
 
 
-def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Float[Tensor, " num_envs"]:
+def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Scalars:
     """Draw the amount of every episode, on the generator's device; a number is returned as it is."""
     if isinstance(amount, tuple):
         return uniform((amount,), num_envs, generator)[:, 0]
     return torch.full((num_envs,), float(amount), device=generator.device)
 
 
-def uniform(
-    ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator
-) -> Float[Tensor, "num_envs k"]:
+def uniform(ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator) -> Features:
     """Return independent uniform draws, one column per range, on the generator's device."""
     lower, upper = constant(ranges, generator.device).T
     draws = torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
     return lower + (upper - lower) * draws
 
 
-def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
+def random_directions(num_envs: int, generator: torch.Generator) -> Vectors:
     """Return unit vectors, uniform over all directions, on the generator's device."""
     normal = torch.randn(num_envs, 3, generator=generator, device=generator.device)
     return torch.nn.functional.normalize(normal, dim=-1)
@@ -163,20 +148,13 @@ NUM_STEPS = 16  #: Steps of the midpoint rule in a flight. Source: ours, accurat
 NUM_CORRECTIONS = 4  #: Corrections of the aim; each leaves less than a third of the error. Source: ours.
 
 
-def flight_time(
-    lin_vel: Float[Tensor, "num_envs 3"], height: Float[Tensor, " num_envs"]
-) -> Float[Tensor, " num_envs"]:
+def flight_time(lin_vel: Vectors, height: Scalars) -> Scalars:
     """Return the time until an object without drag falls through this height above its release [s]."""
     up = lin_vel[:, 2]
     return (up + torch.sqrt(torch.clamp(up.square() - 2.0 * GRAVITY * height, min=0.0))) / GRAVITY
 
 
-def velocity_through_air(
-    pos: Float[Tensor, "num_envs 3"],
-    aim: Float[Tensor, "num_envs 3"],
-    lin_vel: Float[Tensor, "num_envs 3"],
-    drag: Float[Tensor, " num_envs"],
-) -> Float[Tensor, "num_envs 3"]:
+def velocity_through_air(pos: Vectors, aim: Vectors, lin_vel: Vectors, drag: Scalars) -> Vectors:
     """Return the velocity at release that reaches the aim through air, in the time without air [m/s].
 
     `lin_vel` is the velocity without air [m/s], `drag` the deceleration over the square of the speed [1/m].
@@ -189,22 +167,17 @@ def velocity_through_air(
 
 
 def flight_path(
-    pos: Float[Tensor, "num_envs 3"],
-    lin_vel: Float[Tensor, "num_envs 3"],
-    drag: Float[Tensor, " num_envs"],
-    duration: Float[Tensor, " num_envs"],
-    side_force: Float[Tensor, "num_envs 3"] | None = None,
+    pos: Vectors,
+    lin_vel: Vectors,
+    drag: Scalars,
+    duration: Scalars,
+    side_force: Vectors | None = None,
     num_steps: int = NUM_STEPS,
 ) -> Float[Tensor, "num_points num_envs 3"]:
     """Return points of a flight through air, at equal time steps from the release to `duration` [m].
 
-    Args:
-        pos: Release position [m].
-        lin_vel: Velocity at release [m/s].
-        drag: Deceleration over the square of the speed [1/m].
-        duration: Time of the last point [s].
-        side_force: Sideways acceleration over the square of the speed [1/m]. Default: none.
-        num_steps: Steps of the midpoint rule.
+    A flight begins at `pos` [m] with `lin_vel` [m/s]. Drag and side force are accelerations over the square
+    of the speed [1/m].
     """
     step, path = duration[:, None] / num_steps, [pos]
     for _ in range(num_steps):

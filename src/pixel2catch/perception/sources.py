@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.files import read_bytes, reading
-from pixel2catch.ros2.bags import BAG_SUFFIXES, BagMessage, decoded, is_bag, opened_bag
+from pixel2catch.ros2.bags import BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.messages import (
     COMPRESSED_IMAGE,
     IMAGE,
@@ -114,7 +114,7 @@ def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterat
     if path.is_dir() and not is_bag(path) and (files := image_files(path)):
         notes.append("files of images have no times: 30 images a second are assumed.")
         return (Image(pixels=read_image(file), stamp=i * CONTROL_DT) for i, file in enumerate(files))
-    if path.suffix in BAG_SUFFIXES or path.is_dir():
+    if path.is_dir() or is_bag(path):
         return bag_images(path, notes, topic)
     return video_images(path, notes)
 

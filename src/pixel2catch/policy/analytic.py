@@ -6,21 +6,24 @@ hand is closed. At the start of a throw all actions are 0. It computes on the CP
 Source: ours. The constants are tuned on throws of the nominal task (experiments/LOG.md, 2026-11-30).
 """
 
+from math import sqrt
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import normalize
+from torch.nn.functional import normalize, pad
 
 from pixel2catch.agents import commands_of
+from pixel2catch.batches import Features, Flags, Joints, Vectors
+from pixel2catch.camera.level import LEVEL_CAMERA
+from pixel2catch.camera.pinhole import center_and_size, project
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
-from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg, launch_velocity
 from pixel2catch.methods import find_method
-from pixel2catch.policy.ballistics import BallisticFit
 from pixel2catch.policy.contract import AgentContract, contract_of
 from pixel2catch.policy.policy import Policy
-from pixel2catch.robots.inverse import chain_to, damped_step, joints_reaching, pose_and_slopes
+from pixel2catch.robots.geometry import Chain, chain_of, damped_step, joints_reaching, pose_and_slopes
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.workcells import known_workcell
@@ -53,14 +56,86 @@ IS_STEP = 0.03  #: Distance in a control step from which an object flies [m]; it
 LATE, MISSED, HIGH = 0.1, 0.02, 0.3
 """Lack of time [s], distance from the point [m] and distance from the preferred height [m] of equal cost."""
 
+CENTER_NOISE = 2.2  #: Deviation of a box centre [px]. Source: ours, edges that are up to 5 px off.
+OUTLIER = 5.0  #: Deviation of a centre at which its weight is halved [of `CENTER_NOISE`]. Source: ours.
+UNLIKELY = 2.0
+"""Deviation of a parameter at which the prior's weight is halved [deviations of its range]. Source: ours."""
+MOTION = 12.0  #: Distance from the oldest centre from which an object flies [px]. Source: ours.
+NUM_STEPS, NUM_PLAIN = 6, 2  #: Gauss-Newton steps, and those that weight all boxes alike. Source: ours.
+DIFFERENCE = 1e-4  #: Change of a parameter for a derivative [deviations]. Source: ours.
+TIME_STIFFNESS = 1e-3  #: Damping of the release time, which has no prior [1/step²]. Source: ours.
+LEAST_RISE = 0.05  #: Least height of the peak over release and catch height [m]. Source: ours.
 
 METHODS_OF = {"analytic": "analytic+flight", "analytic_told": "analytic_told+age"}
 """What each policy observes: the name of its method and memory."""
 
 FALL = torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)  #: Acceleration in flight [m/s²].
 
-Vectors = Float[Tensor, "num_envs 3"]
-Joints = Float[Tensor, "num_envs num_joints"]
+
+class BallisticFit:
+    """Fits the most probable throw to boxes, with gravity as the scale; a task's ranges are the prior.
+
+    Parameters of a throw: position at release, peak height, the point in the plane of the catch height
+    through which it falls, and the time of release, before which the object is at rest.
+    """
+
+    def __init__(self, throws: ThrowCfg) -> None:
+        ranges = (throws.release_x, throws.release_y, throws.release_z)
+        ranges += (throws.peak_z, throws.aim_x, throws.aim_y)
+        middle, deviation = zip(*(((a + b) / 2.0, (b - a) / sqrt(12.0)) for a, b in ranges), strict=True)
+        self._middle = torch.tensor([*middle, 0.0], dtype=torch.float64)
+        self._scale = torch.tensor([*deviation, CONTROL_DT], dtype=torch.float64)
+        self._is_drawn = torch.tensor([1.0] * len(ranges) + [0.0], dtype=torch.float64)
+        self.catch_height = sum(throws.aim_z) / 2.0  #: Middle of the task's catch heights [m].
+
+    def __call__(
+        self,
+        box: Float[Tensor, "num_envs num_boxes 4"],
+        age: Float[Tensor, "num_envs num_boxes"],
+        camera_pos: Vectors,
+    ) -> tuple[Vectors, Vectors, Flags]:
+        """Return the object's position [m] and velocity [m/s] now, and whether it flies.
+
+        Boxes are those of the level camera [px], newest first, with their ages [control steps].
+        """
+        (center, _), time = center_and_size(box), -age * CONTROL_DT
+        is_repeated = (box[:, 1:] == box[:, :-1]).all(-1)  # a history begins with one box, several times
+        is_known = pad(~is_repeated, (1, 0), value=True).to(center)
+        has_moved = torch.linalg.vector_norm(center - center[:, -1:], dim=-1) > MOTION
+        first = (has_moved * torch.arange(1, age.shape[1] + 1)).amax(1)
+        release = time.gather(1, (first[:, None] - 1).clamp(min=0)) - 0.5 * CONTROL_DT
+        throw = torch.cat((self._middle[:-1].expand(len(age), -1), release), dim=-1)
+        changes = pad(DIFFERENCE * torch.diag(self._scale), (0, 0, 1, 0))
+        for step in range(NUM_STEPS):
+            seen = self._pixels(throw[:, None] + changes, time, camera_pos)
+            error = (center - seen[:, 0]) / CENTER_NOISE
+            slope = (seen[:, 1:] - seen[:, :1]) / (DIFFERENCE * CENTER_NOISE)
+            outliers = error.square().sum(-1) / OUTLIER**2 if step >= NUM_PLAIN else 0.0
+            weighted = (slope * (is_known / (1.0 + outliers))[:, None, :, None]).flatten(2)
+            away = (throw - self._middle) / self._scale
+            prior = self._is_drawn / (1.0 + (away / UNLIKELY).square())
+            damp = torch.diag_embed(prior + TIME_STIFFNESS * (1.0 - self._is_drawn))
+            normal = weighted @ slope.flatten(2).transpose(1, 2) + damp
+            down = (weighted @ error.flatten(1)[..., None])[..., 0] - prior * away
+            throw = throw + self._scale * torch.linalg.solve(normal, down).clamp(-5.0, 5.0)
+        pos, vel = self._states(throw, torch.zeros_like(time[:, :1]))
+        return pos[:, 0], vel[:, 0], first > 0
+
+    def _pixels(self, throw: Tensor, time: Tensor, camera_pos: Vectors) -> Tensor:
+        """Return where the level camera sees several throws of each environment at its times [px]."""
+        several = throw.shape[1]
+        pos, _ = self._states(throw.flatten(0, 1), time.repeat_interleave(several, 0))
+        place = pos - camera_pos.repeat_interleave(several, 0)[:, None]
+        return project(LEVEL_CAMERA, place)[0].unflatten(0, (-1, several))
+
+    def _states(self, throw: Float[Tensor, "n 7"], time: Float[Tensor, "n k"]) -> tuple[Tensor, Tensor]:
+        """Return positions [m] and velocities [m/s] of throws at times [s]."""
+        pos, height = throw[:, :3], torch.full_like(throw[:, :1], self.catch_height)
+        peak = torch.maximum(throw[:, 3], pos[:, 2].clamp(min=self.catch_height) + LEAST_RISE)
+        vel = launch_velocity(pos, torch.cat((throw[:, 4:6], height), dim=-1), peak)
+        since = (time - throw[:, 6:]).clamp(min=0.0)[..., None]
+        fall = since * FALL
+        return pos[:, None] + (vel[:, None] + 0.5 * fall) * since, vel[:, None] + fall
 
 
 class Catcher(nn.Module):
@@ -75,12 +150,12 @@ class Catcher(nn.Module):
             )
         self._fit, self._sizes = BallisticFit(throws), dict(contract.observation)
         (palm,) = workcell.palms
-        self._arm, self._hand = palm.carriers, slice(palm.stop, None)
+        self._arm, self._hand = palm.carriers, slice(palm.carriers.stop, None)
         joints = [(j.home, j.lower, j.upper, j.velocity_limit) for j in workcell.joints]
         home, *limits, speeds = _tensor(joints).T
         limits = torch.stack(limits)
         self._limits, self._speeds = limits[:, self._arm].clone(), speeds[self._arm]
-        self._chain, _ = chain_to(workcell, palm.spec.site)
+        self._chain = chain_of(workcell, palm)
         self._normal = _tensor(palm.spec.normal)
         aim = [sum(values) / 2.0 for values in (throws.aim_x, throws.aim_y, throws.aim_z)]
         place, axis = _tensor([aim]) + _tensor(WAIT_OFFSET), _tensor([WAIT_AXIS])
@@ -92,11 +167,12 @@ class Catcher(nn.Module):
         limits[:, self._arm] = home[self._arm]
         cup, closed, tips = home.clone(), home.clone(), list[Tensor]()
         for finger in palm.spec.fingers:
-            chain, columns = chain_to(workcell, finger.tip)
+            chain = Chain(workcell, finger.tip, "cpu", torch.float64)
+            columns = chain.columns
             tips.append(pose_and_slopes(chain, home[None, columns])[0][0, :3, 3])
             grip = (palm_pos + GRIP * normal)[None]
             bent = joints_reaching(chain, home[None, columns], limits[:, columns], grip, num_steps=60)[0]
-            own = [column for column in columns if column >= palm.stop]
+            own = [column for column in columns if column >= palm.carriers.stop]
             closed[own] = bent[-len(own) :]
             share = _tensor([CUP_FIRST] + [CUP_OTHERS] * (len(own) - 1))
             cup[own] = home[own] + share * (closed[own] - home[own])
@@ -108,7 +184,7 @@ class Catcher(nn.Module):
         # Where fingers point as the arm waits, world frame.
         self._fingers = pose_and_slopes(self._chain, self._ready)[0][0, :3, :3] @ local_way
 
-    def forward(self, observation: Float[Tensor, "num_envs k"]) -> Joints:
+    def forward(self, observation: Features) -> Joints:
         """Return the actions of all joints."""
         parts = observation.cpu().double().split([*self._sizes.values()], dim=-1)
         part = dict(zip(self._sizes, parts, strict=True))
@@ -130,7 +206,7 @@ class Catcher(nn.Module):
         hand = torch.where(is_cupped[:, None], self._cup + share * way, self._open)
         return torch.cat((arm, hand), dim=-1).to(observation)
 
-    def _flight(self, part: dict[str, Tensor]) -> tuple[Vectors, Vectors, Bool[Tensor, " num_envs"]]:
+    def _flight(self, part: dict[str, Tensor]) -> tuple[Vectors, Vectors, Flags]:
         """Return position [m] and velocity [m/s] of the object now, and whether it flies."""
         if "measured_boxes[t]" in part:
             *box, age = part["measured_boxes[t]"].unflatten(-1, (5, -1)).unbind(1)
@@ -175,12 +251,7 @@ class AnalyticPolicy(Policy):
     """A policy that is computed from a work cell and the ranges of the paper's throws; it has no networks."""
 
     def __init__(self, name: str) -> None:
-        """Make the policy of a name: analytic, analytic_told, or one of them with `@WORKCELL`.
-
-        Raises:
-            UnknownNameError: There is no such work cell.
-            InvalidValueError: It has several palms.
-        """
+        """Make the policy of a name: analytic, analytic_told, or one of them with `@WORKCELL`."""
         nn.Module.__init__(self)
         method_name, _, cell = name.partition("@")
         workcell = known_workcell(cell or UR5E_ALLEGRO.name)

@@ -26,8 +26,7 @@ from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, C
 from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-FORMAT_VERSION = 2
-"""Version of the files of `Policy.save`; higher where older files cannot be read."""
+FORMAT_VERSION = 2  #: Version of the files of `Policy.save`; higher where older files cannot be read.
 
 LONGEST_MESSAGE = 20_000  #: Characters of a message with the fields that differ.
 MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; policies have 4 and 200.
@@ -37,8 +36,7 @@ MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; 
 class AgentContract:
     """Inputs and outputs of one agent's network."""
 
-    #: Name and size of every observation term, in the order of the input vector.
-    observation: tuple[tuple[str, int], ...]
+    observation: tuple[tuple[str, int], ...]  #: Names and sizes of terms, in the order of the input vector.
     joints: tuple[str, ...]  #: Names of the joints, in the order of the output vector.
 
     @property
@@ -62,8 +60,7 @@ class PolicyContract:
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
     task: str = "nominal"  #: Name of the task of its training; it may act in others.
-    #: Radius of the ball of equal volume of the largest object of its training [m].
-    object_radius: float = OBJECT_RADIUS
+    object_radius: float = OBJECT_RADIUS  #: Of a ball with the volume of the largest object of training [m].
     format_version: int = FORMAT_VERSION  #: Version of the file format.
 
     def to_dict(self) -> dict[str, Any]:
@@ -137,7 +134,10 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
     blank = _blank_measurement(method.num_boxes, workcell)
     frame = method.layouts[agent.name].inputs(blank, blank)
     sizes, memory = (
-        [(term.__name__, _width(term, frame)) for term in terms]
+        [
+            (t.__name__, computed("observation term", t, (frame,), 1, "any", is_blank=True).shape[1])
+            for t in terms
+        ]
         for terms in (agent.observation, agent.memory)
     )
     frames = ((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes)
@@ -145,10 +145,6 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
         observation=(*frames, *((f"{name}[t]", size) for name, size in memory)),
         joints=tuple(joint.name for columns in agent.joints for joint in workcell.joints[columns]),
     )
-
-
-def _width(term: ObservationTerm, blank: ObservationInputs) -> int:
-    return computed("observation term", term, (blank,), 1, "any", is_blank=True).shape[1]
 
 
 def _blank_measurement(num_boxes: int, workcell: WorkcellSpec) -> Measurement:
@@ -203,7 +199,6 @@ def method_of(contract: PolicyContract) -> Method:
 
 
 def _agent(name: str, contract: AgentContract, workcell: WorkcellSpec) -> AgentSpec:
-    """Make an agent from its contract, without memory."""
     terms = {
         term_name: cast(ObservationTerm, term)
         for term_name, term in vars(observations).items()

@@ -65,12 +65,7 @@ class _Graph(nn.Module):
 
 
 def to_onnx(policy: Policy) -> bytes:
-    """Return a policy as an ONNX model whose actions are compared with the policy's for random inputs.
-
-    Raises:
-        NonFiniteError: The actions differ: weights or input statistics are not finite.
-        PolicyMismatchError: A library is missing, or the policy has no networks.
-    """
+    """Return a policy as an ONNX model; raise NonFiniteError if its actions differ for random inputs."""
     agents, description = policy.contract.agents, policy.description
     sizes = {f"observation.{name}": agent.num_inputs for name, agent in agents.items()}
     batch = torch.export.Dim("num_envs")

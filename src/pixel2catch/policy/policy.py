@@ -1,6 +1,5 @@
 """Policy: the deterministic controller that training writes and every other command reads."""
 
-import copy
 import itertools
 import json
 from collections.abc import Sequence
@@ -9,11 +8,11 @@ from typing import Any, cast
 
 import safetensors.torch
 import torch
-from jaxtyping import Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from pixel2catch import files
+from pixel2catch.batches import ByAgent
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.mdp.tensors import require_shapes
 from pixel2catch.policy.contract import PolicyContract
@@ -25,15 +24,11 @@ CONTRACT_FILE = "policy.json"
 
 HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers. Source: paper, Sec. IV-E.
 
-INPUT_CLIP = 5.0
-"""Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
+INPUT_CLIP = 5.0  #: Standardised inputs are clipped to ± this many deviations. Source: release (skrl).
 
 
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
-    """Build a multi-layer perceptron with ELU between its layers and a linear output.
-
-    Source: paper, Sec. IV-E.
-    """
+    """Build a perceptron with ELU between its layers and a linear output. Source: paper, Sec. IV-E."""
     sizes = [num_inputs, *hidden]
     layers: list[nn.Module] = []
     for size, next_size in itertools.pairwise(sizes):
@@ -48,7 +43,6 @@ class AgentNetwork(nn.Module):
     input_std: Tensor
 
     def __init__(self, num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> None:
-        """Build the network with neutral input statistics (mean 0, standard deviation 1)."""
         super().__init__()
         self.register_buffer("input_mean", torch.zeros(num_inputs))
         self.register_buffer("input_std", torch.ones(num_inputs))
@@ -86,19 +80,8 @@ class Policy(nn.Module):
         """Return the network of an agent."""
         return cast(AgentNetwork, self.agents[agent])
 
-    def to(self, *args: Any, **kwargs: Any) -> "Policy":  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a copy on another device.
-
-        The arguments are those of `torch.nn.Module.to`, which would move the policy itself.
-        """
-        copied = copy.deepcopy(self)
-        nn.Module.to(copied, *args, **kwargs)
-        return copied
-
     @torch.no_grad()
-    def act(
-        self, observations: dict[str, Float[Tensor, "num_envs _"]]
-    ) -> dict[str, Float[Tensor, "num_envs _"]]:
+    def act(self, observations: ByAgent) -> ByAgent:
         """Return the mean action of every agent, clipped to [-1, 1]."""
         shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
         require_shapes("observation", observations, shapes)

@@ -76,7 +76,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
         """Furnish the room and draw the background; `room` is the seed of its looks, by default `seed`."""
         self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
         cell = find_workcell(scene.workcell)
-        self._chains = [(palm.carriers, chain_of(cell, palm, dtype=torch.float64)) for palm in cell.palms]
+        self._chains = [(palm.carriers, chain_of(cell, palm)) for palm in cell.palms]
         self._rng = np.random.default_rng(seed)
         self._noise = self._rng.standard_normal(NOISE_LENGTH, dtype=np.float32)
         self._room = build_room(scene, self._objects.names[0], seed if room is None else room)

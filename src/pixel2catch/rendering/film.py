@@ -116,7 +116,7 @@ def _positions_between(
 def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:
     """Return the control step of the catch, and the smoothed positions of the palm from then on."""
     qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
-    chains = [(palm.carriers, chain_of(workcell, palm, dtype=torch.float64)) for palm in workcell.palms]
+    chains = [(palm.carriers, chain_of(workcell, palm)) for palm in workcell.palms]
     palms = torch.stack([chain.pose(qpos[:, carriers])[0] for carriers, chain in chains])
     distances, nearest = (palms - qpos[:, OBJECT_POS]).norm(dim=-1).min(dim=0)
     reached = distances <= max(REACH, float(distances.min()))

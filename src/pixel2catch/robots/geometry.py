@@ -8,7 +8,6 @@ capsules about its links. A hand is a box that contains it at every position of 
 first link stand on the table and are left out.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate, product
@@ -19,8 +18,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.poses import pose_matrix
+from pixel2catch.batches import Joints, Quaternions, Scalars, Vectors
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robots.poses import pose_matrix, pose_of, rotation_matrix
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
@@ -29,26 +29,25 @@ TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its si
 POINTS_PER_CAPSULE = 5
 """Points on the axis of a capsule that training checks. Source: ours: 9 cm apart on the longest capsule."""
 
+AXIS_WEIGHT = 0.15  #: Weight of the deviation of an axis against that of a point [m]. Source: ours.
+DAMPING = 1e-3  #: Weight of a step against the error that remains [m²/rad²]. Source: ours.
+
+Batch = Float[Tensor, "num_envs _"]
+
 
 class Chain:
     """The hinges between the world and a site, from base to tip."""
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        site: str,
-        home: Sequence[float],
-        *,
-        device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float32,
+        self, workcell: WorkcellSpec, site: str, device: torch.device | str, dtype: torch.dtype
     ) -> None:
-        """Read the chain from a model; `home` are the start positions of its joints [rad]."""
-        self.joints, matrices = read_chain(model, site)
-        if len(self.joints) != len(home):
-            raise InvalidValueError(
-                f"{len(home)} start positions were given; give one for each joint that moves the site "
-                f"'{site}': {', '.join(self.joints)}."
-            )
+        self.joints, matrices = _read_chain(bare_model(workcell), site)
+        names = workcell.joint_names
+        for joint in self.joints:
+            if joint not in names:
+                raise UnknownNameError(f"joint that moves the site '{site}'", joint, names)
+        self.columns = [names.index(joint) for joint in self.joints]  #: Columns of its joints.
+        home = [workcell.joints[column].home for column in self.columns]
         #: K, C and S of each joint, multiplied by the fixed transforms between joints.
         self.matrices = torch.as_tensor(matrices, dtype=dtype, device=device)
         self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
@@ -59,17 +58,13 @@ class Chain:
         #: w >= 0; w is 0 at the start pose, where noise would flip all four entries.
         self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
 
-    def link_poses(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+    def link_poses(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
         """Return the world frame at the far end of each link; the last one is the site's."""
-        return torch.stack([*accumulate(self._transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
+        return torch.stack([*accumulate(self.transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
 
-    def pose(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
+    def pose(self, joint_pos: Joints) -> tuple[Vectors, Quaternions]:
         """Return position [m] and orientation (w, x, y, z) of the site in the world, for joints [rad]."""
-        transforms = [*self._transforms(joint_pos).unbind(dim=1)]
+        transforms = [*self.transforms(joint_pos).unbind(dim=1)]
         while len(transforms) > 3:  # multiply in pairs: fewer dependent kernels
             whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]
             left, right = torch.stack(transforms[0:whole:2], 1), torch.stack(transforms[1:whole:2], 1)
@@ -77,14 +72,13 @@ class Chain:
         *_, pose = accumulate(transforms, _multiply)
         return pose[:, :3, 3], self._quaternion(pose)
 
-    def _transforms(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+    def transforms(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_joints 4 4"]:
+        """Return the transform over each joint and its link."""
         constant, cosine, sine = self.matrices.unbind(0)
         angle = joint_pos[..., None, None]
         return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
 
-    def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Float[Tensor, "num_envs 4"]:
+    def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Quaternions:
         """Convert the rotation by the row of 4 q qᵀ with the largest diagonal entry."""
         products = (self._products * pose.reshape(-1, 1, 1, 16)).sum(-1)
         diagonal = products.diagonal(dim1=-2, dim2=-1)
@@ -95,7 +89,7 @@ class Chain:
         return torch.where(side < 0, -quat, quat)
 
 
-def read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
+def _read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the names of the joints that move a site, and K, C, S: (3, num_joints, 4, 4)."""
     end = model.site(site)
     body, after = int(end.bodyid[0]), pose_matrix(end.pos, end.quat)
@@ -134,18 +128,12 @@ def _turning(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _product_maps() -> np.ndarray:
     """Return the products 4 q_i q_j as linear maps of the entries of a homogeneous matrix: (4, 4, 16)."""
-    table = np.zeros((4, 4, 4, 4))
-    for i in range(3):
-        for j in range(3):
-            if i == j:
-                for k in range(4):
-                    table[k, k, i, i] = 1.0 if k in (0, i + 1) else -1.0
-            else:
-                table[i + 1, j + 1, i, j] += 1.0
-                table[i + 1, j + 1, j, i] += 1.0
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
-        table[0, k, i, j] = table[k, 0, i, j] = 1.0
-        table[0, k, j, i] = table[k, 0, j, i] = -1.0
+    table, unit = np.zeros((4, 4, 4, 4)), np.eye(4)
+    for i, j in product(
+        range(4), repeat=2
+    ):  # half the second derivatives of the rotation, which is quadratic
+        both = rotation_matrix(unit[i] + unit[j])
+        table[i, j, :3, :3] = (both - rotation_matrix(unit[i]) - rotation_matrix(unit[j])) / 2.0
     table[range(4), range(4), 3, 3] = 1.0
     return table.reshape(4, 4, 16)
 
@@ -163,6 +151,51 @@ def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjMod
     return spec.compile()
 
 
+def pose_and_slopes(
+    chain: Chain, joint_pos: Batch
+) -> tuple[Float[Tensor, "num_envs 4 4"], Float[Tensor, "num_envs _ 4 4"]]:
+    """Return the pose of a chain's site in the world, and its derivative by each joint [rad]."""
+    _, cosine, sine = chain.matrices
+    cos, sin = joint_pos.cos()[..., None, None], joint_pos.sin()[..., None, None]
+    links, turns = chain.transforms(joint_pos).unbind(1), (cos * sine - sin * cosine).unbind(1)
+    unit = torch.eye(4).to(joint_pos).expand_as(links[0])
+    before = [unit, *accumulate(links, torch.matmul)]
+    after = [unit, *accumulate(reversed(links), lambda right, left: left @ right)][-2::-1]
+    slopes = [a @ turn @ b for a, turn, b in zip(before[:-1], turns, after, strict=True)]
+    return before[-1], torch.stack(slopes, dim=1)
+
+
+def joints_reaching(
+    chain: Chain,
+    joint_pos: Batch,
+    limits: Float[Tensor, "2 _"],
+    point: Batch,
+    axis: Batch | None = None,
+    local_axis: Float[Tensor, " 3"] | None = None,
+    num_steps: int = 8,
+) -> Batch:
+    """Return joints within limits [rad] that bring a site to a point [m], and its `local_axis` to an axis.
+
+    The search starts at `joint_pos`. A joint with equal limits stays.
+    """
+    is_free = (limits[1] > limits[0])[:, None]
+    for _ in range(num_steps):
+        pose, slopes = pose_and_slopes(chain, joint_pos)
+        error, slope = point - pose[:, :3, 3], slopes[..., :3, 3]
+        if axis is not None and local_axis is not None:
+            turned = axis - pose[:, :3, :3] @ local_axis
+            error = torch.cat((error, AXIS_WEIGHT * turned), dim=-1)
+            slope = torch.cat((slope, AXIS_WEIGHT * slopes[..., :3, :3] @ local_axis), dim=-1)
+        joint_pos = (joint_pos + damped_step(is_free * slope, error, DAMPING)).clamp(*limits)
+    return joint_pos
+
+
+def damped_step(slope: Float[Tensor, "num_envs _ _"], error: Batch, damping: float) -> Batch:
+    """Return the step of k joints that reduces an error, by damped least squares."""
+    normal = slope @ slope.transpose(1, 2) + damping * torch.eye(slope.shape[1]).to(slope)
+    return torch.linalg.solve(normal, (slope @ error[..., None])[..., 0])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmShape:
     """Collision shape of an arm and its hand, without the first and the last link."""
@@ -176,45 +209,34 @@ class ArmShape:
     #: Lower and upper corners of boxes about the hand alone and about the last link, frame of the palm's site
     #: [m]; empty if the hand cannot touch its arm.
     boxes: Float[np.ndarray, "2 3 boxes"]
-    #: Capsules that hand and last link can touch: those at least three joints away.
-    reached: Int[np.ndarray, " some"]
+    reached: Int[np.ndarray, " some"]  #: Capsules at least three joints away, which the hand can touch.
 
 
+@cache
 def chain_of(
     workcell: WorkcellSpec,
     palm: PlacedPalm,
     device: torch.device | str = "cpu",
-    dtype: torch.dtype = torch.float32,
+    dtype: torch.dtype = torch.float64,
 ) -> Chain:
     """Return the chain of joints that carry a palm."""
-    home = [joint.home for joint in workcell.joints[palm.carriers]]
-    return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
-
-
-@cache
-def first_chain(workcell: WorkcellSpec) -> Chain:
-    """Return the chain of joints that carry the first palm, on the CPU, in float64."""
-    return chain_of(workcell, workcell.palms[0], dtype=torch.float64)
+    return Chain(workcell, palm.spec.site, device, dtype)
 
 
 @cache
 def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     """Read the shape of the arm that carries a palm from the model."""
-    model, chain = bare_model(workcell), chain_of(workcell, palm, dtype=torch.float64)
+    model, chain = bare_model(workcell), chain_of(workcell, palm)
     data = mujoco.MjData(model)
     data.qpos[:] = [joint.home for joint in workcell.joints]
     mujoco.mj_kinematics(model, data)
     poses = chain.link_poses(torch.from_numpy(data.qpos[None, palm.carriers]))[0].numpy()
-    links, ends, radii = list[int](), list[np.ndarray](), list[float]()
-    for link, name in enumerate(chain.joints[1:-1], start=1):
-        body = int(model.jnt_bodyid[model.joint(name).id])
-        for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[body]):
-            if model.geom_group[geom] == COLLISION_GROUP:
-                start, end, radius = _capsule(model, data, int(geom))
-                world = np.vstack((np.stack((start, end), axis=1), np.ones(2)))
-                links.append(link)
-                ends.append(np.linalg.inv(poses[link]) @ world)
-                radii.append(radius)
+    capsules = [
+        (link, np.linalg.inv(poses[link]) @ ends, radius)
+        for link, joint in enumerate(chain.joints[1:-1], start=1)
+        for ends, radius in (_capsule(model, data, geom) for geom in _geoms_on(model, joint))
+    ]
+    links, ends, radii = (np.array(each) for each in zip(*capsules, strict=True))
     site = model.site(palm.spec.site)
     to_site = np.linalg.inv(pose_matrix(site.pos, site.quat))
     lower, upper = _box_about(to_site, palm.spec.lower, palm.spec.upper)
@@ -224,14 +246,21 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
         own.append(_last_link_box(model, data, chain.joints[-1], palm))
         boxes = np.moveaxis(np.array(own), 0, -1)
     return ArmShape(
-        links=np.array(links),
-        ends=np.array(ends),
-        radii=np.array(radii),
+        links=links,
+        ends=ends,
+        radii=radii,
         hand_center=(lower + upper) / 2.0,
         hand_half=(upper - lower) / 2.0,
         boxes=boxes,
-        reached=np.flatnonzero(np.array(links) < len(chain.joints) - 3),
+        reached=np.flatnonzero(links < len(chain.joints) - 3),
     )
+
+
+def _geoms_on(model: mujoco.MjModel, joint: str) -> list[int]:
+    """Return the collision geoms that a joint moves and no later one."""
+    body = model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
+    is_on = model.body_weldid[model.geom_bodyid] == body
+    return np.flatnonzero(is_on & (model.geom_group == COLLISION_GROUP)).tolist()
 
 
 def _box_about(
@@ -249,23 +278,18 @@ def _last_link_box(
     """Return the corners of the box about the last link of an arm, frame of the palm's site [m]."""
     site = data.site(palm.spec.site)
     axes, origin = site.xmat.reshape(3, 3), site.xpos
-    welded = (
-        model.body_weldid[model.geom_bodyid] == model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
-    )
-    is_before = welded & (model.geom_bodyid < model.body(palm.spec.body).id)
-    boxes = []
-    for geom in np.flatnonzero(is_before & (model.geom_group == COLLISION_GROUP)):
-        frame = np.eye(4)
-        frame[:3, :3] = axes.T @ data.geom_xmat[geom].reshape(3, 3)
-        frame[:3, 3] = axes.T @ (data.geom_xpos[geom] - origin)
+    own, boxes = model.body(palm.spec.body).id, []
+    for geom in (each for each in _geoms_on(model, joint) if model.geom_bodyid[each] < own):
+        turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
+        frame = pose_of(axes.T @ (data.geom_xpos[geom] - origin), turn)
         middle, half = model.geom_aabb[geom].reshape(2, 3)
         boxes.append(_box_about(frame, middle - half, middle + half))
     lower, upper = zip(*boxes, strict=True)
     return np.min(lower, axis=0), np.max(upper, axis=0)
 
 
-def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return a capsule that contains a geom: both ends [m] in the world, and radius [m]."""
+def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, float]:
+    """Return a capsule that contains a geom: both ends [m], homogeneous, in the world, and radius [m]."""
     size, center, axes = model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     match model.geom_type[geom]:
         case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -278,41 +302,38 @@ def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.
             axis = int(np.argmax(size))
             radius, half = float(np.linalg.norm(np.delete(size, axis))), float(size[axis])
     offset = half * axes[:, axis]
-    return center - offset, center + offset, radius
+    return np.vstack((np.stack((center - offset, center + offset), axis=1), np.ones(2))), radius
 
 
 class WorkcellGeometry:
     """Palm poses and table clearances of a work cell, on one device."""
 
     def __init__(self, workcell: WorkcellSpec, device: torch.device | str = "cpu") -> None:
-        self._columns = [palm.carriers for palm in workcell.palms]
-        self._chains = [chain_of(workcell, palm, device) for palm in workcell.palms]
-        self._points = [_TablePoints(workcell, palm, device) for palm in workcell.palms]
+        self._arms = [
+            (
+                palm.carriers,
+                chain_of(workcell, palm, device, torch.float32),
+                _TablePoints(workcell, palm, device),
+            )
+            for palm in workcell.palms
+        ]
 
     def palm_poses(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+        self, joint_pos: Joints
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
         """Return position [m] and orientation (w, x, y, z) of all palms in the world, for joints [rad]."""
-        poses = [
-            chain.pose(joint_pos[:, columns])
-            for chain, columns in zip(self._chains, self._columns, strict=True)
-        ]
+        poses = [chain.pose(joint_pos[:, columns]) for columns, chain, _ in self._arms]
         pos, quat = zip(*poses, strict=True)
         return torch.stack(pos, dim=1), torch.stack(quat, dim=1)
 
-    def depth_in_table(
-        self, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_palms"]:
+    def depth_in_table(self, joint_pos: Joints) -> Float[Tensor, "num_envs num_palms"]:
         """Return how deep each arm or hand box is inside the table plus `TABLE_CLEARANCE` [m].
 
         Checks points on the axes of the capsules and the corners of the hand box. A box edge that crosses an
         edge of the table between two corners is missed; the servo checks the whole box.
         """
-        depths = [
-            points.depth(chain.link_poses(joint_pos[:, columns]))
-            for chain, columns, points in zip(self._chains, self._columns, self._points, strict=True)
-        ]
-        return torch.stack(depths, dim=1)
+        poses = [(points, chain.link_poses(joint_pos[:, columns])) for columns, chain, points in self._arms]
+        return torch.stack([points.depth(each) for points, each in poses], dim=1)
 
 
 class _TablePoints:
@@ -339,7 +360,7 @@ class _TablePoints:
         self._points, self._middle = to_device(points), to_device(center)
         self._reach, self._top = to_device(np.array(table.size) / 2.0 + around), to_device(top + around[:, 0])
 
-    def depth(self, poses: Float[Tensor, "num_envs num_links 4 4"]) -> Float[Tensor, " num_envs"]:
+    def depth(self, poses: Float[Tensor, "num_envs num_links 4 4"]) -> Scalars:
         place = (poses[:, self._links, :3] * self._points[:, None]).sum(dim=-1)
         is_over = ((place[..., :2] - self._middle).abs() < self._reach).all(dim=-1)
         depth = (self._top - place[..., 2]).clamp(min=0.0)

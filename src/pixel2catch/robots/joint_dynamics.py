@@ -9,7 +9,7 @@ The joint has dry friction and the armature of its drive.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,6 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import decoded
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.ur5e import ARM
@@ -92,14 +91,11 @@ class JointDynamics:
         return (self.joints, *(tuple(getattr(self, name).tolist()) for name in PARAMETERS))
 
     @classmethod
-    def nominal(
-        cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
-    ) -> "JointDynamics":
-        """Return the nominal dynamics of the named joints, or of all, without latency and filter."""
-        specs = [joint for joint in specs if joints is None or joint.name in joints]
+    def nominal(cls, specs: Sequence[JointSpec] = JOINTS) -> "JointDynamics":
+        """Return the nominal dynamics of joints, without latency and filter."""
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
-            joints=tuple(joints or (joint.name for joint in specs)),
+            joints=tuple(joint.name for joint in specs),
             **{name: np.array([getattr(joint, name) for joint in specs], dtype=float) for name in fields},
             latency=np.zeros(len(specs)),
             filter_gain=np.full(len(specs), np.inf),
@@ -127,45 +123,38 @@ class JointDynamics:
         return JointDynamics(joints=tuple(last), **values)
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to lists and numbers for JSON; an infinite gain becomes null."""
+        """Convert to lists and numbers for JSON, which `decoded` reads; an infinite gain becomes null."""
         values = {name: getattr(self, name).tolist() for name in PARAMETERS}
         values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in values["filter_gain"]]
         return {"joints": list(self.joints), **values}
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "JointDynamics":
-        """Convert from the result of `to_dict`."""
-        return decoded(cls, content)
 
     @property
     def has_filter(self) -> np.ndarray:
         """Return which joints have a command filter."""
         return np.isfinite(self.filter_gain)
 
+    def command_lag(self, dt: float) -> Float[np.ndarray, " num_joints"]:
+        """Return the time between sending a command and the middle of the physics step that uses it [s].
+
+        A servo leads by half a step `dt` [s], a filter by half a step more. The sum adds both to the latency;
+        motion then hardly depends on the time step.
+        """
+        return self.latency + dt / 2 * (1.0 + self.has_filter)
+
+    def filter_transition(self, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
+        """Return the exact transition over `dt` [s] of every filter, with a constant command.
+
+        The state is (position minus command, speed). The matrix is 0 where there is no filter.
+        """
+        step = np.zeros((len(self.joints), 2, 2))
+        gain, lookahead = self.filter_gain, self.filter_lookahead
+        for j in np.flatnonzero(self.has_filter):
+            step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
+        return step
+
 
 PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if field.name != "joints")
 """Names of the parameters of a joint."""
-
-
-def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
-    """Return the time between sending a command and the middle of the physics step that uses it [s].
-
-    A servo leads by half a step `dt` [s], and a filter by half a step more. The sum adds both to the latency,
-    so that motion hardly depends on the time step.
-    """
-    return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
-
-
-def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
-    """Return the exact transition over `dt` [s] of every filter, with a constant command.
-
-    The state is (position minus command, speed). The matrix is 0 where there is no filter.
-    """
-    step = np.zeros((len(dynamics.joints), 2, 2))
-    gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead
-    for j in np.flatnonzero(dynamics.has_filter):
-        step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
-    return step
 
 
 Values = Any  #: A NumPy array or a PyTorch tensor.
@@ -174,8 +163,8 @@ Values = Any  #: A NumPy array or a PyTorch tensor.
 def filter_step(transition: Values, state: Values, command: Values) -> None:
     """Advance the state of command filters by a time step with these commands [rad].
 
-    The transitions of `filter_transition` are (..., num_joints, 2, 2). The state, position [rad] and speed
-    [rad/s], is (num_copies, num_joints, 2) and keeps its memory.
+    Transitions are (..., num_joints, 2, 2), as of `JointDynamics.filter_transition`. The state, position
+    [rad] and speed [rad/s], is (num_copies, num_joints, 2) and keeps its memory.
     """
     error, speed = state[..., 0] - command, state[..., 1] + 0.0
     state[..., 0] = command + transition[..., 0, 0] * error + transition[..., 0, 1] * speed

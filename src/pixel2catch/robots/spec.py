@@ -8,7 +8,7 @@ Lengths in metres, angles in radians, quaternions (w, x, y, z).
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -30,8 +30,12 @@ class JointSpec:
     frictionloss: float  #: Dry friction [N·m].
     armature: float  #: Reflected inertia of the drive [kg·m²].
     effort_limit: float  #: Largest torque of the whole servo [N·m].
-    #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
-    velocity_limit: float
+    velocity_limit: float  #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
+
+
+def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:
+    """Return joints from rows with the values of these fields; the other fields are common to all."""
+    return tuple(JointSpec(**dict(zip(columns.split(), row, strict=True)), **common) for row in rows)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,14 +42,8 @@ class PlacedPalm:
     """A palm in a work cell."""
 
     spec: PalmSpec  #: The palm, with the names of the work cell.
-    first: int  #: Column, in joint order, of the first joint that carries it.
-    stop: int  #: Column after the last joint that carries it.
+    carriers: slice = field(hash=False)  #: Columns, in joint order, of the joints that carry it.
     groups: tuple[str, ...]  #: Names of the joint groups of its robot.
-
-    @property
-    def carriers(self) -> slice:
-        """Return the columns of the joints that carry it."""
-        return slice(self.first, self.stop)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +112,7 @@ class WorkcellSpec:
                 found += [
                     PlacedPalm(
                         spec=_prefixed(palm, placed.prefix),
-                        first=before,
-                        stop=first + arms,
+                        carriers=slice(before, first + arms),
                         groups=tuple(placed.prefix + group.name for group in groups),
                     )
                     for palm in part.palms

@@ -1,6 +1,7 @@
 """Recordings of ROS 2 (rosbag2: MCAP or SQLite), read message by message. Needs rosbags."""
 
 import heapq
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -9,6 +10,7 @@ from functools import partial
 from itertools import accumulate
 from operator import itemgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
-BAG_SUFFIXES, METADATA = (".mcap", ".db3"), "metadata.yaml"
+BAG_SUFFIXES, PACKED_SUFFIXES, METADATA = (".mcap", ".db3"), (".zstd", ".zst"), "metadata.yaml"
+OTHER_PROFILES = ("", "ros1")  #: Profiles of MCAP files, beside ros2. Source: MCAP registry.
 
 MOST_CHUNK = 2**26  #: Largest unpacked chunk of an MCAP file [bytes]. Source: ours.
 MOST_AT_ONCE = 2**28  #: Largest sum of chunks whose times overlap: all are unpacked together. Source: ours.
@@ -31,15 +34,16 @@ MOST_UNPACKED = 2**35  #: Largest file that is unpacked to a temporary folder [b
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a rosbag2: its folder, or its .mcap or .db3 file."""
-    return path.suffix in BAG_SUFFIXES or (path / METADATA).exists()
+    """Return whether a path is a rosbag2: its folder, or its .mcap or .db3 file, perhaps compressed."""
+    file = path.with_suffix("") if path.suffix in PACKED_SUFFIXES else path
+    return file.suffix in BAG_SUFFIXES or (path / METADATA).exists()
 
 
 @contextmanager
 def opened_bag(
     path: Path, error: type[Pixel2CatchError] = PerceptionError, extra: str = "perception"
 ) -> "Iterator[Reader]":
-    """Open a bag: its folder, .mcap or .db3 file. Channels that are not CDR (JSON, Protobuf) are left out.
+    """Open a bag (`is_bag`). Channels of other encodings beside those of ROS 2 (JSON, Protobuf) are left out.
 
     Raises `error`, also where rosbags (`extra`) is missing.
     """
@@ -48,27 +52,58 @@ def opened_bag(
     except ModuleNotFoundError as missing:
         raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
     no_definition = storage_mcap.get_msgdef(None)  # types are those of `messages.STORE`
-    read_bytes = storage_mcap.read_bytes  # a schema of Protobuf is no text
     unpack = partial(_unpacked_zstd, size=MOST_CHUNK)  # `decode` refuses a message that is longer
+    read_bytes = storage_mcap.read_bytes
     in_mcap = {
         "DECOMPRESSORS": {**storage_mcap.DECOMPRESSORS, "lz4": _unpacked_lz4, "zstd": _unpacked_zstd},
         "get_msgdef": lambda schema: no_definition,
-        "read_string": lambda file: read_bytes(file).decode(errors="replace"),
+        "read_string": lambda file: _text(file.tell() == 0, read_bytes(file)),
     }
     in_reader = {"zstd": SimpleNamespace(open=vars(reader)["zstd"].open, decompress=unpack)}
     try:
         _require_files(path)
-        with _replaced(storage_mcap, in_mcap), _replaced(reader, in_reader), Reader(path) as bag:
+        is_part = path.is_file() and (path.parent / METADATA).is_file()
+        if is_part and _description(path.parent).get("compression_mode", "").lower() == "message":
+            raise InvalidValueError(f"its messages are compressed, as {METADATA} says; give its folder")
+        with _replaced(storage_mcap, in_mcap), _replaced(reader, in_reader), _opened(Reader, path) as bag:
             for storage in getattr(bag.storage, "storages", [bag.storage]):
                 _require_chunks(getattr(storage, "chunks", ()))
+            others = sorted({str(each.ext[0]) for each in bag.connections} - {"cdr"})
             bag.connections[:] = [each for each in bag.connections if "cdr" in each.ext]
+            if others and not bag.connections:
+                problem = (
+                    f"its channels have the encoding {', '.join(others)}, but only cdr, of ROS 2, is read"
+                )
+                raise InvalidValueError(f"{problem}; convert it, from ROS 1 with 'rosbags-convert'")
             yield bag
     except Pixel2CatchError as known:
-        raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
+        reason = str(known).removesuffix(".")
+        raise known if isinstance(known, error) else error(f"{path}: {reason}.") from known
     except Exception as damage:
         reason = str(damage)[:LONGEST_REASON]
         fix = "try 'mcap recover' for a file that was cut off, 'ros2 bag reindex' for a folder"
         raise error(f"{path}: not a readable rosbag2 ({reason}); {fix}.") from damage
+
+
+@contextmanager
+def _opened(reader: "type[Reader]", path: Path) -> "Iterator[Reader]":
+    """Open a bag, after a file that is compressed as a whole is unpacked to a temporary folder."""
+    with TemporaryDirectory() as folder:
+        file = path
+        if path.suffix in PACKED_SUFFIXES:
+            from rosbags.rosbag2.storage_mcap import zstd
+
+            file = Path(folder, path.stem)
+            with zstd.open(path) as packed, file.open("wb") as unpacked:
+                shutil.copyfileobj(packed, unpacked)
+        with reader(file) as bag:
+            yield bag
+
+
+def _text(is_first: bool, content: bytes) -> str:
+    """Return a text of an MCAP file; a schema of Protobuf is none. Any profile, the first, counts."""
+    text = content.decode(errors="replace")
+    return "ros2" if is_first and text in OTHER_PROFILES else text
 
 
 @contextmanager
@@ -84,19 +119,23 @@ def _replaced(module: ModuleType, values: dict[str, Any]) -> Iterator[None]:
 
 def _require_files(path: Path) -> None:
     """Refuse files whose opening may block, that become too large unpacked, and complex descriptions."""
-    files, is_packed = [path], False
+    files, compression = [path], "file" if path.suffix in PACKED_SUFFIXES else ""
     if path.is_dir():
-        content = parse_yaml(read_text(path / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
+        content = _description(path)
         for topic in content["topics_with_message_count"]:
             if isinstance(qos := topic["topic_metadata"].get("offered_qos_profiles"), str):
                 parse_yaml(qos)
-        is_packed = content.get("compression_mode", "").lower() == "file"
+        compression = content.get("compression_mode", "").lower()
         files = [path / Path(name).name for name in content["relative_file_paths"]]
     for file in files:
         if file.exists() and not file.is_file():
             raise InvalidValueError(f"'{file}' is no file")
-        if is_packed and _unpacked_size(file) > MOST_UNPACKED:
+        if compression == "file" and _unpacked_size(file) > MOST_UNPACKED:
             raise InvalidValueError(f"'{file}' unpacks to more than {MOST_UNPACKED:,} bytes; split it")
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    return parse_yaml(read_text(folder / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
 
 
 def _unpacked_size(file: Path) -> int:

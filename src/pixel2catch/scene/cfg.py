@@ -40,8 +40,7 @@ class SceneCfg:
     camera: CameraSpec = RGB_CAMERA  #: The camera that takes pictures.
     #: Sliding friction of the object; randomised per environment by the release.
     object_friction: Annotated[float, Within(0.0, 5.0)] = 1.0
-    #: Speed after over speed before an impact; randomised per environment.
-    object_restitution: Share = 0.25
+    object_restitution: Share = 0.25  #: Speed after over speed before an impact; randomised per environment.
     #: Factor on every object's size; its mass stays.
     object_scale: Annotated[float, Within(0.1, MAX_OBJECT_SCALE)] = 1.0
 

@@ -16,8 +16,7 @@ DECIMATION = 4  #: Physics steps in a control step at the paper's 120 Hz. Others
 CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 
-OBJECT_RADIUS = 0.04
-"""Radius of a ball with the volume of the largest object of the paper's task [m]. Source: ours."""
+OBJECT_RADIUS = 0.04  #: Of a ball with the volume of the largest object of the paper's task [m] (ours).
 
 SPEED_MARGIN = 0.9
 """Largest commanded share of a joint's speed limit; coupling between joints needs the rest. Source: ours."""
@@ -25,8 +24,7 @@ SPEED_MARGIN = 0.9
 OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
 """Columns of the object's position in `qpos` and of its linear velocity in `qvel`, behind the robots'."""
 
-PIXEL_CENTER = 0.5
-"""Coordinate of the centre of the first pixel, along u and v [px]; 0 in ROS and OpenCV."""
+PIXEL_CENTER = 0.5  #: Coordinate of the centre of the first pixel, along u and v [px]; 0 in ROS and OpenCV.
 
 
 @dataclass(frozen=True, kw_only=True)

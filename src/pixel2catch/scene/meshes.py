@@ -24,11 +24,9 @@ from pixel2catch.scene.shapes import ConvexPart, moments
 FORMATS = (".stl", ".obj", ".ply", ".off")  #: Supported formats, which refer to no other file.
 MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Largest size [bytes] and number of faces of a file. Source: ours.
 
-CONCAVITY = 0.05
-"""Largest concavity of a part, relative to the size of the mesh. Source: CoACD's default."""
+CONCAVITY = 0.05  #: Largest concavity of a part, relative to the size of the mesh. Source: CoACD's default.
 
-OUTLINE_POINTS = 48
-"""Largest number of vertices of the hull of all parts. Source: ours; the camera uses 64 points."""
+OUTLINE_POINTS = 48  #: Most vertices of the hull of all parts. Source: ours; the camera uses 64 points.
 
 SEARCH = {"mcts_nodes": 10, "mcts_iterations": 20, "mcts_max_depth": 2, "resolution": 500}
 """Search effort of CoACD. Source: ours; a cup takes seconds instead of minutes."""
@@ -40,18 +38,9 @@ PART_POINTS = (64, 48, 32, 24, 16, 12, 8)
 def mesh_object(
     name: str, file: str | Path, *, mass: float = OBJECT_MASS, scale: float = 1.0, max_parts: int = 8
 ) -> ObjectSpec:
-    """Return an object of uniform density from a mesh; it collides as at most `max_parts` convex parts.
+    """Return an object of uniform density and mass [kg]; it collides as at most `max_parts` convex parts.
 
-    Args:
-        name: Name in the catalogue.
-        file: The mesh: closed surfaces that do not overlap.
-        mass: Mass [kg].
-        scale: Metres per unit of the file, 0.001 for millimetres.
-        max_parts: Largest number of convex parts.
-
-    Raises:
-        InvalidValueError: trimesh or CoACD is missing, the file cannot be read or has no volume, or a value
-            is out of range.
+    The file has closed surfaces that do not overlap; one unit of it is `scale` metres, 0.001 for millimetres.
     """
     if not 0.0 < scale < np.inf or max_parts < 1:
         raise InvalidValueError(f"scale is {scale}, max_parts {max_parts}; both must be greater than 0.")

@@ -52,16 +52,9 @@ class ObjectSpec:
 def make_object(
     name: str, *parts: ConvexPart, mass: float = OBJECT_MASS, overlap: ConvexPart | None = None
 ) -> ObjectSpec:
-    """Return an object of convex parts, such as `shapes.box(0.05, 0.05, 0.08)`.
+    """Return an object of a mass [kg] and convex parts, such as `shapes.box(0.05, 0.05, 0.08)`.
 
-    Args:
-        name: Name in the catalogue.
-        parts: The parts, in any common frame [m].
-        mass: Mass [kg].
-        overlap: Overlap of two parts, which counts once in the mass properties.
-
-    Raises:
-        InvalidValueError: There is no part, or the mass is not positive.
+    Parts are in any common frame [m]. The `overlap` of two parts counts once in the mass properties.
     """
     if not parts:
         raise InvalidValueError(f"object '{name}' has no parts; give one or more of `scene.shapes`.")

@@ -24,11 +24,9 @@ from pixel2catch.scene.objects import OBJECTS, ObjectSpec, num_parts
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
-NO_PART = "no_part"
-"""Mesh of an unused geom of the object: a tetrahedron of 1 mm at its centre."""
+NO_PART = "no_part"  #: Mesh of an unused geom of the object: a tetrahedron of 1 mm at its centre.
 
-OBJECT_START = (2.65, 0.0, 0.8)
-"""Position of the object in `qpos0` [m]: the centre of the release points."""
+OBJECT_START = (2.65, 0.0, 0.8)  #: Position of the object in `qpos0` [m]: the centre of the release points.
 
 FLOOR_BIT = 2  #: Contact bit of floor and object. Robot, table and object share bit 1.
 OBJECT_BOUND = 0.3  #: Half the edge of a cube about the body origin that contains every object [m].
@@ -256,7 +254,6 @@ def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
 
 
 def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
-    """Add the parts of all objects, so that every scene has the same meshes."""
     for each in OBJECTS.values():
         for i, part in enumerate(each.scaled(cfg.object_scale).parts):
             if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
@@ -326,7 +323,6 @@ def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
 
 
 def _add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
-    """Add visuals of the surroundings: lights, sky, textures, a pedestal."""
     headlight = spec.visual.headlight
     headlight.ambient, headlight.diffuse, headlight.specular = (0.35,) * 3, (0.35,) * 3, (0.1,) * 3
     spec.visual.map.znear, spec.visual.map.shadowclip = 0.02, 2.0

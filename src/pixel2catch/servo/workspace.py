@@ -15,7 +15,6 @@ from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float64, Int64
 
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, arm_shape, chain_of
@@ -64,13 +63,13 @@ class Workspace:
         """Arrays for the compiled laws."""
         palms, table = self.workcell.palms, self.workcell.table
         shapes = [arm_shape(self.workcell, palm) for palm in palms]
-        chains = [chain_of(self.workcell, palm, dtype=torch.float64).matrices.numpy() for palm in palms]
+        chains = [chain_of(self.workcell, palm).matrices.numpy() for palm in palms]
         first_joints = np.cumsum([0, *(chain.shape[1] for chain in chains)])
         links = [shape.links + first for shape, first in zip(shapes, first_joints, strict=False)]
         center, half = np.array(table.center), np.array(table.size) / 2.0 + self.clearance
         near, far = center[:2] - half, center[:2] + half
         return Space(
-            columns=_joined(np.arange(palm.first, palm.stop) for palm in palms),
+            columns=_joined(np.r_[palm.carriers] for palm in palms),
             first_joints=first_joints,
             first_capsules=np.cumsum([0, *(len(shape.radii) for shape in shapes)]),
             first_boxes=np.cumsum([0, *(shape.boxes.shape[2] for shape in shapes)]),

@@ -7,12 +7,12 @@ from typing import final
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Shaped
 from mujoco.batch import MODEL_FIELDS, Batch
 from torch import Tensor
 
+from pixel2catch.batches import Flags
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
+from pixel2catch.sim.simulation import Distances, Field, Groups, Places, Rays, Simulation
 
 BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours, measured with 1,000 environments.
 
@@ -41,30 +41,24 @@ class BatchSimulation(Simulation):
         # Rays in the first batch would make its next step recompute positions and contacts.
         self._rays = Batch(model, num_envs, min(num_threads, num_envs))
 
-    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
+    def bind(self, field: str) -> Field:
         return _as_tensor(self._batch.bind(field))
 
-    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
+    def expand(self, field: str) -> Field:
         return _as_tensor(self._batch.expand(field))
 
-    def can_expand(self, field: str) -> bool:  # noqa: D102
+    def can_expand(self, field: str) -> bool:
         return field in MODEL_FIELDS
 
-    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+    def step(self, mask: Flags | None = None) -> None:
         ids = None if mask is None else mask.numpy().nonzero()[0]
         self._batch.step(ids, stage=_VELOCITY_STAGE)
 
-    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+    def forward(self, mask: Flags | None = None) -> None:
         self._batch.forward(None if mask is None else mask.numpy(), stage=_VELOCITY_STAGE)
 
-    def ray(  # noqa: D102
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        directions: Float[Tensor, "num_envs num_rays 3"],
-        groups: tuple[int, ...],
-        mask: Bool[Tensor, " num_envs"] | None = None,
-    ) -> Float[Tensor, "num_envs num_rays"]:
-        geomgroup = np.isin(np.arange(MAX_GEOM_GROUPS), groups).astype(np.uint8)
+    def ray(self, origin: Places, directions: Rays, groups: Groups, mask: Flags | None = None) -> Distances:
+        geomgroup = np.isin(np.arange(mujoco.mjNGROUP), groups).astype(np.uint8)
         ids = np.arange(self.num_envs) if mask is None else mask.numpy().nonzero()[0]
         self._rays.bind("qpos")[:] = self._batch.bind("qpos")
         for name in SEEN_FIELDS:

@@ -11,23 +11,12 @@ from typing import Any, final
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
-from pixel2catch.robots.poses import Pose, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy
+from pixel2catch.robots.poses import Pose, pose_of, rotation_matrix
+from pixel2catch.sim.engine import EngineCopy, Positions, Speeds, Targets, Wrenches
 from pixel2catch.sim.rigid_world import Body, Geom, RigidWorld
-
-MODULES = {
-    "plant": "pydrake.multibody.plant",
-    "tree": "pydrake.multibody.tree",
-    "geometry": "pydrake.geometry",
-    "framework": "pydrake.systems.framework",
-    "transforms": "pydrake.math",
-}
-"""Modules of Drake, by the names used here."""
 
 MODULUS = 1e5
 """Hydroelastic modulus of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: at ten times
@@ -49,8 +38,8 @@ class DrakeCopy(EngineCopy):
                 "--restitution 0, or --env.randomization.restitution 0 0."
             )
         drake = load_drake()
-        builder = drake["framework"].DiagramBuilder()
-        self._plant, graph = drake["plant"].AddMultibodyPlantSceneGraph(builder, world.timestep)
+        builder = drake.DiagramBuilder()
+        self._plant, graph = drake.AddMultibodyPlantSceneGraph(builder, world.timestep)
         self._made = _Builder(self._plant, world)
         self._made.filter(graph)
         self._diagram = builder.Build()
@@ -73,7 +62,7 @@ class DrakeCopy(EngineCopy):
         self._target = plant.get_desired_state_input_port(made.robots)
         self._force = plant.get_applied_generalized_force_input_port()
 
-    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def set_state(self, qpos: Positions, qvel: Speeds) -> None:
         plant = self._plant
         q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
         q[self._q], v[self._v] = qpos[self._qpos], qvel[self._dofs]
@@ -84,9 +73,7 @@ class DrakeCopy(EngineCopy):
             v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
         plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
 
-    def step(  # noqa: D102
-        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
-    ) -> None:
+    def step(self, ctrl: Targets, qfrc: Speeds, xfrc: Wrenches) -> None:
         self._aim[: len(self._ctrl)] = ctrl[self._ctrl]
         self._target.FixValue(self._context, self._aim)
         force = np.zeros(self._plant.num_velocities())
@@ -106,7 +93,7 @@ class DrakeCopy(EngineCopy):
         following = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
         self._root.get_mutable_discrete_state().SetFrom(following)
 
-    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def read_state(self, qpos: Positions, qvel: Speeds) -> None:
         q, v = self._plant.GetPositions(self._context), self._plant.GetVelocities(self._context)
         qpos[self._qpos], qvel[self._dofs] = q[self._q], v[self._v]
         for body, first, speed in self._free:
@@ -139,13 +126,13 @@ class _Builder:
                 "gravity acts on some links only, which Drake does not support; use engine 'mujoco'."
             )
         plant.set_gravity_enabled(self.robots, has_weight == {True})
-        plant.set_contact_model(self._drake["plant"].ContactModel.kHydroelasticWithFallback)
+        plant.set_contact_model(self._drake.ContactModel.kHydroelasticWithFallback)
         plant.SetUseSampledOutputPorts(False)  # a step is then one discrete update
         plant.Finalize()
 
     def filter(self, graph: Any) -> None:
         """Exclude the pairs of shapes that do not collide in MuJoCo."""
-        geometry = self._drake["geometry"]
+        drake = self._drake
         manager, parents = graph.collision_filter_manager(), {b.number: b.parent for b in self._world.bodies}
         excluded = {frozenset(pair) for pair in self._world.excluded}
         for i, (one, first, first_id) in enumerate(self._shapes):
@@ -153,78 +140,73 @@ class _Builder:
                 meets = (first.contype & second.conaffinity) | (second.contype & first.conaffinity)
                 is_neighbour = (parents.get(one) or -one) == other or (parents.get(other) or -other) == one
                 if not meets or one == other or is_neighbour or frozenset((one, other)) in excluded:
-                    declared = geometry.CollisionFilterDeclaration().ExcludeBetween(
-                        geometry.GeometrySet(first_id), geometry.GeometrySet(second_id)
-                    )
-                    manager.Apply(declared)
+                    pair = drake.GeometrySet(first_id), drake.GeometrySet(second_id)
+                    manager.Apply(drake.CollisionFilterDeclaration().ExcludeBetween(*pair))
 
     def _add_body(self, body: Body) -> None:
-        plant, tree = self._plant, self._drake["tree"]
+        plant, drake = self._plant, self._drake
         axes, instance = body.inertial_pose[:3, :3], self.robots if body.joint else self._thrown
         i = axes @ np.diag(body.inertia) @ axes.T
-        inertia = tree.SpatialInertia.MakeFromCentralInertia(
+        inertia = drake.SpatialInertia.MakeFromCentralInertia(
             body.mass,
             body.inertial_pose[:3, 3],
-            tree.RotationalInertia(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
+            drake.RotationalInertia(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
         )
         made = self.bodies[body.number] = plant.AddRigidBody(f"body_{body.number}", instance, inertia)
         self._add_shapes(body.number, made, body.geoms, is_soft=body.joint is None)
         if (joint := body.joint) is None:
             return
-        offset = np.eye(4)
-        offset[:3, 3] = joint.pos
-        parent, frames = self.bodies[body.parent], []
-        for name, frame, pose in (
-            ("parent", parent.body_frame(), body.pose @ offset),
-            ("child", made.body_frame(), offset),
-        ):
-            frames.append(
-                plant.AddFrame(tree.FixedOffsetFrame(f"{name}_{body.number}", frame, self._pose(pose)))
-            )
-        hinge = tree.RevoluteJoint(f"joint_{body.number}", *frames, joint.axis, *joint.limits, 0.0)
+        offset = pose_of(joint.pos, np.eye(3))
+        places = (("parent", self.bodies[body.parent], body.pose @ offset), ("child", made, offset))
+        frames = [
+            drake.FixedOffsetFrame(f"{name}_{body.number}", each.body_frame(), self._pose(pose))
+            for name, each, pose in places
+        ]
+        hinge = drake.RevoluteJoint(
+            f"joint_{body.number}", *map(plant.AddFrame, frames), joint.axis, *joint.limits, 0.0
+        )
         added = self.joints[body.number] = plant.AddJoint(hinge)
         servo = plant.AddJointActuator(f"joint_{body.number}", added, joint.effort_limit)
         servo.set_default_rotor_inertia(joint.armature)
         servo.set_default_gear_ratio(1.0)
-        servo.set_controller_gains(tree.PdControllerGains(p=joint.stiffness, d=joint.damping))
+        servo.set_controller_gains(drake.PdControllerGains(p=joint.stiffness, d=joint.damping))
 
     def _add_shapes(self, number: int, body: Any, geoms: tuple[Geom, ...], *, is_soft: bool) -> None:
-        geometry, world = self._drake["geometry"], self._world
+        drake, world = self._drake, self._world
         for geom in geoms:
-            properties = geometry.ProximityProperties()
-            surface = self._drake["plant"].CoulombFriction(world.friction, world.friction)
-            geometry.AddContactMaterial(DISSIPATION, POINT_STIFFNESS, surface, properties)
+            properties = drake.ProximityProperties()
+            surface = drake.CoulombFriction(world.friction, world.friction)
+            drake.AddContactMaterial(DISSIPATION, POINT_STIFFNESS, surface, properties)
             if is_soft:
-                geometry.AddCompliantHydroelasticProperties(RESOLUTION, MODULUS, properties)
+                drake.AddCompliantHydroelasticProperties(RESOLUTION, MODULUS, properties)
             else:
-                geometry.AddRigidHydroelasticProperties(RESOLUTION, properties)
+                drake.AddRigidHydroelasticProperties(RESOLUTION, properties)
             made = self._plant.RegisterCollisionGeometry(
                 body, self._pose(geom.pose), self._shape(geom), f"shape_{len(self._shapes)}", properties
             )
             self._shapes.append((number, geom, made))
 
     def _shape(self, geom: Geom) -> Any:
-        geometry, kinds, size = self._drake["geometry"], mujoco.mjtGeom, geom.size
+        drake, kinds, size = self._drake, mujoco.mjtGeom, geom.size
         make = {
-            kinds.mjGEOM_BOX: lambda: geometry.Box(*(2.0 * size)),
-            kinds.mjGEOM_SPHERE: lambda: geometry.Sphere(size[0]),
-            kinds.mjGEOM_CAPSULE: lambda: geometry.Capsule(size[0], 2.0 * size[1]),
-            kinds.mjGEOM_CYLINDER: lambda: geometry.Cylinder(size[0], 2.0 * size[1]),
-            kinds.mjGEOM_PLANE: geometry.HalfSpace,
-            kinds.mjGEOM_MESH: lambda: geometry.Convex(geom.vertices.T, "hull"),
+            kinds.mjGEOM_BOX: lambda: drake.Box(*(2.0 * size)),
+            kinds.mjGEOM_SPHERE: lambda: drake.Sphere(size[0]),
+            kinds.mjGEOM_CAPSULE: lambda: drake.Capsule(size[0], 2.0 * size[1]),
+            kinds.mjGEOM_CYLINDER: lambda: drake.Cylinder(size[0], 2.0 * size[1]),
+            kinds.mjGEOM_PLANE: drake.HalfSpace,
+            kinds.mjGEOM_MESH: lambda: drake.Convex(geom.vertices.T, "hull"),
         }
         return make[geom.type]()
 
     def _pose(self, matrix: Pose) -> Any:
-        transforms = self._drake["transforms"]
-        rotation = transforms.RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3])
-        return transforms.RigidTransform(rotation, matrix[:3, 3])
+        rotation = self._drake.RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3])
+        return self._drake.RigidTransform(rotation, matrix[:3, 3])
 
 
 @cache
-def load_drake() -> dict[str, Any]:
-    """Import the modules of Drake."""
+def load_drake() -> Any:
+    """Import Drake."""
     with needs_extra("drake", "engine 'drake' needs Drake, which cannot be imported", DeviceUnavailableError):
-        modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
+        drake = importlib.import_module("pydrake.all")
     logging.getLogger("drake").setLevel(logging.ERROR)  # hides a warning about half-spaces
-    return modules
+    return drake

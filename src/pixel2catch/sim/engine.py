@@ -13,17 +13,16 @@ from typing import final
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float
 from numpy import ndarray
-from torch import Tensor
 
+from pixel2catch.batches import Flags
 from pixel2catch.errors import InvalidValueError, NonFiniteError, UnknownNameError
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.rigid_world import RigidWorld, rigid_world
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.sim.simulation import Distances, Field, Groups, Places, Rays, Simulation
 
-MOST_ENVS = 64
-"""Largest number of environments. Source: ours; they step one after the other in one thread."""
+MOST_ENVS = 64  #: Largest number of environments. Source: ours; they step one after the other in one thread.
 
 TOUCH_DISTANCE = 1e-4
 """Distance at which MuJoCo reports a contact [m]. Source: ours: rigid bodies need not overlap; of PhysX's
@@ -42,28 +41,25 @@ DERIVED = (
 )
 """Model fields that MuJoCo derives from these, and that only MuJoCo uses."""
 
+Positions = Float[ndarray, " nq"]  #: MuJoCo's `qpos`.
+Speeds = Float[ndarray, " nv"]  #: MuJoCo's `qvel`, and likewise `qfrc_applied`, forces on the joints.
+Targets = Float[ndarray, " nu"]  #: MuJoCo's `ctrl`: targets of the servos [rad].
+Wrenches = Float[ndarray, "nbody 6"]  #: MuJoCo's `xfrc_applied`, on the bodies at their centres of mass.
+
 
 class EngineCopy(ABC):
     """One environment in an engine."""
 
     @abstractmethod
-    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
+    def set_state(self, qpos: Positions, qvel: Speeds) -> None:
         """Set positions and speeds, in MuJoCo's coordinates."""
 
     @abstractmethod
-    def step(
-        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
-    ) -> None:
-        """Advance by one physics step.
-
-        Args:
-            ctrl: Targets of the servos [rad].
-            qfrc: Forces and torques on the joints, MuJoCo's `qfrc_applied`.
-            xfrc: Forces and torques on the bodies at their centres of mass, MuJoCo's `xfrc_applied`.
-        """
+    def step(self, ctrl: Targets, qfrc: Speeds, xfrc: Wrenches) -> None:
+        """Advance by one physics step."""
 
     @abstractmethod
-    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:
+    def read_state(self, qpos: Positions, qvel: Speeds) -> None:
         """Write positions and speeds into these arrays, in MuJoCo's coordinates."""
 
 
@@ -101,10 +97,10 @@ class EngineSimulation(Simulation):
         self._known = np.full_like(self._state(), np.nan)  # state of the copies
         self._torque = np.zeros_like(self._force)
 
-    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
+    def bind(self, field: str) -> Field:
         return self._described.bind(field)
 
-    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
+    def expand(self, field: str) -> Field:
         if not self.can_expand(field):
             raise UnknownNameError("model field of another engine", field, (*FOLLOWED, *DERIVED))
         return self._described.expand(field)
@@ -113,7 +109,7 @@ class EngineSimulation(Simulation):
         """Return whether the engine uses a field or does not need it; it would ignore any other field."""
         return field in FOLLOWED or field in DERIVED
 
-    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+    def step(self, mask: Flags | None = None) -> None:
         self._rebuild()
         self._push_state()
         self._torque[:] = self._servo_torque()
@@ -126,17 +122,11 @@ class EngineSimulation(Simulation):
         self._time += self.model.opt.timestep
         self.forward()
 
-    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+    def forward(self, mask: Flags | None = None) -> None:
         self._described.forward(mask)
         self._force[:] = self._torque
 
-    def ray(  # noqa: D102
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        directions: Float[Tensor, "num_envs num_rays 3"],
-        groups: tuple[int, ...],
-        mask: Bool[Tensor, " num_envs"] | None = None,
-    ) -> Float[Tensor, "num_envs num_rays"]:
+    def ray(self, origin: Places, directions: Rays, groups: Groups, mask: Flags | None = None) -> Distances:
         return self._described.ray(origin, directions, groups, mask)
 
     def check(self) -> None:

@@ -8,25 +8,15 @@ import torch
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
 from pixel2catch.sim.simulation import Simulation
 
-ENGINES = ("mujoco", "physx", "drake")
-"""Physics engines: MuJoCo on CPU and GPU; the others evaluate policies on the CPU."""
+ENGINES = ("mujoco", "physx", "drake")  #: MuJoCo on CPU and GPU; the others evaluate on the CPU.
 
-INELASTIC = ("drake",)
-"""Engines without restitution."""
+INELASTIC = ("drake",)  #: Engines without restitution.
 
 
 def make_simulation(
     model: mujoco.MjModel, num_envs: int, device: str, engine: str = ENGINES[0]
 ) -> Simulation:
-    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
-
-    Engines other than MuJoCo need the CPU.
-
-    Raises:
-        DeviceUnavailableError: CUDA is absent, or the engine is not installed.
-        InvalidValueError: The engine does not support CUDA or the model.
-        UnknownNameError: There is no such engine.
-    """
+    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N"."""
     if engine != ENGINES[0]:
         make_copy = require_engine(engine)
         if device != "cpu":

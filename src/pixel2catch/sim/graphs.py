@@ -4,16 +4,14 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 import torch
 from torch import Tensor
 
 from pixel2catch.devices import Constants, keeping
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.sim.simulation import Simulation
-
-Result = TypeVar("Result")
+from pixel2catch.sim.simulation import Result, Simulation
 
 
 class GraphedFunction(Generic[Result]):
@@ -36,14 +34,10 @@ class GraphedFunction(Generic[Result]):
     ) -> None:
         """Store the function; nothing runs yet.
 
-        Args:
-            function: Takes tensors of the same shapes in every call; never waits for the device.
-            device: Device of the function and of all arguments.
-            num_eager_calls: Calls before the recording, in which libraries initialise and constants are made.
-            is_aside: Whether eager calls use a separate stream, as gradients require; False if another
-                library uses the current stream.
-            generator: Random generator of the function, if it is not torch's default.
-            around: Context of the recorded call, such as the capture of another library.
+        The function takes tensors of the same shapes in every call and never waits for the device. Libraries
+        initialise in its eager calls, and constants are made. Those run aside, on a separate stream, as
+        gradients require, unless another library uses the current stream. The recorded call is inside
+        `around`, such as the capture of another library.
         """
         self._function, self._device = function, device
         self._num_eager_calls, self._is_aside = num_eager_calls, is_aside

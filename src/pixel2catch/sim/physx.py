@@ -17,14 +17,11 @@ from numpy import ndarray
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.robots.poses import Pose, quaternion, rotation_matrix
-from pixel2catch.sim.engine import EngineCopy
+from pixel2catch.sim.engine import EngineCopy, Positions, Speeds, Targets, Wrenches
 from pixel2catch.sim.rigid_world import Body, Geom, Joint, RigidWorld, turned_onto
 
 MOST_EXCLUDED = 32  #: Largest number of pairs that do not collide: bits of SAPIEN's collision group.
 COLLISION_ID = 1  #: Collision exclusions hold among shapes with this identifier.
-
-Component = Any
-"""A body of SAPIEN, which has no type stubs."""
 
 ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
 """Rotation from MuJoCo's capsules, cylinders and planes (axis z) to those of PhysX (axis x)."""
@@ -74,15 +71,13 @@ class PhysxCopy(EngineCopy):
         jointed = {body.number: (body, body.joint) for body in world.bodies if body.joint is not None}
         articulations = {id(a): a for a in (self._components[number].articulation for number in jointed)}
         self._trees = [_Tree(articulation, jointed) for articulation in articulations.values()]
-        for solved in (
-            *(component for _, component in self._free),
-            *(tree.articulation for tree in self._trees),
-        ):
+        trees = [tree.articulation for tree in self._trees]
+        for solved in (*(component for _, component in self._free), *trees):
             solved.set_solver_position_iterations(POSITION_ITERATIONS)
             solved.set_solver_velocity_iterations(VELOCITY_ITERATIONS)
             solved.set_sleep_threshold(0.0)
 
-    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def set_state(self, qpos: Positions, qvel: Speeds) -> None:
         for tree in self._trees:
             tree.articulation.set_qpos(qpos[tree.qpos])
             tree.articulation.set_qvel(qvel[tree.dofs])
@@ -95,9 +90,7 @@ class PhysxCopy(EngineCopy):
             component.set_linear_velocity(qvel[body.dof : body.dof + 3] + _cross(angular, arm))
             component.set_angular_velocity(angular)
 
-    def step(  # noqa: D102
-        self, ctrl: Float[ndarray, " nu"], qfrc: Float[ndarray, " nv"], xfrc: Float[ndarray, "nbody 6"]
-    ) -> None:
+    def step(self, ctrl: Targets, qfrc: Speeds, xfrc: Wrenches) -> None:
         for tree in self._trees:
             for joint, target in zip(tree.joints, ctrl[tree.actuators].tolist(), strict=True):
                 joint.set_drive_target(target)
@@ -114,7 +107,7 @@ class PhysxCopy(EngineCopy):
                 component.add_force_torque(applied[:3], torque)
         self._system.step()
 
-    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+    def read_state(self, qpos: Positions, qvel: Speeds) -> None:
         for tree in self._trees:
             qpos[tree.qpos] = tree.articulation.get_qpos()
             qvel[tree.dofs] = tree.articulation.get_qvel()
@@ -127,7 +120,7 @@ class PhysxCopy(EngineCopy):
             qvel[body.dof : body.dof + 3] = component.linear_velocity - _cross(angular, arm)
             qvel[body.dof + 3 : body.dof + 6] = rotation.T @ angular
 
-    def _add(self, component: Component) -> None:
+    def _add(self, component: Any) -> None:
         entity = load_sapien().Entity()
         entity.add_component(component)
         self._scene.add_entity(entity)
@@ -145,8 +138,7 @@ class _Tree:
         self.actuators = [joint.actuator for _, joint in members]
 
 
-def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
-    """Create links with their joints, and free bodies, by number."""
+def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Any]:
     physx = load_sapien().physx
     roots = {}
     for number in world.fixed.keys() - {0}:
@@ -172,7 +164,6 @@ def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
 
 
 def _set_joint(made: Any, body: Body, joint: Joint) -> None:
-    """Configure the joint of a link as a hinge with a servo."""
     made.name, made.type = str(body.number), "revolute_unwrapped"
     frame = turned_onto(joint.axis)
     frame[:3, 3] = joint.pos
@@ -192,7 +183,7 @@ class _Shapes:
         self._material = physx.PhysxMaterial(world.friction, world.friction, world.restitution)
         self._excluded = world.excluded
 
-    def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
+    def attached(self, component: Any, geoms: tuple[Geom, ...], number: int = 0) -> Any:
         """Attach shapes to a component; the number of its body selects its collision exclusions."""
         for geom in geoms:
             shape = self._shape(geom)

@@ -110,7 +110,6 @@ def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
 
 
 def _refuse(model: mujoco.MjModel) -> None:
-    """Raise if the model has elements without a counterpart in other engines."""
     is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
     is_servo = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = sorted(model.actuator_trnid[is_servo, 0].tolist())

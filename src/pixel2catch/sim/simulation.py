@@ -18,12 +18,18 @@ from typing import TypeVar
 
 import mujoco
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Shaped
 from torch import Tensor
+
+from pixel2catch.batches import Flags
 
 Result = TypeVar("Result")
 
-MAX_GEOM_GROUPS = mujoco.mjNGROUP
+Groups = tuple[int, ...]  #: Groups of geoms.
+Field = Shaped[Tensor, "num_envs ..."]  #: Of MuJoCo's data or model.
+Places = Float[Tensor, "*num_envs 3"]  #: One for all environments, or one for each.
+Rays = Float[Tensor, "num_envs num_rays 3"]
+Distances = Float[Tensor, "num_envs num_rays"]
 
 
 class Simulation(ABC):
@@ -38,7 +44,7 @@ class Simulation(ABC):
         self.dtype = dtype  #: Their floating-point type.
 
     @abstractmethod
-    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
+    def bind(self, field: str) -> Field:
         """Return the live tensor of an `MjData` field, with MuJoCo's name and shape.
 
         `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are state, `xfrc_applied` and `qfrc_applied` are inputs: a
@@ -47,7 +53,7 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
+    def expand(self, field: str) -> Field:
         """Return live values of an `MjModel` field per environment; a write takes effect at the next call."""
 
     @abstractmethod
@@ -58,27 +64,21 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+    def step(self, mask: Flags | None = None) -> None:
         """Advance every environment by one physics step; bound fields then describe the new state.
 
         Environments outside the mask may be left as they are.
         """
 
     @abstractmethod
-    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+    def forward(self, mask: Flags | None = None) -> None:
         """Update the bound fields after writes to the state of the masked environments, or of all.
 
         With a mask, contacts of the masked environments may be found in the next step only.
         """
 
     @abstractmethod
-    def ray(
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        directions: Float[Tensor, "num_envs num_rays 3"],
-        groups: tuple[int, ...],
-        mask: Bool[Tensor, " num_envs"] | None = None,
-    ) -> Float[Tensor, "num_envs num_rays"]:
+    def ray(self, origin: Places, directions: Rays, groups: Groups, mask: Flags | None = None) -> Distances:
         """Return the distance to the nearest geom along each ray in lengths of its direction, -1 for a miss.
 
         Origin [m], one or one for each environment, and directions are in the world frame; rays hit geoms of

@@ -14,14 +14,14 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Bool, Float, Shaped
 from mujoco_warp._src.ray import _ray_geom_mesh
 from mujoco_warp._src.types import vec6
 from torch import Tensor
 
+from pixel2catch.batches import Flags
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.sim.graphs import GraphedFunction
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
+from pixel2catch.sim.simulation import Distances, Field, Groups, Places, Rays, Result, Simulation
 
 CONTACTS_PER_DOF = 1.6
 """Contacts to allocate per environment and degree of freedom, in one pool for all environments. Source: ours;
@@ -73,11 +73,11 @@ class WarpSimulation(Simulation):
             )
         self._recorded_step = self._recorded(self._step)
 
-    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
+    def bind(self, field: str) -> Field:
         shape = np.shape(getattr(mujoco.MjData(self.model), field))
         return wp.to_torch(getattr(self._data, field)).view(self.num_envs, *shape)
 
-    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
+    def expand(self, field: str) -> Field:
         array = getattr(self._model, field)
         if array.shape[0] != self.num_envs:
             rows = np.repeat(array.numpy(), self.num_envs, axis=0)
@@ -86,16 +86,16 @@ class WarpSimulation(Simulation):
             self._recorded_step = self._recorded(self._step)  # the old recording has the old address
         return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
 
-    def can_expand(self, field: str) -> bool:  # noqa: D102
+    def can_expand(self, field: str) -> bool:
         return hasattr(self._model, field) and getattr(self._model, field).shape[0] in (1, self.num_envs)
 
-    def step(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+    def step(self, mask: Flags | None = None) -> None:
         if not self._device.is_cuda or torch.cuda.is_current_stream_capturing():
             self._step()
         else:
             self._recorded_step()
 
-    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+    def forward(self, mask: Flags | None = None) -> None:
         """Update the bound fields of every environment.
 
         With a mask, collision detection, a tenth of a control step, is skipped: contacts of other
@@ -110,13 +110,7 @@ class WarpSimulation(Simulation):
             mjw.step1(self._model, self._data)
             self._model.opt.run_collision_detection = True
 
-    def ray(  # noqa: D102
-        self,
-        origin: Float[Tensor, "*num_envs 3"],
-        directions: Float[Tensor, "num_envs num_rays 3"],
-        groups: tuple[int, ...],
-        mask: Bool[Tensor, " num_envs"] | None = None,
-    ) -> Float[Tensor, "num_envs num_rays"]:
+    def ray(self, origin: Places, directions: Rays, groups: Groups, mask: Flags | None = None) -> Distances:
         with wp.ScopedDevice(self._device):
             return _cast_rays(self._model, self._data, origin, directions, groups)
 
@@ -136,7 +130,7 @@ class WarpSimulation(Simulation):
                 f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_DOF or CONSTRAINTS_PER_DOF."
             )
 
-    def close(self) -> None:  # noqa: D102
+    def close(self) -> None:
         self._recorded_step = self._step
 
     def _recorded(
@@ -204,12 +198,8 @@ def _nearest(
 
 
 def _cast_rays(
-    model: mjw.Model,
-    data: mjw.Data,
-    origin: Float[Tensor, "*num_envs 3"],
-    directions: Float[Tensor, "num_envs num_rays 3"],
-    groups: tuple[int, ...],
-) -> Float[Tensor, "num_envs num_rays"]:
+    model: mjw.Model, data: mjw.Data, origin: Places, directions: Rays, groups: Groups
+) -> Distances:
     """Cast rays with one thread each; MuJoCo Warp's own function takes a block of threads for a ray."""
     num_envs, num_rays, _ = directions.shape
     origins = origin.to(directions).view(-1, 3).contiguous()
@@ -227,7 +217,7 @@ def _cast_rays(
             *(getattr(model, name) for name in fields),
             data.geom_xpos,
             data.geom_xmat,
-            vec6(*(float(group in groups) for group in range(MAX_GEOM_GROUPS))),
+            vec6(*(float(group in groups) for group in range(mujoco.mjNGROUP))),
             len(origins),
             wp.from_torch(origins, dtype=_Vec3),
             wp.from_torch(directions.contiguous(), dtype=_Vec3),

@@ -94,7 +94,7 @@ class SimulatedLab:
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
         steps = [ENCODER_STEP[each.role] for each in workcell.groups for _ in each.joints]
         self._encoder_step = np.array(steps)
-        nominal = JointDynamics.nominal(specs=workcell.joints)
+        nominal = JointDynamics.nominal(workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
         self.lag: Joints = steady_lag(dynamics)  #: Time by which joints lag in a steady motion [s].
         self.prepare(seed)

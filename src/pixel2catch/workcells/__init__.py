@@ -21,12 +21,7 @@ def workcells() -> dict[str, WorkcellSpec]:
 
 
 def find_workcell(name: str) -> WorkcellSpec:
-    """Return the work cell of a name, or the last one in the Python file with that path.
-
-    Raises:
-        UnknownNameError: There is no such work cell.
-        InvalidValueError: A file defines none, or cannot be imported.
-    """
+    """Return the work cell of a name, or the last one in the Python file with that path."""
     if name.endswith(".py") and name not in workcells():
         found = list(defined(import_file(name), WorkcellSpec))
         if not found:

@@ -36,22 +36,15 @@ def on_paper_table(name: str, robot: RobotSpec) -> WorkcellSpec:
 UR5E_ALLEGRO = on_paper_table("ur5e_allegro", ur5e_allegro())
 """The paper's robot, with the left hand of the release."""
 
-TURNED = {"shoulder_pan_joint": (90, 270), "wrist_2_joint": (-130, -50), "wrist_3_joint": (90, 270)}
-"""Limits of arms whose palms turn to each other [degrees]. Source: ours, within UR's."""
+TURNED = {
+    "shoulder_pan_joint": {"lower": radians(90), "upper": radians(270)},
+    "wrist_2_joint": {"lower": radians(-130), "upper": radians(-50)},
+    "wrist_3_joint": {"lower": radians(90), "upper": radians(270)},
+}
+"""Limits of arms whose palms turn to each other. Source: ours, within UR's."""
 
 OF_TWO = replace(
-    UR5E,
-    groups=(
-        replace(
-            ARM,
-            joints=tuple(
-                replace(joint, lower=radians(TURNED[joint.name][0]), upper=radians(TURNED[joint.name][1]))
-                if joint.name in TURNED
-                else joint
-                for joint in ARM.joints
-            ),
-        ),
-    ),
+    UR5E, groups=(replace(ARM, joints=tuple(replace(j, **TURNED.get(j.name, {})) for j in ARM.joints)),)
 )
 """One of two that hold an object between their palms."""
 

@@ -5,32 +5,20 @@ from math import radians
 from pathlib import Path
 
 from pixel2catch.robots import ur5e
-from pixel2catch.robots.spec import JointSpec, RobotSpec
+from pixel2catch.robots.spec import RobotSpec, joint_table
 
 ARM = replace(
     ur5e.ARM,
-    joints=tuple(
-        JointSpec(
-            name=f"fr3_joint{number}",
-            lower=lower,
-            upper=upper,
-            home=home,
-            stiffness=stiffness,
-            damping=0.13 * stiffness,
-            frictionloss=loss,
-            armature=armature,
-            effort_limit=effort,
-            velocity_limit=speed,
-        )
-        for number, lower, upper, home, stiffness, armature, loss, effort, speed in (
-            (1, -1.2, 1.2, 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (2, -1.8361, 1.8361, 0.018, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (3, -radians(20), radians(20), 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (4, -3.0770, -0.1169, -2.357, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (5, -radians(20), radians(20), 0.0, 2000.0, 0.074, 0.763, 12.0, 2.62),
-            (6, 0.4398, 4.6216, 3.737, 2000.0, 0.074, 0.44, 12.0, 2.62),
-            (7, -radians(20), radians(20), 0.0, 2000.0, 0.074, 0.248, 12.0, 2.62),
-        )
+    joints=joint_table(
+        "name lower upper home stiffness damping armature frictionloss effort_limit",
+        ("fr3_joint1", -1.2, 1.2, 0.0, 2500.0, 325.0, 0.195, 1.137, 87.0),
+        ("fr3_joint2", -1.8361, 1.8361, 0.018, 2500.0, 325.0, 0.195, 1.137, 87.0),
+        ("fr3_joint3", -radians(20), radians(20), 0.0, 2500.0, 325.0, 0.195, 1.137, 87.0),
+        ("fr3_joint4", -3.0770, -0.1169, -2.357, 2500.0, 325.0, 0.195, 1.137, 87.0),
+        ("fr3_joint5", -radians(20), radians(20), 0.0, 2000.0, 260.0, 0.074, 0.763, 12.0),
+        ("fr3_joint6", 0.4398, 4.6216, 3.737, 2000.0, 260.0, 0.074, 0.44, 12.0),
+        ("fr3_joint7", -radians(20), radians(20), 0.0, 2000.0, 260.0, 0.074, 0.248, 12.0),
+        velocity_limit=2.62,
     ),
 )
 """From base to flange.

@@ -4,32 +4,20 @@ from dataclasses import replace
 from math import pi, radians
 from pathlib import Path
 
-from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
+from pixel2catch.robots.spec import JointGroup, RobotSpec, joint_table
 
 ARM = JointGroup(
     name="arm",
     role="arm",
-    joints=tuple(
-        JointSpec(
-            name=name,
-            lower=lower,
-            upper=upper,
-            home=home,
-            stiffness=stiffness,
-            damping=damping,
-            frictionloss=loss,
-            armature=armature,
-            effort_limit=effort,
-            velocity_limit=2.79253,
-        )
-        for name, lower, upper, home, stiffness, damping, loss, armature, effort in (
-            ("shoulder_pan_joint", radians(120), radians(240), pi, 2504.0, 342.0, 0.51, 0.16, 150.0),
-            ("shoulder_lift_joint", -2 * pi, 2 * pi, -0.6 * pi, 2848.0, 353.0, 0.42, 0.15, 150.0),
-            ("elbow_joint", -pi, pi, 2 / 3 * pi, 2536.0, 343.0, 0.40, 0.14, 150.0),
-            ("wrist_1_joint", radians(120), 2 * pi, pi, 1681.0, 234.0, 0.30, 0.23, 28.0),
-            ("wrist_2_joint", radians(-110), radians(-90), -pi / 2, 2243.0, 279.0, 0.30, 0.20, 28.0),
-            ("wrist_3_joint", radians(160), radians(200), pi, 2066.0, 202.0, 0.25, 0.21, 28.0),
-        )
+    joints=joint_table(
+        "name lower upper home stiffness damping frictionloss armature effort_limit",
+        ("shoulder_pan_joint", radians(120), radians(240), pi, 2504.0, 342.0, 0.51, 0.16, 150.0),
+        ("shoulder_lift_joint", -2 * pi, 2 * pi, -0.6 * pi, 2848.0, 353.0, 0.42, 0.15, 150.0),
+        ("elbow_joint", -pi, pi, 2 / 3 * pi, 2536.0, 343.0, 0.40, 0.14, 150.0),
+        ("wrist_1_joint", radians(120), 2 * pi, pi, 1681.0, 234.0, 0.30, 0.23, 28.0),
+        ("wrist_2_joint", radians(-110), radians(-90), -pi / 2, 2243.0, 279.0, 0.30, 0.20, 28.0),
+        ("wrist_3_joint", radians(160), radians(200), pi, 2066.0, 202.0, 0.25, 0.21, 28.0),
+        velocity_limit=2.79253,
     ),
     command="relative",
     gain_range=(0.8, 1.2),
