@@ -19,7 +19,7 @@ def test_a_throw_is_rehearsed_and_reported(tmp_path: Path, monkeypatch, capsys):
     """
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     out, recording = tmp_path / "rehearsal", tmp_path / "tape"
-    args = ["rehearse", "--throws", "1", "--clock", "0.4", "--seed", "3"]
+    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3"]
     assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads((out / "report.json").read_text())
     assert "throws in" in capsys.readouterr().out
