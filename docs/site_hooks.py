@@ -68,7 +68,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def mended(link: re.Match[str]) -> str:
         text, target, anchor = link.groups()
-        path = (folder / target).resolve()
+        path = (folder / re.sub("ipynb$", "md", target)).resolve()
         if path.is_dir():
             return text
         uri = os.path.relpath(path, DOCS) if DOCS in path.parents else f"{OUTSIDE}/{path.relative_to(ROOT)}"
