@@ -88,9 +88,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     value = getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
     if isinstance(value, FunctionType):
-        from pixel2catch.checks import typed
+        from pixel2catch import checks
 
-        value = typed(value)
+        value = checks.typed(value)
         value.__module__ = __name__  # where pickle finds it
     globals()[name] = value
     return value

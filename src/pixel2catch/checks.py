@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, wraps
-from inspect import signature
+from inspect import Parameter, signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
@@ -175,8 +175,10 @@ def typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
     @wraps(function)
     def checked(*args: Given.args, **kwargs: Given.kwargs) -> Result:
         kinds = typing.get_type_hints(function, include_extras=True)
-        for name, value in signature(function).bind(*args, **kwargs).arguments.items():
-            require(kinds.get(name, Any), name, value)
+        bound = signature(function).bind(*args, **kwargs)
+        for name, value in bound.arguments.items():
+            is_several = bound.signature.parameters[name].kind is Parameter.VAR_POSITIONAL
+            require(tuple[kinds[name], ...] if is_several else kinds.get(name, Any), name, value)
         return function(*args, **kwargs)
 
     return checked
@@ -244,7 +246,7 @@ def _fits(kind: Any, value: Any) -> bool:
         return isinstance(value, Mapping)
     if origin is Callable:
         return callable(value)
-    if kind is Any or getattr(kind, "_is_protocol", False):
+    if kind is Any or getattr(kind, "_is_protocol", False) or kind.__module__ == "jaxtyping":
         return True
     return not isinstance(kind, type) or isinstance(value, kind)
 

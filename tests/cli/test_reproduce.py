@@ -113,29 +113,6 @@ def test_a_missing_device_and_another_configuration_are_refused(
     assert times(study) == before
 
 
-@pytest.mark.parametrize(
-    ("args", "words"),
-    [
-        (("--methods", "propose"), "proposed"),
-        (("--training", "seed=4"), "'seed'"),
-        (("--training", "num_envs=0"), "num_envs is 0"),
-        (("--training", "epochs=4", "--sweep", "epochs", "1", "2"), "'epochs' is given twice"),
-        (("--sweep", "epochs", "1"), "two values"),
-        (("--sweep", "learning-rate", "1e-3", "0.001"), "learning_rate=0.001 twice"),
-        (("--sweep", "env.sensing.latency-steps", "0 0", "-1 3"), "latency_steps is -1"),
-        (("--slurm", ""), "timeout_min=60"),
-        (("--slurm",), "slurm is empty"),
-    ],
-)
-def test_bad_input_leaves_nothing(
-    args: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    out = tmp_path / "out"
-    assert main(["reproduce", "--device", "cpu", "--out", str(out), *args]) == 2
-    assert words in capsys.readouterr().err
-    assert not list(out.glob("*"))
-
-
 def test_every_combination_of_sweeps_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     trained: dict[str, Train] = {}
 

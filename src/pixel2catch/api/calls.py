@@ -1,13 +1,16 @@
-"""The commands as functions: make environments, load, train and evaluate policies."""
+"""The commands as functions: make environments, load, train and evaluate policies.
+
+A wrong name or value raises a `Pixel2CatchError` that names what is valid.
+"""
 
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pixel2catch.api.threads import let_torch_sleep
-from pixel2catch.checks import Device, PhysicsRate, require_valid
+from pixel2catch.checks import Device, PhysicsRate, require, require_valid
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -18,6 +21,7 @@ from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import Experiment, require_run
 from pixel2catch.learning.experiment import preset as preset_of
+from pixel2catch.learning.log import wandb_package
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.learning.train import train as train_policy
 from pixel2catch.methods import Method, find_method
@@ -53,10 +57,6 @@ def make(
         workcell: The robots, or their name. Default: the task's.
         device: Where to simulate: cpu, cuda, cuda:1, ...
         seed: Seed of everything that is drawn.
-
-    Raises:
-        UnknownNameError: A name is in no catalogue.
-        InvalidValueError: A value is of another type or out of range.
     """
     let_torch_sleep()
     cfg = find_task(task) if isinstance(task, str) else task
@@ -68,11 +68,7 @@ def make(
 
 
 def load_policy(name: str | Path | None = None, device: Device = "cpu") -> Policy:
-    """Read a policy: a shipped one by its name (default: catch_alone+fit), or from its folder or its run's.
-
-    Raises:
-        PolicyMismatchError: There is none, or it does not fit this code.
-    """
+    """Read a policy: a shipped one by name (default: catch_alone+fit), or from its folder or its run's."""
     if device.startswith("cuda"):
         require_cuda(device)
     return loading.load_policy(None if name is None else Path(name), device)[0]
@@ -102,9 +98,6 @@ def evaluate(
         device: Where to simulate.
         physics_hz: Physics steps in a second, a multiple of 30.
         change: Changes the task, such as the `change` of a `Level`.
-
-    Raises:
-        PolicyMismatchError: There is no policy, or it does not fit this code.
     """
     let_torch_sleep()
     if policy is None or isinstance(policy, str | Path):
@@ -148,11 +141,6 @@ def train(
         camera: Camera file of the camera that is simulated. Default: the release's.
         resume: Go on from the last checkpoint in the folder, with its configuration and the given options.
         **options: Fields of `TrainCfg`, such as `transitions=1_000_000` or `hidden=(64, 64)`.
-
-    Raises:
-        InvalidValueError: A value is out of range, or two options contradict each other.
-        UnknownNameError: A name is in no catalogue, or there is no such option.
-        Pixel2CatchError: As `learning.train.train`.
     """
     let_torch_sleep()
     given = {"dynamics": dynamics, "camera": camera}
@@ -173,20 +161,21 @@ def train(
         name = name or "cpu"
         experiment = preset_of(name, "nominal" if task is None else task, workcell=cell, **files, **options)
     experiment = replace(experiment, train=experiment.train.changed(options))
-    found = _method(method, experiment.env)
-    return run(experiment, found, Path(out), resume=resume, preset=name)
+    training = prepared(experiment, _method(method, experiment.env), resume=resume)
+    return run(training, Path(out), resume=resume, preset=name)
 
 
-def run(
-    experiment: Experiment, method: Method, out: Path, *, resume: bool = False, preset: str | None = None
-) -> TrainResult:
-    """Train a method to the end.
+class Prepared(NamedTuple):
+    """A training that has been checked."""
 
-    The run folder records the name of the preset.
+    cfg: TrainCfg
+    env: CatchEnvCfg
+    method: Method
+    teacher: Method | None
 
-    Raises:
-        Pixel2CatchError: As `learning.train.train`.
-    """
+
+def prepared(experiment: Experiment, method: Method, *, resume: bool = False) -> Prepared:
+    """Return a training with the names in it resolved; raise what is wrong with it, before any work."""
     require_valid(experiment)
     cfg, env = experiment.train, experiment.env
     env = replace(env, objects=select_objects(env.objects))
@@ -195,7 +184,17 @@ def run(
     method = method.with_weights(cfg.rewards)
     if cfg.start and not resume:
         policy_folder(cfg.start)  # before anything is built
+    if cfg.wandb:
+        wandb_package()
     teacher = loading.load_policy(cfg.teacher)[1] if cfg.teacher else None
+    method.require_same_view(teacher)
+    return Prepared(cfg, env, method, teacher)
+
+
+def run(training: Prepared, out: Path, *, resume: bool = False, preset: str | None = None) -> TrainResult:
+    """Train a method to the end; the run folder records the name of the preset."""
+    cfg, env, method, teacher = training
+    workcell = find_workcell(env.scene.workcell)
 
     def make_env(share: TrainCfg, physics_hz: float | None) -> CatchEnv:
         rate = physics_hz or env.scene.physics_hz
@@ -227,12 +226,6 @@ def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
     return find_method(_known(method), find_workcell(cfg.scene.workcell))
 
 
-def _require_named(name: str, value: Any, *kinds: type) -> None:
-    if not isinstance(value, (str, *kinds)):
-        valid = " or ".join(("its name", *(f"a {kind.__name__}" for kind in kinds)))
-        raise InvalidValueError(f"{name} is {value!r:.200}; it must be {valid}.")
-
-
 def _selected(objects: Objects) -> tuple[str, ...]:
     several = objects.split(",") if isinstance(objects, str) else objects
     several = [several] if isinstance(several, ObjectSpec) else several
@@ -241,7 +234,7 @@ def _selected(objects: Objects) -> tuple[str, ...]:
 
 def _known(value: Any) -> str:
     """Return a name, or the name of a value, which joins its catalogue."""
-    _require_named("name", value, Method, ObjectSpec, WorkcellSpec)
+    require(str | Method | ObjectSpec | WorkcellSpec, "name", value)
     name = value if isinstance(value, str) else add(value)
     import_files()
     return name

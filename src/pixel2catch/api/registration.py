@@ -3,30 +3,22 @@
 Gymnasium imports this module by the package's entry point, and fills the rest in when it makes one.
 """
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 from gymnasium.envs.registration import register
 
-if TYPE_CHECKING:
-    from pixel2catch.api.views import CatchSingleEnv, CatchVectorEnv
+import pixel2catch
 
 ENVIRONMENT = "pixel2catch/Catch-v1"
 
 
-def single(render_mode: str | None = None, method: str = "single_agent", **options: Any) -> "CatchSingleEnv":
-    """Return one robot; options are those of `pixel2catch.make`."""
-    from pixel2catch import CatchSingleEnv, make
-
-    return CatchSingleEnv(make(method, **options), render_mode)
-
-
-def vector(render_mode: str | None = None, method: str = "single_agent", **options: Any) -> "CatchVectorEnv":
-    """Return robots side by side, for `gymnasium.make_vec`; likewise."""
-    from pixel2catch import CatchVectorEnv, make
-
-    return CatchVectorEnv(make(method, **options), render_mode)
+def view(kind: str, render_mode: str | None = None, method: str = "single_agent", **options: Any) -> Any:
+    """Return a view of environments by its name; options are those of `pixel2catch.make`."""
+    return getattr(pixel2catch, kind)(pixel2catch.make(method, **options), render_mode)
 
 
 def register_all() -> None:
-    """Add the environment to Gymnasium's registry."""
-    register(ENVIRONMENT, entry_point=single, vector_entry_point=vector)
+    """Add the environment to Gymnasium's registry: one robot, and robots side by side for `make_vec`."""
+    one, several = partial(view, "CatchSingleEnv"), partial(view, "CatchVectorEnv")
+    register(ENVIRONMENT, entry_point=one, vector_entry_point=several)

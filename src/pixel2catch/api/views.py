@@ -113,11 +113,7 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
     metadata: ClassVar[Values] = {**METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride] (Gymnasium's is a mutable class variable, too)
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """Wrap environments, such as `pixel2catch.make("single_agent", num_envs=64)`.
-
-        Raises:
-            InvalidValueError: Their method has several agents.
-        """
+        """Wrap environments, such as `pixel2catch.make("single_agent", num_envs=64)`, of a single agent."""
         _require_env(env)
         self._agent, *others = [agent.name for agent in env.method.agents]
         if others:
@@ -144,9 +140,6 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         """Act for one control step; actions are clipped to [-1, 1].
 
         Infos hold the entries of `outcome` for episodes that ended; their masks begin with an underscore.
-
-        Raises:
-            InvalidValueError: Actions have another shape, or one is NaN.
         """
         step = self._env.step({self._agent: action_tensor(self._env, actions)})
         ended = array(step.terminated)
@@ -177,11 +170,7 @@ class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
     metadata: ClassVar[Values] = dict(METADATA)  # pyright: ignore[reportIncompatibleVariableOverride] (Gymnasium's is a mutable class variable, too)
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """Wrap an environment, such as `pixel2catch.make("single_agent")`.
-
-        Raises:
-            InvalidValueError: There are several environments or agents.
-        """
+        """Wrap one environment with one agent, such as `pixel2catch.make("single_agent")`."""
         _require_env(env, "it must be 1, or take CatchVectorEnv")
         self._vector = CatchVectorEnv(env, render_mode)
         self.render_mode = render_mode
@@ -197,9 +186,6 @@ class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
         """Act for one control step; the action is clipped to [-1, 1].
 
         The infos of the last step of an episode hold `is_tracked`, `is_success` and `episode_steps`.
-
-        Raises:
-            InvalidValueError: The action has another shape, or is NaN.
         """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         summary = {name: values[0].item() for name, values in infos.items() if not name.startswith("_")}
@@ -231,11 +217,7 @@ class CatchParallelEnv:
     metadata: ClassVar[Values] = {**METADATA, "is_parallelizable": True}
 
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
-        """Wrap an environment, such as `pixel2catch.make("proposed")`.
-
-        Raises:
-            InvalidValueError: There are several.
-        """
+        """Wrap one environment, such as `pixel2catch.make("proposed")`."""
         _require_env(env, "it must be 1 for PettingZoo")
         self._env, self._pictures, self.render_mode = env, Pictures(env, render_mode), render_mode
         self.possible_agents = [agent.name for agent in env.method.agents]
@@ -285,9 +267,6 @@ class CatchParallelEnv:
 
         Return observations, rewards, terminations, truncations and infos of each agent; all are empty after
         the end of an episode. The infos of its last step hold `is_tracked`, `is_success` and `episode_steps`.
-
-        Raises:
-            InvalidValueError: An action is missing, of another size, or NaN.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}

@@ -112,12 +112,7 @@ def _sentence(error: Exception) -> str:
 
 
 def parse(args: Sequence[str]):
-    """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits.
-
-    Raises:
-        UnknownNameError: There is no such command.
-        Pixel2CatchError: What the options' defaults come from cannot be read, such as a run to resume.
-    """
+    """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits."""
     if not args or args[0] in HELP:
         print(DESCRIPTION.format(commands="".join(_listing())), end="", file=None if args else sys.stderr)
         raise SystemExit(0 if args else EXIT_ERROR)

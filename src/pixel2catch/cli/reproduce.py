@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction
 
-from pixel2catch.checks import Count, Device, JobOptions, ResultsFolder, Within, require_valid
+from pixel2catch.checks import NOT_EMPTY, Count, Device, JobOptions, ResultsFolder, Within
 from pixel2catch.cli.console import say
 from pixel2catch.cli.evaluate import Evaluate
-from pixel2catch.cli.train import Train, train_on
+from pixel2catch.cli.train import METHOD, Train, train_on
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.learning.config import PresetName, TrainCfg
+from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.reports import circumstances, markdown
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Reproduce:
     and seeds may be added later.
     """
 
-    methods: tuple[str, ...] = METHODS  #: Methods to compare.
+    methods: Annotated[tuple[str, ...], NOT_EMPTY] = METHODS  #: Methods to compare.
     seeds: Annotated[int, Within(1, 1000)] = 3  #: Trainings of each method.
     #: Settings of the trainings: fast, large, cpu or paper. Default: fast on CUDA, else cpu.
     preset: PresetName | None = None
@@ -63,7 +63,7 @@ class Reproduce:
     num_envs: Count = 100  #: Throws in a round of an evaluation.
     trials: Count = 10  #: Rounds of an evaluation.
     #: Where to evaluate: cpu, or one or several CUDA devices.
-    evaluation_device: tuple[Device, ...] = ("cpu",)
+    evaluation_device: Annotated[tuple[Device, ...], NOT_EMPTY] = ("cpu",)
     out: ResultsFolder = Path("results")  #: Folder of the study.
 
     def run(self) -> None:
@@ -116,9 +116,8 @@ class Reproduce:
         options = [[f"{_field(n)}={','.join(v.split())}" for v in values] for n, *values in self.sweep]
         settings = [*product(*options)]
         commands = [self._train(each) for each in settings]
-        for number, command in enumerate(commands):
-            if command in commands[:number]:
-                raise InvalidValueError(f"--sweep has {' '.join(settings[number])} twice; leave one out.")
+        if twice := [each for n, each in enumerate(settings) if commands[n] in commands[:n]]:
+            raise InvalidValueError(f"--sweep has {' '.join(twice[0])} twice; leave one out.")
         return dict(zip(settings, commands, strict=True))
 
     def _train(self, settings: Settings) -> Train:
@@ -127,18 +126,23 @@ class Reproduce:
         from pixel2catch.learning.experiment import preset_for
 
         free = {field.name for field in fields(TrainCfg)} - {*OWN}
-        args = ["--device", "cpu", "--preset", self.preset or preset_for(self._places[TRAINING][0])]
+        preset, flags = self.preset or preset_for(self._places[TRAINING][0]), dict[str, bool]()
+        args = [METHOD, "--device", "cpu", "--preset", preset]
         for option in (*self.training, *settings):
             name, _, value = option.partition("=")
             name = _field(name)
             if name not in free and name != "task" and not name.startswith("env."):
                 raise UnknownNameError("option of the trainings", name, [*sorted(free), "task", "env.FIELD"])
-            if (flag := f"--{name.replace('_', '-')}") in args:
+            if (flag := f"--{name.replace('_', '-')}") in args or name in flags:
                 raise InvalidValueError(f"'{name}' is given twice; leave out one of them.")
-            args += [flag, *value.split(",")]
+            if not isinstance(getattr(PRESETS[preset], name, None), bool):
+                args += [flag, *value.split(",")]
+            elif value in ("True", "False"):
+                flags[name] = value == "True"
+            else:
+                raise InvalidValueError(f"{name} is '{value}'; it must be True or False.")
         command = parse_options("train", args)
-        require_valid(command)
-        return command
+        return replace(command, train=replace(command.train, **flags))
 
     def _configuration(self, command: Train) -> "Json":
         """Return everything of trainings that changes results, by name."""
@@ -163,6 +167,8 @@ class Reproduce:
 
         first, *others = map(self._configuration, commands.values())
         methods = dict.fromkeys(find_method(name).name for name in self.methods)
+        for method, command in product(methods, commands.values()):
+            replace(command, method=method).prepared()
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,

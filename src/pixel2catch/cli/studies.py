@@ -19,17 +19,7 @@ JOBS_ON_CLUSTER = 100  #: Largest number of jobs, waiting or running, on a clust
 
 
 def run_grid(grid: StudyGrid, slots: Sequence[Slot], name: str, logs: Path | None = None) -> None:
-    """Compute the missing cells of a grid, with progress.
-
-    Args:
-        grid: The cells.
-        slots: Where they are computed.
-        name: Name of the study.
-        logs: Folder for what cells print in other processes.
-
-    Raises:
-        KeyboardInterrupt: If the user stopped it.
-    """
+    """Compute the missing cells of a grid, with progress; `logs` gets what cells print elsewhere."""
     shown = dict(grid.status)
 
     def watch() -> None:

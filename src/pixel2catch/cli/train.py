@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Fixed, Positional, Suppress
 
@@ -16,6 +16,9 @@ from pixel2catch.cli.fields import TaskFields, given_fields
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.own_files import import_files
+
+if TYPE_CHECKING:
+    from pixel2catch.api.calls import Prepared
 
 METHOD = "proposed"  #: What is trained where no method is named.
 
@@ -62,13 +65,7 @@ class Train:
 
     @classmethod
     def default_for(cls, args: Sequence[str]) -> "Train":
-        """Return the command with the values that hold where options are not given.
-
-        Raises:
-            CheckpointError: The run to resume cannot be read, or was started with something else.
-            InvalidValueError: Two options contradict each other, or a file cannot be read.
-            UnknownNameError: There is no such preset, task, work cell or policy to start from.
-        """
+        """Return the command with the values that hold where options are not given."""
         given = _scanned(args)
         if {"--help", "-h", "--help-all"} & {*args}:  # at once, without the task
             return cls(train=PRESETS.get(given.preset, TrainCfg()))
@@ -83,15 +80,16 @@ class Train:
         }
         require_valid(cls(**files))
         method = args[0] if args and not args[0].startswith("-") else None
+        name: Any
         folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
         if given.resume:
             workcell = find_workcell(given.workcell).name if given.workcell else None
             names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
             run = require_run(folder, **files, **names)
-            experiment, method, name = run.experiment, run.method, given.preset
+            experiment, method, name = run.experiment, run.method, run.preset
         else:
             device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
-            name: Any = given.preset or preset_for(device)
+            name = given.preset or preset_for(device)
             start = {"start": Path(given.start)} if given.start else {}
             experiment = preset(
                 name,
@@ -109,25 +107,30 @@ class Train:
         method, train, env = method or METHOD, experiment.train, experiment.env
         return cls(method=method, preset=name, train=train, env=env, resumed=resumed)
 
-    def run(self) -> None:
-        from pixel2catch.api.calls import run
+    def prepared(self) -> "Prepared":
+        """Return what the training needs; raise what is wrong with the options."""
+        from pixel2catch.api.calls import prepared
         from pixel2catch.learning.experiment import Experiment
         from pixel2catch.methods import find_method
-        from pixel2catch.sim.factory import require_cuda
         from pixel2catch.workcells import find_workcell
+
+        method = find_method(self.method, find_workcell(self.env.scene.workcell))
+        return prepared(Experiment(env=self.env, train=self.train), method, resume=self.resume)
+
+    def run(self) -> None:
+        from pixel2catch.api.calls import run
+        from pixel2catch.sim.factory import require_cuda
 
         folder = self.out or _folder(self.method, self.train.seed)
         if self.resume and folder != self.resumed:
             raise InvalidValueError("the run to resume is not clear; name its folder by --out.")
         if self.train.device.startswith("cuda") and not self.slurm:  # a job looks for itself
             require_cuda(self.train.device)
-        method = find_method(self.method, find_workcell(self.env.scene.workcell))
-        experiment = Experiment(env=self.env, train=self.train)
+        training = self.prepared()
         if self.slurm:
-            require_valid(experiment)
             self._submit(folder)
             return
-        result = run(experiment, method, folder, resume=self.resume, preset=self.preset)
+        result = run(training, folder, resume=self.resume, preset=self.preset)
         if result.status == "interrupted":
             raise KeyboardInterrupt
         suggest("evaluate", folder)

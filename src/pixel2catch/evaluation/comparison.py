@@ -216,10 +216,7 @@ def summary_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
 
 
 def difference_rows(rows: Sequence[Row]) -> Iterator[Row]:
-    """Yield the differences of each two methods with several seeds, by set of objects.
-
-    With sweeps: of each two that differ in the method alone, or in one setting alone.
-    """
+    """Yield the differences of methods with several seeds, or of settings that differ in one, by objects."""
     for (first, second), group in product(combinations(dict.fromkeys(r["method"] for r in rows), 2), GROUPS):
         pair = [row for row in rows if row["method"] in (first, second) and row["objects"] == group]
         is_close = len({*first.split()} ^ {*second.split()}) <= 2

@@ -143,14 +143,9 @@ def error_of(task: Any) -> str | None:
 
 
 def cluster_executor(asked: Sequence[str], folder: Path) -> "AutoExecutor":
-    """Return the executor for jobs of a cluster.
+    """Return the executor for jobs of a cluster; raise StudyError if there is none, or it refuses them.
 
-    Args:
-        asked: What every job asks for, as NAME=VALUE with names of submitit, such as timeout_min=240.
-        folder: Folder of the study, shared by all nodes; submitit's files are in its folder `jobs`.
-
-    Raises:
-        StudyError: There is no cluster, submitit is missing, or a name or value is invalid.
+    Every job asks for NAME=VALUE with names of submitit. Its files are in `folder/jobs`, which nodes share.
     """
     with needs_extra("slurm", "--slurm needs submitit", StudyError):
         from submitit import AutoExecutor
@@ -208,15 +203,10 @@ class StudyGrid:
     def run(
         self, slots: Sequence[Slot], watch: Callable[[], None] = lambda: None, logs: Path | None = None
     ) -> None:
-        """Compute the missing cells, until no more can be computed.
+        """Compute the missing cells, until no more can be computed, or the user stops it.
 
-        Args:
-            slots: Where cells are computed; the first free slot of a kind takes the first ready cell.
-            watch: Called after every look at the running cells.
-            logs: Folder for what the cells print, a file `NAME.log` for each.
-
-        Raises:
-            KeyboardInterrupt: If the user stopped it; running cells have then ended in order.
+        The first free slot of a kind takes the first ready cell. `watch` is called after every look at the
+        running cells. `logs` gets a file `NAME.log` of what each cell prints.
         """
         with StopRequest() as stop:
             try:

@@ -23,8 +23,7 @@ as much with them. Evaluations have elliptic cones and several points. Source: o
 
 
 LARGE_BYTES = 16 * 2**30
-"""Memory of a GPU from which each of several has the preset large [bytes]. Source: ours; 8,192 environments
-use 6.3 GB (`benchmarks/results/bench_h100.json`), and each of two GPUs has 16,384."""
+"""Memory [bytes] from which several GPUs have the preset large. Source: ours, from bench_h100.json."""
 
 
 @dataclass(frozen=True, kw_only=True)

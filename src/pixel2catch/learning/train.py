@@ -21,7 +21,7 @@ from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Checkpoint, Progress, RunFolder, save_checkpoint
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
-from pixel2catch.learning.log import Row, TrainingLog, start_wandb, wandb_package
+from pixel2catch.learning.log import Row, TrainingLog, start_wandb
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.progress import heartbeat
@@ -70,8 +70,6 @@ def train(
         CheckpointError: The folder cannot be used, or the last checkpoint could not be written.
         WorkerError: Another process failed; only in the first, which alone reports it.
     """
-    if cfg.wandb:
-        wandb_package()
     folder, record = RunFolder(out_dir), record or {}
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
         console = Console(highlight=False, quiet=not workers.is_first)
