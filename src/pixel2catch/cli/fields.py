@@ -29,7 +29,7 @@ LOSSES = (
 """Options of the losses and of their gradients."""
 HIDDEN = (
     *LOSSES,
-    *("report_seconds", "start_transitions", "teacher_share", "final_teacher_weight"),
+    *("report_seconds", "slurm", "start_transitions", "teacher_share", "final_teacher_weight"),
     *("final_learning_rate", "staggered", "checkpoint_seconds"),
 )
 """Options of `train` that --help leaves out and --help-all has."""
