@@ -183,7 +183,12 @@ def _palm(workcell: p2c.WorkcellSpec) -> dict[str, Any]:
     (palm,) = workcell.palms
     chain = p2c.chain_of(workcell, palm, dtype=torch.float64)
     matrices = chain.matrices.permute(1, 0, 2, 3)  # of each joint K, C and S
-    return {"site": palm.spec.site, "first": palm.first, "matrices": matrices.tolist(), "side": chain.side}
+    return {
+        "site": palm.spec.site,
+        "first": palm.carriers.start,
+        "matrices": matrices.tolist(),
+        "side": chain.side,
+    }
 
 
 def _cameras(task: p2c.CatchEnvCfg) -> dict[str, Any]:
