@@ -83,9 +83,12 @@ class Policy(nn.Module):
     @torch.no_grad()
     def act(self, observations: ByAgent) -> ByAgent:
         """Return the mean action of every agent, clipped to [-1, 1]."""
-        shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
-        require_shapes("observation", observations, shapes)
-        return {name: agent(observations[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
+        try:
+            return {name: agent(observations[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
+        except (AttributeError, KeyError, RuntimeError, TypeError):
+            shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
+            require_shapes("observation", observations, shapes)
+            raise
 
     @property
     def description(self) -> str:
