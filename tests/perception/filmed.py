@@ -30,6 +30,7 @@ class Disc:
     path: np.ndarray
     radius: float
     color: tuple[int, int, int] = RED
+    transparency: float = 0.0  # share of the light behind it
 
     def mask(self, step: int) -> Mask:
         (u, v), (rows, columns) = self.path[step], np.ogrid[:HEIGHT, :WIDTH]
@@ -71,7 +72,8 @@ def images(discs: tuple[Disc, ...], num_steps: int, noise: float = 3.0) -> Itera
     for step in range(num_steps):
         picture = still.copy()
         for disc in discs:
-            picture[disc.mask(step)] = disc.color
+            mask, share = disc.mask(step), disc.transparency
+            picture[mask] = share * picture[mask] + (1.0 - share) * np.array(disc.color)
         yield np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
 
 

@@ -113,6 +113,16 @@ def test_a_ball_in_a_box_three_times_as_large_is_followed():
     assert (worst[1:] <= 2.0).all()
 
 
+@pytest.mark.parametrize("away", [0.9, 1.6])
+def test_a_shadow_beside_a_ball_of_its_colours_does_not_belong_to_it(away: float):
+    """On a grey wall, a brown ball and, from its release on, its shadow, which touches it or does not."""
+    place = BALL.path + away * BALL.radius * np.array((-1.0, 0.7))
+    is_flying = np.arange(NUM_STEPS)[:, None] >= NUM_EMPTY + NUM_STILL
+    ball = replace(BALL, color=(90, 80, 70))
+    shadow = Disc(path=np.where(is_flying, place, -100.0), radius=11.0, color=(0, 0, 0), transparency=0.5)
+    assert (errors((shadow, ball)) <= 3.0).mean() >= 0.95
+
+
 @dataclass(frozen=True, kw_only=True)
 class Coming(Disc):
     """A disc that comes nearer from an image on."""

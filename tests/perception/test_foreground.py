@@ -11,6 +11,7 @@ from pixel2catch.perception.foreground import (
     LEARNING_IMAGES,
     Foreground,
     Weakness,
+    shaded,
     sharpened,
     shift_between,
 )
@@ -115,23 +116,23 @@ def test_the_background_behind_a_passing_robot_stays_known():
 
 
 @pytest.mark.parametrize(
-    ("rows", "expected"),
+    ("color", "is_shadow"),
     [
-        # Of 32 rows the lower 12 differ by a quarter of the others: an eighth, 4, may be rim.
-        ({(10, 42): 6, (10, 30): 24}, [*range(10, 38)]),
-        # A ball and, below, a hand that differ by 24 levels, and by 6 between them.
-        ({(10, 50): 6, (10, 20): 24, (28, 50): 24}, [*range(10, 20), *range(28, 50)]),
+        ((100, 70, 40), True),  # half of the light
+        ((160, 100, 40), True),  # 40 levels less in each channel
+        ((150, 110, 40), False),  # green lost 30 levels; its share, and a third of all, are 40
+        ((20, 14, 8), False),  # a tenth of the light
+        ((110, 140, 160), False),
     ],
-    ids=["a side as bright as the wall is no rim", "two things are separated"],
 )
-def test_edges_where_the_difference_is_small(rows: dict[tuple[int, int], int], expected: list[int]):
-    difference = np.zeros((60, 60), dtype=np.uint8)
-    for (first, end), level in rows.items():
-        difference[first:end, 15:40] = level
-    blank, whole = np.zeros((60, 60, 3), dtype=np.uint8), (slice(0, 60), slice(0, 60))
-    unknown = np.zeros_like(difference, dtype=bool)
-    motion = ImageMotion(image=blank, difference=difference, moving=difference > 0, unknown=unknown)
-    assert np.flatnonzero(sharpened(motion, whole)[:, 25]).tolist() == expected
+def test_a_shadow_darkens_all_channels(color: tuple[int, int, int], *, is_shadow: bool):
+    image, background = (np.full((4, 5, 3), each, np.uint8) for each in (color, (200, 140, 80)))
+    moving = np.zeros((4, 5), dtype=bool)
+    moving[2, 3] = True
+    motion = ImageMotion(
+        image=image, background=background, difference=image[..., 0], moving=moving, unknown=~moving
+    )
+    assert np.array_equal(shaded(motion, (slice(1, 4), slice(2, 5))), moving[1:4, 2:5] & is_shadow)
 
 
 EVERYWHERE = np.ones((HEIGHT, WIDTH), dtype=bool)

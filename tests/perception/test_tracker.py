@@ -223,7 +223,9 @@ def specks(number: int, generator: np.random.Generator) -> ImageMotion:
     moving = unknown.copy()
     for place in zip(*(generator.integers(0, size - 3, number) for size in moving.shape), strict=True):
         moving[tuple(slice(start, start + 3) for start in place)] = True
-    return ImageMotion(image=image, difference=image[..., 0], moving=moving, unknown=unknown)
+    return ImageMotion(
+        image=image, background=image, difference=image[..., 0], moving=moving, unknown=unknown
+    )
 
 
 @pytest.mark.parametrize("number", [3, 20, 400])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from math import hypot, inf, pi
+from operator import itemgetter
 
 import cv2
 import numpy as np
@@ -16,10 +17,21 @@ from pixel2catch.perception.foreground import (
     LEARNING_IMAGES,
     LEAST_DIFFERENCE,
     prompted,
+    shaded,
     sharpened,
     trimmed,
 )
-from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
+from pixel2catch.perception.regions import (
+    GAP,
+    SPECK,
+    Blob,
+    Window,
+    grown,
+    grown_window,
+    regions,
+    relative,
+    window_of,
+)
 from pixel2catch.perception.segmenter import (
     LARGEST_GROWTH,
     NOT_FOUND,
@@ -41,6 +53,12 @@ LARGEST_RATIO = 4.0  #: Of the areas of a lost object and of a flight that is ta
 SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
 
 AREA_WEIGHT = 0.6  #: Of a change of the area over that of a side, which is more certain. Source: ours.
+NUM_SURE = 3  #: Masks before those without shadows.
+
+CLEAR_COST, LARGEST_CLEAR_CHANGE = 0.25, 0.6
+"""Added to the cost of a region without what can be a shadow, and largest difference of its size. Source:
+ours: a dark side of the object can be taken for its shadow."""
+
 NEAR = 10.0  #: Distance up to which still things are learned as other things [px]. Source: ours.
 THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
 
@@ -171,32 +189,34 @@ class BackgroundSubtraction(Segmenter):
     ) -> Iterator[tuple[list[Blob], Blob | None]]:
         """Regions of the image, and one of them that can be the object, the likeliest first.
 
-        First come regions with the object's colours, then smaller ones, then whatever moves. A region is a
-        whole moving thing, its part with the object's or new colours, or that with its colours alone: the
-        one of the object's size is chosen, near the expected place if there is one.
+        First come regions with the object's colours, then whatever moves. A region is a whole moving thing,
+        its part with the object's or new colours, or that with its colours alone: the one of the object's
+        size is chosen, near the expected place if there is one.
         """
         shape, largest = motion.moving.shape, REACH if self._size is None else float(self._size[:2].max())
         reach = (track.reach if is_turned else track.nearness) + max(REACH, largest)
         places = np.clip((track.center, track.expected), 0.0, np.array(shape[::-1]) - 1.0)
         left, top = np.maximum(places.min(0) - reach, 0.0).astype(int).tolist()
         right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
-        window = slice(top, bottom), slice(left, right)
-        alone, whole, alike = self._resembling(motion, window)
-        surely = alike & (motion.moving[window] | motion.unknown[window])
+        near = slice(top, bottom), slice(left, right)
+        changed = window_of(motion.moving[near] | motion.unknown[near])
+        window = grown_window(relative(changed, near, sign=-1), len(GAP) // 2 + 1)
+        masks, alike = self._resembling(motion, window)
         everywhere = slice(0, shape[0]), slice(0, shape[1])
-        choices = ((alone, whole, alike), window), ((surely,), window), ((motion.moving,), everywhere)
+        choices = (masks, window), ([motion.moving], everywhere)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
         error = BOX_ERROR if track.num_seen == 1 else 0.0
         for least, (masks, place) in product(leasts, choices):
             found = []
-            for mask in masks:
+            for number, mask in enumerate(masks):
                 blobs = regions(mask if within is None else mask & within[place], place, shape)
                 candidates = [blob for blob in track.candidates(blobs) if is_turned or track.passes(blob)]
                 fitting = [blob for blob in candidates if self._fits(blob, motion, least, error)]
-                blob = self._first(track, fitting, is_alike=place is window, is_turned=is_turned)
-                found += [(blobs, blob)] if blob else []
+                if blob := self._first(track, fitting, is_alike=place is window, is_turned=is_turned):
+                    cost = self._cost(track, blob, is_clear=number >= NUM_SURE)
+                    found += [(cost, (blobs, blob))] if cost[1] < inf else []
             if found:
-                yield min(found, key=lambda each: self._cost(track, each[1]))
+                yield min(found, key=itemgetter(0))[1]
         yield (regions(alike, window, shape), None)
 
     def _first(self, track: ImageTrack, blobs: list[Blob], *, is_alike: bool, is_turned: bool) -> Blob | None:
@@ -229,16 +249,19 @@ class BackgroundSubtraction(Segmenter):
         same = blob.pixels(blob.place) & _unchanged(image[blob.place], before)
         return float((same & ~place if apart else same).sum() / blob.area)
 
-    def _cost(self, track: ImageTrack, blob: Blob) -> tuple[bool, float]:
+    def _cost(self, track: ImageTrack, blob: Blob, *, is_clear: bool) -> tuple[bool, float]:
         """How unlike the object a region is: far off, then by its distance and its size.
 
-        The latter is the difference of its sides or its area in logarithms, the larger of the two.
+        The latter is the difference of its sides or its area in logarithms, the larger of the two. A region
+        that is clear of what can be a shadow needs the object's size.
         """
-        distance = 0.5 * blob.distance(track.expected) / REACH
-        if self._size is None:
-            return track.is_far(blob), distance
-        width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
-        return track.is_far(blob), distance + max(width + height, AREA_WEIGHT * area)
+        distance, change = 0.5 * blob.distance(track.expected) / REACH, 0.0
+        if self._size is not None:
+            width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
+            change = max(width + height, AREA_WEIGHT * area)
+        if is_clear:
+            change = change + CLEAR_COST if change <= LARGEST_CLEAR_CHANGE else inf
+        return track.is_far(blob), distance + change
 
     def _resize(self, blob: Blob, num_seen: int) -> None:
         """Update the size of an object that was seen so often, as a mean in which later images count more.
@@ -256,17 +279,22 @@ class BackgroundSubtraction(Segmenter):
             learned = before * (growth, growth, growth**2)
         self._size = learned
 
-    def _resembling(self, motion: ImageMotion, window: Window) -> tuple[Mask, Mask, Mask]:
-        """Three masks of a window, of pixels that differ from the background or have none.
+    def _resembling(self, motion: ImageMotion, window: Window) -> tuple[list[Mask], Mask]:
+        """Masks of a window, of pixels that differ from the background or have none.
 
         They show moving things with the object's colours, the parts of them with the object's or new colours,
-        and the parts with the object's colours alone.
+        and the parts with the object's colours alone, which are also returned by themselves. If something can
+        be a shadow, two more show the first two without it.
         """
         has_colors, is_new = self._appearance.compare(motion.image[window])
-        sharp = sharpened(motion, window)
+        sharp, shade = sharpened(motion, window), shaded(motion, window)
         extended = _extended(has_colors, is_new & motion.moving[window])
         changed = sharp | motion.unknown[window]
-        return _extended(has_colors & sharp, sharp), extended & changed, has_colors & changed
+        masks = [_extended(has_colors & sharp, sharp), extended & changed, has_colors & changed]
+        if shade.any():
+            clear = sharp & ~shade
+            masks += [_extended(has_colors & clear, clear), extended & (clear | motion.unknown[window])]
+        return masks, masks[2]
 
     def _resembles(self, image: Pixels, box: Edges) -> bool:
         """Whether the content of a box has the size of the last object, and its colours if it has any."""

@@ -56,13 +56,15 @@ EDGE, BRIGHT = 0.3, 80.0
 """The edge of a thing has this share of the difference at this percentile of its region. Source: ours: more
 than compression adds around it, and less than half, the edge of a blurred thing."""
 
-RIM, LEAST_PART = 0.125, 0.2
-"""Widest rim of a thing over its width and height, and smallest area of another thing beside it over its
-area. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
+LEAST_WITH_RIM = 5  #: Width and height from which a thing can have a rim [px]. Source: ours.
 
 SHARPNESS, LARGEST_BLUR = 1.0, 0.25
 """Largest blur outside an edge of a still thing [px], and its growth with the motion since the last image.
 Source: ours: half of what is exposed in an interval, without what `EDGE` leaves out."""
+
+LEAST_LOSS, LARGEST_LOSS, COLOR_CHANGE = 0.04, 0.75, 6.0
+"""Share of the brightness that a shadow takes from its place, and largest change of a channel that it does
+not explain [levels]. Source: ours: a ceiling lights the shadow of a lamp; the least difference."""
 
 INNER = 0.8  #: Share of width and height of a prompted box that the object surely fills. Source: ours.
 LEAST_MOVING = 0.2  #: Share of a prompted object that differs, unless it is background. Source: ours.
@@ -139,6 +141,7 @@ class Foreground:
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
         arrays = {"image": smooth, "difference": difference, "moving": moving, "unknown": unknown}
+        arrays["background"] = self._background
         arrays = {name: shifted(each, self._shift) for name, each in arrays.items()}
         return ImageMotion(**arrays, ignored=ignored, doubt=self.weakness or "")
 
@@ -207,23 +210,34 @@ class Foreground:
         cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
-def sharpened(motion: ImageMotion, window: Window) -> Mask:
-    """Return what moves in a part of the image, without the dim rims of things.
+def shaded(motion: ImageMotion, window: Window) -> Mask:
+    """Return the moving pixels in a part of the image that can be the background in a shadow.
 
-    A side that would lose more than the opposite one is nearly as bright as the background: it loses at most
-    `RIM`, unless the thing falls into two.
+    Each channel lost the same share of its brightness, or as many levels, or something in between.
     """
+    moving = motion.moving[window]
+    is_shaded = np.zeros_like(moving)
+    images = (each[window][moving] for each in (motion.image, motion.background))
+    now, before = (np.ascontiguousarray(pixels.T, dtype=np.float32) for pixels in images)
+    lost, total = before - now, np.maximum(before.sum(axis=0), 1.0)
+    share = lost.sum(axis=0) / total
+    alike, equal = share * before, share * total / 3.0
+    change = lost - np.clip(lost, np.minimum(alike, equal), np.maximum(alike, equal))
+    is_darker = (share >= LEAST_LOSS) & (share <= LARGEST_LOSS)
+    is_shaded[moving] = is_darker & (np.abs(change).max(axis=0) <= COLOR_CHANGE)
+    return is_shaded
+
+
+def sharpened(motion: ImageMotion, window: Window) -> Mask:
+    """Return what moves in a part of the image, without the dim rims of things."""
     moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
     for blob in regions(moving):
+        if min(blob.width, blob.height) < LEAST_WITH_RIM:
+            sharp[blob.place] |= blob.pixels(blob.place)
+            continue
         place = grown_window(blob.place, len(GAP) // 2 + 1)
         inside, difference = blob.pixels(place), motion.difference[window][place]
         bright = inside & (difference >= EDGE * _percentile(difference[inside], BRIGHT))
-        first, *others = regions(bright, place, moving.shape)
-        size = np.array((blob.width, blob.height))
-        is_uneven = bool((np.abs(np.subtract(first.center, blob.center)) > 0.5 * RIM * size).any())
-        if is_uneven and sum(each.area for each in others) < LEAST_PART * first.area:
-            width, height = (2 * np.rint(RIM * size).astype(int) + 1).tolist()
-            bright |= cv2.erode(inside.view(np.uint8), np.ones((height, width), np.uint8)) > 0
         sharp[place] |= bright
     return closed(sharp)
 

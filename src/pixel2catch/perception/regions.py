@@ -124,8 +124,8 @@ class Blob:
         """Return its pixels as a mask of a part of the image that contains all of it."""
         sizes = [min(each.stop, size) - each.start for each, size in zip(part, self.shape, strict=True)]
         mask = np.zeros(sizes, dtype=bool)
-        labels = self.labels[_relative(self.place, self.window)]
-        mask[_relative(self.place, part)] = labels == self.label
+        labels = self.labels[relative(self.place, self.window)]
+        mask[relative(self.place, part)] = labels == self.label
         return mask
 
     def meets(self, box: Edges) -> bool:
@@ -151,7 +151,7 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
         return []
     pixels = mask[part].view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=NUM_NEIGHBORS)
-    window = part if window is None else _relative(part, window, sign=-1)
+    window = part if window is None else relative(part, window, sign=-1)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
     blobs = []
@@ -195,7 +195,7 @@ def grown(mask: Mask, shape: np.ndarray) -> Mask:
     return cv2.dilate(mask.view(np.uint8), shape) > 0
 
 
-def _relative(window: Window, part: Window, *, sign: int = 1) -> Window:
+def relative(window: Window, part: Window, *, sign: int = 1) -> Window:
     """Return a window in the coordinates of a part of the image; with sign -1, the inverse."""
     top, left = (sign * each.start for each in part)
     rows, columns = window

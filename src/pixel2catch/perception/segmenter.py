@@ -20,6 +20,7 @@ class ImageMotion:
     """Where an image differs from the background."""
 
     image: Pixels  #: The image, smoothed, with the brightness of the background.
+    background: Pixels  #: What it shows without moving things, until the next image.
     difference: UInt8[np.ndarray, "height width"]  #: From the background, in the channel where it is largest.
     moving: Mask  #: Pixels that differ from the background.
     unknown: Mask  #: Pixels without a known background, except the smoothed rim of `ignored`.
