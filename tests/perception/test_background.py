@@ -159,17 +159,13 @@ def test_a_ball_that_returns_over_the_edge_of_the_image_is_found():
 
 def test_a_flight_is_followed_only_if_it_resembles_the_lost_object():
     """After the red ball has left, a blue one flies; then one like the red one."""
-    others = {
-        color: Disc(path=np.tile((160.0, 120.0), (2, 1)), radius=9.0, color=color)
-        for color in (filmed.RED, filmed.BLUE)
-    }
     guess = BoxPrompt(box=(151.0, 111.0, 169.0, 129.0), is_guess=True)
     for color, is_taken in ((filmed.BLUE, False), (filmed.RED, True)):
         segmenter = Follower()
-        gone = Disc(path=BALL.path[:NUM_STEPS], radius=9.0)
-        for step, image in enumerate(filmed.images((gone,), NUM_STEPS)):
+        for step, image in enumerate(filmed.images((BALL,), NUM_STEPS)):
             segmenter.find(image, held_box() if step == NUM_EMPTY else None)
-        image = next(filmed.images((others[color],), 1))
+        other = Disc(path=np.full((1, 2), (160.0, 120.0)), radius=9.0, color=color)
+        image = next(filmed.images((other,), 1))
         assert (segmenter.find(image, guess).mask is not None) == is_taken
 
 

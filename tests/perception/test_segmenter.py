@@ -12,7 +12,7 @@ from pixel2catch.camera.image import Edges
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.tasks import HUMAN_THROWS, SIDEWAYS
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.perception.regions import Blob, PlausibilityCfg, find_blobs, is_jump
+from pixel2catch.perception.regions import Blob, PlausibilityCfg, find_blobs
 from pixel2catch.perception.segmenter import (
     LARGEST_CHANGE,
     LONGEST_COAST,
@@ -183,7 +183,7 @@ def test_a_box_moves_and_grows_no_faster_than_objects_do(
     jump: float, growth: float, steps: float, expected: bool
 ):
     now = (OBJECT[0], OBJECT[1] + jump, OBJECT[2], OBJECT[3] + jump + growth)
-    assert is_jump(CFG, now, OBJECT, steps) is expected
+    assert CFG.is_jump(now, OBJECT, steps) is expected
 
 
 def test_a_prompt_sets_how_large_the_object_can_be():

@@ -14,13 +14,7 @@ from pixel2catch.camera.image import Box, Edges, Image, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
 from pixel2catch.perception.regions import Blob, RobotMask
-from pixel2catch.perception.segmenter import (
-    BoxPrompt,
-    ColorRange,
-    ColorThreshold,
-    ImageMotion,
-    Segmentation,
-)
+from pixel2catch.perception.segmenter import BoxPrompt, ColorRange, ColorThreshold, ImageMotion, Segmentation
 from pixel2catch.perception.tracker import MOST_CANDIDATES, PATIENCE, ObjectTracker, Prompter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -77,13 +71,7 @@ def test_repeated_and_older_images_hold_the_box():
 class EverythingRed(ColorThreshold):
     """Returns all that is red, in one piece or several."""
 
-    def find(
-        self,
-        image: Pixels,
-        motion: ImageMotion | None = None,
-        prompt: BoxPrompt | None = None,
-        interval: float = 1.0,
-    ) -> Segmentation:
+    def find(self, image: Pixels, *_: object, **__: object) -> Segmentation:
         return Segmentation(mask=REDS.mask(image), score=1.0)
 
 
@@ -223,9 +211,8 @@ def specks(number: int, generator: np.random.Generator) -> ImageMotion:
     moving = unknown.copy()
     for place in zip(*(generator.integers(0, size - 3, number) for size in moving.shape), strict=True):
         moving[tuple(slice(start, start + 3) for start in place)] = True
-    return ImageMotion(
-        image=image, background=image, difference=image[..., 0], moving=moving, unknown=unknown
-    )
+    difference = image[..., 0]
+    return ImageMotion(image=image, background=image, difference=difference, moving=moving, unknown=unknown)
 
 
 @pytest.mark.parametrize("number", [3, 20, 400])

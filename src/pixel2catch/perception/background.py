@@ -15,23 +15,13 @@ from pixel2catch.camera.image import Edges, Mask, Pixels
 from pixel2catch.perception.foreground import (
     INNER,
     LEARNING_IMAGES,
-    LEAST_DIFFERENCE,
     prompted,
     shaded,
     sharpened,
+    steady,
     trimmed,
 )
-from pixel2catch.perception.regions import (
-    GAP,
-    SPECK,
-    Blob,
-    Window,
-    grown,
-    grown_window,
-    regions,
-    relative,
-    window_of,
-)
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
     LARGEST_GROWTH,
     NOT_FOUND,
@@ -62,9 +52,7 @@ ours: a dark side of the object can be taken for its shadow."""
 NEAR = 10.0  #: Distance up to which still things are learned as other things [px]. Source: ours.
 THINNING = 2  #: Of the ignored pixels, every second row and column is learned as other things.
 
-LEAST_STILL, LARGEST_NOISE = 0.5, 2.0 * LEAST_DIFFERENCE
-"""Share of unchanged pixels from which a region stands still, and largest change of such a pixel [levels].
-Source: ours."""
+LEAST_STILL = 0.5  #: Share of unchanged pixels from which a region stands still. Source: ours.
 
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px per image], and images after that in which it is not yet background:
@@ -150,11 +138,10 @@ class BackgroundSubtraction(Segmenter):
             self._seen = motion.image, grown(segmentation.mask, GAP)
         elif self._seen is not None:
             before, changed = self._seen
-            self._seen = before, changed | ~_unchanged(motion.image, before)
+            self._seen = before, changed | ~steady(motion.image, before)
         if blob is not None and not _touches(blob, motion.unknown):
             mask = blob.mask()
-            is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
-            if not is_box:
+            if maybe is None or not np.array_equal(mask, maybe):  # a box's area is not the object's
                 self._resize(blob, self._track.num_seen)
                 moved = blob.center[0] - u, blob.center[1] - v
                 segmentation = replace(segmentation, mask=trimmed(blob, motion, moved))
@@ -199,11 +186,10 @@ class BackgroundSubtraction(Segmenter):
         left, top = np.maximum(places.min(0) - reach, 0.0).astype(int).tolist()
         right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
         near = slice(top, bottom), slice(left, right)
-        changed = window_of(motion.moving[near] | motion.unknown[near])
-        window = grown_window(relative(changed, near, sign=-1), len(GAP) // 2 + 1)
-        masks, alike = self._resembling(motion, window)
+        window = grown_window(window_of(motion.moving[near] | motion.unknown[near], near), len(GAP) // 2 + 1)
+        resembling = self._resembling(motion, window)
         everywhere = slice(0, shape[0]), slice(0, shape[1])
-        choices = (masks, window), ([motion.moving], everywhere)
+        choices = (resembling, window), ([motion.moving], everywhere)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
         error = BOX_ERROR if track.num_seen == 1 else 0.0
         for least, (masks, place) in product(leasts, choices):
@@ -217,7 +203,7 @@ class BackgroundSubtraction(Segmenter):
                     found += [(cost, (blobs, blob))] if cost[1] < inf else []
             if found:
                 yield min(found, key=itemgetter(0))[1]
-        yield (regions(alike, window, shape), None)
+        yield (regions(resembling[2], window, shape), None)
 
     def _first(self, track: ImageTrack, blobs: list[Blob], *, is_alike: bool, is_turned: bool) -> Blob | None:
         """The likeliest of the regions that have the object's size.
@@ -246,7 +232,7 @@ class BackgroundSubtraction(Segmenter):
         if self._seen is None:
             return 0.0
         before, place = (each[blob.place] for each in self._seen)
-        same = blob.pixels(blob.place) & _unchanged(image[blob.place], before)
+        same = blob.pixels(blob.place) & steady(image[blob.place], before)
         return float((same & ~place if apart else same).sum() / blob.area)
 
     def _cost(self, track: ImageTrack, blob: Blob, *, is_clear: bool) -> tuple[bool, float]:
@@ -279,12 +265,12 @@ class BackgroundSubtraction(Segmenter):
             learned = before * (growth, growth, growth**2)
         self._size = learned
 
-    def _resembling(self, motion: ImageMotion, window: Window) -> tuple[list[Mask], Mask]:
+    def _resembling(self, motion: ImageMotion, window: Window) -> list[Mask]:
         """Masks of a window, of pixels that differ from the background or have none.
 
         They show moving things with the object's colours, the parts of them with the object's or new colours,
-        and the parts with the object's colours alone, which are also returned by themselves. If something can
-        be a shadow, two more show the first two without it.
+        and the parts with the object's colours alone. If something can be a shadow, two more show the first
+        two without it.
         """
         has_colors, is_new = self._appearance.compare(motion.image[window])
         sharp, shade = sharpened(motion, window), shaded(motion, window)
@@ -294,7 +280,7 @@ class BackgroundSubtraction(Segmenter):
         if shade.any():
             clear = sharp & ~shade
             masks += [_extended(has_colors & clear, clear), extended & (clear | motion.unknown[window])]
-        return masks, masks[2]
+        return masks
 
     def _resembles(self, image: Pixels, box: Edges) -> bool:
         """Whether the content of a box has the size of the last object, and its colours if it has any."""
@@ -321,7 +307,7 @@ class BackgroundSubtraction(Segmenter):
         far, near = grown_window(box, REACH), grown_window(box, NEAR)
         moving = motion.moving[far] & ~maybe[far]
         if seen is not None:
-            moving &= ~_unchanged(image[far], seen[0][far]) | seen[1][far]
+            moving &= ~steady(image[far], seen[0][far]) | seen[1][far]
         others = [image[far][moving]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
@@ -381,11 +367,6 @@ def _spread(histogram: Histogram) -> Histogram:
 
 def _size(blob: Blob) -> Size:
     return np.array((blob.width, blob.height, blob.area), dtype=float)
-
-
-def _unchanged(image: Pixels, before: Pixels) -> Mask:
-    """Pixels that are the same in two images, but for noise."""
-    return cv2.inRange(cv2.absdiff(image, before), (0.0,) * 3, (LARGEST_NOISE,) * 3) > 0
 
 
 def _touches(blob: Blob, mask: Mask) -> bool:

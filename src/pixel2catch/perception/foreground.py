@@ -11,18 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
-from pixel2catch.perception.regions import (
-    GAP,
-    SPECK,
-    Blob,
-    Window,
-    closed,
-    grown,
-    grown_window,
-    opened,
-    regions,
-    window_of,
-)
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, closed, grown, opened, regions, window_of
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
@@ -34,6 +23,8 @@ thing that stands still becomes background. Source: ours: 1 s."""
 LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
 """Smallest difference from the background [levels], and as a multiple of the pixel's usual difference.
 Source: ours; five standard deviations of noise are 3.8 times the mean of the largest of three channels."""
+
+LARGEST_NOISE = 2.0 * LEAST_DIFFERENCE  #: Of a still pixel between two images [levels]. Source: ours.
 
 USUAL_WEIGHT, BUSY_WEIGHT = 0.05, 0.003
 """Weight of a new image in the usual difference of a pixel that does not differ, and of one that does.
@@ -195,7 +186,7 @@ class Foreground:
         free = counted if self._kept is None else counted * ~self._kept
         part, num_still = window_of(differs), np.zeros_like(self._num_still)
         if differs[part].size:
-            same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
+            same = steady(image[part], self._last[part]) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
             _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
             busy = free[part] * differs[part]
@@ -232,13 +223,10 @@ def sharpened(motion: ImageMotion, window: Window) -> Mask:
     """Return what moves in a part of the image, without the dim rims of things."""
     moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
     for blob in regions(moving):
-        if min(blob.width, blob.height) < LEAST_WITH_RIM:
-            sharp[blob.place] |= blob.pixels(blob.place)
-            continue
-        place = grown_window(blob.place, len(GAP) // 2 + 1)
-        inside, difference = blob.pixels(place), motion.difference[window][place]
-        bright = inside & (difference >= EDGE * _percentile(difference[inside], BRIGHT))
-        sharp[place] |= bright
+        inside, difference = blob.pixels(blob.place), motion.difference[window][blob.place]
+        if min(blob.width, blob.height) >= LEAST_WITH_RIM:
+            inside &= difference >= EDGE * _percentile(difference[inside], BRIGHT)
+        sharp[blob.place] |= inside
     return closed(sharp)
 
 
@@ -267,6 +255,11 @@ def prompted(box: Edges, image: Pixels) -> tuple[Mask, Mask]:
     down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
     inside = across**2 + down**2 <= INNER**2
     return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
+
+
+def steady(image: Pixels, before: Pixels) -> Mask:
+    """Return the pixels that are the same in two images, but for noise."""
+    return cv2.inRange(cv2.absdiff(image, before), (0.0,) * 3, (LARGEST_NOISE,) * 3) > 0
 
 
 def shift_between(image: Pixels, before: Pixels, known: Mask) -> Shift:

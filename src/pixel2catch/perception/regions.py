@@ -56,6 +56,12 @@ class PlausibilityCfg:
         xmin, ymin, xmax, ymax = box
         return self._scaled(LARGEST_APPROACH * max(xmax - xmin, ymax - ymin) / self.largest_side)
 
+    def is_jump(self, box: Edges, before: Edges, steps: float) -> bool:
+        """Return whether a box moved or grew more in these control steps than a thrown object can."""
+        xmin, ymin, xmax, ymax = (edge - old for edge, old in zip(box, before, strict=True))
+        moved, growth = 0.5 * hypot(xmin + xmax, ymin + ymax), max(xmax - xmin, ymax - ymin)
+        return moved > self.largest_jump * max(steps, 1.0) or growth > self.largest_growth * max(steps, 1.0)
+
     def _scaled(self, scale: float) -> "PlausibilityCfg":
         scale = max(scale, 1.0)
         return replace(
@@ -67,13 +73,6 @@ class PlausibilityCfg:
 
 
 USUAL = PlausibilityCfg()  #: Limits for the paper's objects.
-
-
-def is_jump(cfg: PlausibilityCfg, box: Edges, before: Edges, steps: float) -> bool:
-    """Return whether a box moved or grew more in these control steps than a thrown object can."""
-    xmin, ymin, xmax, ymax = (edge - old for edge, old in zip(box, before, strict=True))
-    moved, growth = 0.5 * hypot(xmin + xmax, ymin + ymax), max(xmax - xmin, ymax - ymin)
-    return moved > cfg.largest_jump * max(steps, 1.0) or growth > cfg.largest_growth * max(steps, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,8 +123,8 @@ class Blob:
         """Return its pixels as a mask of a part of the image that contains all of it."""
         sizes = [min(each.stop, size) - each.start for each, size in zip(part, self.shape, strict=True)]
         mask = np.zeros(sizes, dtype=bool)
-        labels = self.labels[relative(self.place, self.window)]
-        mask[relative(self.place, part)] = labels == self.label
+        labels = self.labels[_relative(self.place, self.window)]
+        mask[_relative(self.place, part)] = labels == self.label
         return mask
 
     def meets(self, box: Edges) -> bool:
@@ -151,7 +150,7 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
         return []
     pixels = mask[part].view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=NUM_NEIGHBORS)
-    window = part if window is None else relative(part, window, sign=-1)
+    window = window_of(mask, window)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
     blobs = []
@@ -166,9 +165,10 @@ def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | N
     return find_blobs(closed(mask), window, shape)
 
 
-def window_of(mask: Mask) -> Window:
-    """Return the smallest part of an image that contains a mask; an empty part for an empty mask."""
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+def window_of(mask: Mask, part: Window | None = None) -> Window:
+    """Return the smallest window of a mask of an image, or of a part of it; empty for an empty mask."""
+    x, y, width, height = cv2.boundingRect(mask.view(np.uint8))
+    top, left = (y, x) if part is None else (y + part[0].start, x + part[1].start)
     return slice(top, top + height), slice(left, left + width)
 
 
@@ -195,9 +195,9 @@ def grown(mask: Mask, shape: np.ndarray) -> Mask:
     return cv2.dilate(mask.view(np.uint8), shape) > 0
 
 
-def relative(window: Window, part: Window, *, sign: int = 1) -> Window:
-    """Return a window in the coordinates of a part of the image; with sign -1, the inverse."""
-    top, left = (sign * each.start for each in part)
+def _relative(window: Window, part: Window) -> Window:
+    """Return a window in the coordinates of a part of the image."""
+    top, left = (each.start for each in part)
     rows, columns = window
     return slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
 

@@ -203,8 +203,7 @@ class ImageTrack:
 
     def leads_to(self, blob: Blob) -> bool:
         """Return whether a region is at the expected place, within what gravity and approach change."""
-        change = LARGEST_CHANGE * max(0.5 * self.age * (self.age + self.span), 1.0)
-        return self.num_seen > 1 and blob.distance(self.expected) <= change
+        return self.num_seen > 1 and blob.distance(self.expected) <= largest_change(self.age, self.span)
 
     def passes(self, blob: Blob) -> bool:
         """Return whether a region is on the way to the expected place, where a hand may stop it."""
@@ -233,6 +232,11 @@ class ImageTrack:
         reach = blob.distance(self.expected)
         near = (other for other in self.others if self._is_near(blob, other) and blob.distance(other) < reach)
         return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
+
+
+def largest_change(interval: float, before: float) -> float:
+    """Return how far gravity and approach move a flight from where two images lead it in a third one [px]."""
+    return LARGEST_CHANGE * max(0.5 * interval * (interval + before), 1.0)
 
 
 def _grown(box: Edges, rim: float) -> Edges:

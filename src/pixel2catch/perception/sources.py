@@ -18,13 +18,7 @@ from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.files import read_bytes, reading
 from pixel2catch.ros2.bags import BagMessage, decoded, is_bag, opened_bag
-from pixel2catch.ros2.messages import (
-    COMPRESSED_IMAGE,
-    IMAGE,
-    MOST_PIXELS,
-    pixels_of,
-    unpacked_image,
-)
+from pixel2catch.ros2.messages import COMPRESSED_IMAGE, IMAGE, MOST_PIXELS, pixels_of, unpacked_image
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 if TYPE_CHECKING:

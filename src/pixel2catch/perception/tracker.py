@@ -7,28 +7,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
 
-import numpy as np
-
 from pixel2catch.camera.image import Box, Edges, Image, Mask, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import Foreground, Weakness
-from pixel2catch.perception.regions import (
-    USUAL,
-    Blob,
-    PlausibilityCfg,
-    RobotMask,
-    closed,
-    find_blobs,
-    is_jump,
-)
+from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, RobotMask, closed, find_blobs
 from pixel2catch.perception.segmenter import (
-    LARGEST_CHANGE,
     BoxPrompt,
     ColorRange,
     ImageMotion,
     Segmentation,
     Segmenter,
     check_image,
+    largest_change,
 )
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
@@ -104,12 +94,11 @@ class Prompter:
 
     def _sized(self, mask: Mask) -> list[Blob]:
         """Regions with an object's size in the region of interest, the largest first."""
-        if self._region is not None:
-            xmin, ymin, xmax, ymax = (max(round(edge), 0) for edge in self._region)
-            place, whole = (slice(ymin, ymax), slice(xmin, xmax)), mask
-            mask = np.zeros_like(whole)
-            mask[place] = whole[place]
-        return [blob for blob in find_blobs(mask) if blob.is_plausible(self.limits)]
+        height, width = mask.shape
+        xmin, ymin, xmax, ymax = (max(round(edge), 0) for edge in self._region or (0, 0, width, height))
+        place = slice(ymin, ymax), slice(xmin, xmax)
+        blobs = find_blobs(mask[place], place, (height, width))
+        return [blob for blob in blobs if blob.is_plausible(self.limits)]
 
 
 Moving = list[tuple[float, list[Blob]]]
@@ -126,16 +115,11 @@ def _num_images(recent: Moving, area: int) -> int | None:
     (interval, newest), (before, middle), *earlier = recent
     chance = len(newest) * len(middle) * pi * (LARGEST_SPEED * interval) ** 2 / area
     for number, (next_interval, things) in enumerate(earlier, start=3):
-        chance *= len(things) * pi * _largest_change(interval, before) ** 2 / area
+        chance *= len(things) * pi * largest_change(interval, before) ** 2 / area
         if chance <= LARGEST_CHANCE:
             return number
         interval, before = before, next_interval
     return None
-
-
-def _largest_change(interval: float, before: float) -> float:
-    """How far gravity and approach move a flight from where two images lead it in a third one [px]."""
-    return LARGEST_CHANGE * max(0.5 * interval * (interval + before), 1.0)
 
 
 def _flies(now: Blob, middle: Blob, recent: Moving) -> bool:
@@ -143,7 +127,7 @@ def _flies(now: Blob, middle: Blob, recent: Moving) -> bool:
     (interval, _), (before, _), (_, firsts), *_ = recent
     if not LEAST_SPEED * interval <= now.distance(middle.center) <= LARGEST_SPEED * interval:
         return False
-    change, share = _largest_change(interval, before), interval / before
+    change, share = largest_change(interval, before), interval / before
     for first in firsts:
         u, v = (at + share * (at - old) for at, old in zip(middle.center, first.center, strict=True))
         areas = (now.area, middle.area, first.area)
@@ -310,7 +294,7 @@ class ObjectTracker:
         if verdict is not Verdict.SEEN:
             return replace(found, verdict=verdict)
         edges, steps = blobs[0].box, (stamp - state.seen_stamp) / CONTROL_DT  # infinite before the first
-        is_far = is_jump(self._limits, edges, state.edges, steps)
+        is_far = self._limits.is_jump(edges, state.edges, steps)
         if is_far and state.is_continued:
             return replace(found, verdict=Verdict.JUMP)
         is_elsewhere = is_far or state.has_jumped
