@@ -99,14 +99,12 @@ class Reproduce:
     def _slots(self, kind: str) -> "list[Slot]":
         """Return slots of trainings or evaluations; on a CPU one evaluation has all cores."""
         from pixel2catch.cli.studies import make_slots
-        from pixel2catch.evaluation.grid import ALONE_ON_GPU, ONE_THREAD
 
         devices, number, is_evaluation = self._places[kind], self.jobs_per_device, kind == EVALUATION
         is_cpu = devices[0] == "cpu"
         if not self.slurm:
             number = 1 if is_cpu and is_evaluation else number or (1 if is_cpu else JOBS_ON_CUDA)
-        variables = {} if is_cpu else ONE_THREAD | (ALONE_ON_GPU if is_evaluation else {})
-        options = {"kind": kind, "environment": variables, "is_reused": is_evaluation}
+        options = {"kind": kind, "has_one_thread": not is_cpu, "is_reused": is_evaluation}
         return make_slots(devices, number, self.slurm, self.out, **options)
 
     def _commands(self) -> dict[Settings, Train]:

@@ -50,7 +50,7 @@ class Stress:
 
     def run(self) -> None:
         from pixel2catch.cli.studies import make_slots, run_grid
-        from pixel2catch.evaluation.grid import ONE_THREAD, StudyGrid
+        from pixel2catch.evaluation.grid import StudyGrid
         from pixel2catch.evaluation.policy_cells import find_policies, policy_cells
         from pixel2catch.evaluation.policy_report import result_rows, stress_sections, transfer_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -63,8 +63,7 @@ class Stress:
             raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
         device = prepare(self.device, is_here=not self.slurm)
         number = None if self.slurm else self.jobs
-        variables = ONE_THREAD if self.jobs > 1 else {}
-        slots = make_slots((device,), number, self.slurm, self.out, environment=variables)
+        slots = make_slots((device,), number, self.slurm, self.out, has_one_thread=self.jobs > 1)
         settings = self._settings()
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),

@@ -1,11 +1,12 @@
 """What studies share: where cells are computed, and progress on standard error."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.evaluation.grid import (
+    ONE_THREAD,
     ClusterJob,
     Slot,
     Status,
@@ -44,17 +45,15 @@ def make_slots(
     out: Path,
     *,
     kind: str = "",
-    environment: Mapping[str, str] | None = None,
+    has_one_thread: bool = False,
     is_reused: bool = True,
 ) -> list[Slot]:
-    """Return slots for cells of a kind, on all devices in turn: jobs of a cluster, or workers.
-
-    Workers get the variables of `environment` too.
-    """
+    """Return slots for cells of a kind, on all devices in turn: jobs of a cluster, or workers."""
     if slurm:
         executor = cluster_executor(slurm, out)
         return [
             ClusterJob(kind, each, executor) for _ in range(number or JOBS_ON_CLUSTER) for each in devices
         ]
-    workers = partial(Worker, kind, environment=environment, is_reused=is_reused)
+    variables = ONE_THREAD if has_one_thread else {}
+    workers = partial(Worker, kind, environment=variables, is_reused=is_reused)
     return [workers(each) for _ in range(number or 1) for each in devices]

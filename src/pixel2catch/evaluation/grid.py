@@ -35,8 +35,6 @@ CLUSTER = "slurm"  #: The kind of cluster, by its name in submitit.
 GRACE_SECONDS = 120.0  #: Longest time for a stopped cell to save its work [s]. Source: ours, one rollout.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 ONE_THREAD: dict[str, str] = dict.fromkeys(THREADS, "1")  #: Variables that give libraries one thread each.
-#: Variables of a process that does not use NVIDIA's Multi-Process Service, where a fault ends all processes.
-ALONE_ON_GPU = {"CUDA_MPS_PIPE_DIRECTORY": "/dev/null"}
 
 Json = dict[str, Any]
 Work = Callable[[str], None]
