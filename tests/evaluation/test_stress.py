@@ -16,6 +16,7 @@ from actors import Scripted, still
 
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation.metrics import rate
 from pixel2catch.evaluation.policy_cells import (
@@ -188,7 +189,7 @@ def rows_of(
 ) -> list[Row]:
     """Rows of policies with their methods, whose throws are given setting by setting."""
     policies = [
-        PolicyEntry(name=name, folder=Path(name), method=method, task=task)
+        PolicyEntry(name=name, folder=Path(name), method=method, task=TASKS[task])
         for name, method in methods.items()
     ]
     for (setting, policy), each in zip(product(settings, policies), caught, strict=True):

@@ -1,16 +1,19 @@
 """What a policy was trained on: ranges, grids and variants, worked out by hand."""
 
 from dataclasses import replace
+from operator import methodcaller
 from typing import Any
 
 import pytest
 
 from paper_robot import JOINTS
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.stress import Change, is_trained_on, part, select_settings, together
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import CAMERAS, RGB_CAMERA
 
 NOMINAL = CatchEnvCfg()
 
@@ -90,6 +93,27 @@ def test_gains_lie_within_joint_by_joint():
     assert is_trained_on(gains(0.7, 1.3)(NOMINAL), gains(0.8, 1.2))
     assert is_trained_on(NOMINAL, gains(0.8, 1.2))
     assert not is_trained_on(NOMINAL, gains(0.7, 1.3))  # the arm had 0.8 to 1.2
+
+
+FILES = {name: CameraFile(camera=camera) for name, camera in CAMERAS.items()}
+FILES["far"] = CameraFile(camera=replace(RGB_CAMERA, pos=(-1.3, 0.0, 2.0)))
+for _name, _std in {"2 mm": 0.002, "3 mm": 0.003}.items():
+    _covariance = tuple(tuple(_std**2 * (row == column == 0) for column in range(6)) for row in range(6))
+    FILES[_name] = replace(FILES["people"], pose_covariance=_covariance)
+
+
+@pytest.mark.parametrize(
+    ("trained", "expected"),
+    [
+        (task("sensing", any_camera=True, camera_offset=(0.0, 0.008)), {"release", "people", "2 mm"}),
+        (NOMINAL, {"release"}),
+        (NOMINAL.with_camera(FILES["people"]), {"people"}),
+    ],
+)
+def test_a_camera_is_that_of_the_training_or_of_its_region(trained: CatchEnvCfg, expected: set[str]):
+    """Errors of 3 mm in x reach beyond 8 mm."""
+    changes = {name: methodcaller("with_camera", file) for name, file in FILES.items()}
+    assert {name for name, change in changes.items() if is_trained_on(trained, change)} == expected
 
 
 def test_everything_must_be_in_one_variant():

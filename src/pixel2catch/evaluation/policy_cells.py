@@ -6,13 +6,15 @@ result that was obtained otherwise is refused before anything is computed, and n
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 
 import torch
 
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.grid import Json, StudyCell, differences, read_row
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
@@ -39,7 +41,7 @@ class PolicyEntry:
     name: str  #: Name in tables and folders.
     folder: Path  #: Its folder or file.
     method: str  #: Name of the method that it was trained with.
-    task: str = "nominal"  #: Name of the task that it was trained for.
+    task: CatchEnvCfg = field(default_factory=CatchEnvCfg)  #: Task of its training, with its camera.
 
 
 def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
@@ -55,8 +57,10 @@ def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
         name = path.name if path.is_dir() else path.stem
         if name in (each.name for each in found):
             raise InvalidValueError(f"two policies have the name '{name}'; rename one of their folders.")
-        trained = {"method": method.name, "task": policy.contract.task}
-        found.append(PolicyEntry(name=name, folder=folder, **trained))
+        task = find_task(policy.contract.task)
+        if not method.is_levelled:
+            task = task.with_camera(task_of(policy).sensing.camera)
+        found.append(PolicyEntry(name=name, folder=folder, method=method.name, task=task))
     if not folders:
         found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
     return tuple(found)

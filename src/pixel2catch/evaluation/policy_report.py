@@ -5,7 +5,6 @@ from itertools import product
 from pathlib import Path
 from statistics import fmean
 
-from pixel2catch.envs.tasks import find_task
 from pixel2catch.evaluation.grid import Json, read_row
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.policy_cells import EVENTS, PolicyEntry, cell_file
@@ -47,9 +46,9 @@ def result_rows(
             "title": setting.title,
             "source": level.source,
             "method": policy.method,
-            "task": policy.task,
+            "task": policy.task.name,
             "policy": policy.name,
-            "is_trained_on": is_trained_on(find_task(policy.task), level.change),
+            "is_trained_on": is_trained_on(policy.task, level.change),
             **{name: metrics[name] for name in KEPT if name in metrics},
         }
         throws, at_home = (one.get("throws") for one in (metrics, found.get((policy.name, home), {})))

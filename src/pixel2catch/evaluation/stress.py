@@ -10,12 +10,14 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import radians
 from typing import Any
 
+from pixel2catch.camera.region import REGION
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import LIGHT, OUTSIDE_CAMERA, PEOPLE_ROBOT, PEOPLE_THROWS
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.own_files import catalogue
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: Returns a changed task; it can be pickled.
@@ -289,15 +291,16 @@ BOUNDS = ("spin", "corner_noise", "edge_noise", "initial_joint_noise")
 
 SHARES = ("unstamped",)  #: Shares of episodes in which an event happens; any share above 0 covers others.
 TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
+DEVIATIONS = 3.0  #: Standard deviations up to which the errors of a calibration are compared.
 
 
 def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
     """Return whether a change of the nominal task is within the training's task or one of its variants.
 
     Every episode of the changed task must be one that the training could draw, in all fields in which the
-    change differs from the nominal task.
+    change differs from the nominal task with the camera of the training.
     """
-    nominal = CatchEnvCfg()
+    nominal = CatchEnvCfg().with_camera(task.sensing.camera)
     changed = change(nominal)
     others = [field.name for field in fields(nominal) if field.name not in PARTS]
     if any(getattr(nominal, name) is not getattr(changed, name) for name in others):
@@ -317,6 +320,7 @@ def _is_within(nominal: Any, changed: Any, trained: Any) -> bool:
         for field in fields(nominal)
         if getattr(nominal, field.name) != getattr(changed, field.name)
         and field.name not in GRIDS.values()  # they count with their ranges
+        and not (isinstance(changed, SceneCfg) and field.name == "camera")  # as in `sensing`
     )
 
 
@@ -327,6 +331,12 @@ def _is_field_within(name: str, changed: Any, trained: Any) -> bool:
         return _is_drawn(inner, getattr(changed, GRIDS[name]), outer, getattr(trained, GRIDS[name]))
     if name in BOUNDS:
         return _is_inside((0.0, inner), (0.0, outer))
+    if name == "camera":
+        is_known = not REGION.outside(inner.camera) if trained.any_camera else inner.camera == outer.camera
+        errors = (max(inner.pose_std[:3]), max(inner.pose_std[3:]), inner.focal_std or 0.0)
+        drawn = (trained.camera_offset, trained.camera_turn, trained.focal_error)
+        largest = ((0.0, DEVIATIONS * error) for error in errors)
+        return is_known and all(map(_is_inside, largest, drawn))
     if name in SHARES:
         return (outer > 0.0 or inner == 0.0) and (outer < 1.0 or inner == 1.0)
     return _is_inside(inner, outer)
