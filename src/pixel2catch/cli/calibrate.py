@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +18,7 @@ from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive
 from pixel2catch.cli.console import results_console, say, saying_changes, suggest
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import free_folder, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.reports import terminal_table
@@ -60,7 +61,8 @@ class Calibrate:
     #: New file for the camera.
     out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
     live: bool = False  #: Take the images first, from the camera of --profile; Ctrl-C ends this part.
-    capture: NewFolder = Path("views")  #: With --live: new folder for images and views.csv.
+    #: With --live: new folder for images and views.csv.
+    capture: NewFolder = field(default_factory=partial(free_folder, "views"))
     #: Only measure the camera's stamps: offset, and readout time of a rolling shutter. For 20 s, lead the arm
     #: by hand so that the board moves fast up and down in the image.
     timing: bool = False

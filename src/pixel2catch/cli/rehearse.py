@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
@@ -11,7 +11,7 @@ from pixel2catch.checks import NewFolder
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, write_atomically
+from pixel2catch.files import free_folder, json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath
@@ -36,7 +36,8 @@ class Rehearse:
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
     rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
-    out: NewFolder = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
+    #: New or empty folder for report.json and what both processes print.
+    out: NewFolder = field(default_factory=partial(free_folder, "rehearsal"))
 
     def run(self) -> None:
         from pixel2catch.evaluation.loading import load_policy

@@ -4,6 +4,7 @@ import csv
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain, takewhile
 from math import inf
 from pathlib import Path
@@ -15,7 +16,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, NotNegative, Positive
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.files import json_text, write_atomically
+from pixel2catch.files import free_folder, json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
@@ -44,7 +45,8 @@ class Track:
     #: A video file, a folder of images, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or
     #: /dev/videoN. self-test: painted throws with known boxes; prints how many boxes are right.
     source: Positional[str]
-    out: NewFolder = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
+    #: New or empty folder for track.mp4, features.csv and summary.json.
+    out: NewFolder = field(default_factory=partial(free_folder, "track"))
     at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
     seconds: Positive | None = None  #: When to stop [s after the first image]. Default: at the end.
     topic: str | None = None  #: Topic of the images in a rosbag. Default: the only one.
