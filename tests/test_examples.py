@@ -13,7 +13,7 @@ from pixel2catch.workcells import workcells
 FOLDER = Path(__file__).parents[1] / "examples"
 TRAINING = {"transitions": 256 * 4, "num_envs": 32}
 EXAMPLES: dict[str, tuple[Mapping[str, float], str]] = {
-    "evaluate_policies": ({"num_envs": 2, "physics_hz": 120.0}, "proposed-seed0, 300 g: "),
+    "evaluate_policies": ({"num_envs": 2, "physics_hz": 120.0}, "proposed, 300 g: "),
     "last_five_boxes": (TRAINING, "('last_boxes[t]', 25)"),
     "own_learner": ({"num_envs": 4, "updates": 2, "steps": 4}, "update 1: mean reward "),
     "own_method": (TRAINING, "finished size_and_age"),

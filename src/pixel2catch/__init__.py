@@ -3,7 +3,7 @@
     import pixel2catch as p2c
 
     env = p2c.make("proposed", num_envs=64)
-    policy = p2c.load_policy("proposed-seed0")
+    policy = p2c.load_policy("proposed")
     actions = policy.act(env.reset().policy)
 
 Everything is imported where it is first used: `import pixel2catch` alone loads nothing.

@@ -66,16 +66,15 @@ def test_a_cuda_device_is_named_in_full(device: str, index: int, monkeypatch: py
 
 @pytest.mark.parametrize("name", shipped_policies())
 def test_shipped_policies_fit_this_code(name: str):
-    """They are called as their method and `-seedN`, where there are several, or as another work cell."""
+    """They are called as their method, or as another work cell."""
     policy, method = load_policy(Path(name))
     own = policy.contract.workcell
-    assert (method.name if own == "ur5e_allegro" else own) == name.partition("-")[0]
+    assert (method.name if own == "ur5e_allegro" else own) == name
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method, one of each other, policies for laboratories, other robots."""
-    expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
-    expected |= {"catch+fit", "catch_alone+fit", "catch_alone+anycamera", "catch_teacher+age"}
+    """One of each compared method, policies for laboratories and their teacher, other robots."""
+    expected = {*METHODS, "catch_alone+fit", "catch_alone+anycamera", "catch_teacher+age"}
     assert set(shipped_policies()) == expected | {"fr3_allegro", "two_ur5e_allegro", "ur5e_leap"}
     assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
 

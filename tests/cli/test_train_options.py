@@ -99,8 +99,10 @@ def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
 def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
     """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
     small = ("--device", "cpu", *SIZE, "--env.scene.physics-hz", "30", "--out", str(tmp_path / "run"))
-    teacher = ("--teacher", "object_position-seed0")
-    assert main(["train", "catch+fit", *small, *teacher, "--start", "catch+fit"]) == 0
-    shipped, trained = (Policy.load(policy_folder(path)) for path in (Path("catch+fit"), tmp_path / "run"))
+    teacher = ("--teacher", "object_position")
+    assert main(["train", "catch_alone+fit", *small, *teacher, "--start", "catch_alone+fit"]) == 0
+    shipped, trained = (
+        Policy.load(policy_folder(path)) for path in (Path("catch_alone+fit"), tmp_path / "run")
+    )
     for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
         assert torch.equal(before, after), name

@@ -42,7 +42,7 @@ BOX = BoxHistory.begun(torch.tensor([[310.0, 200.0, 330.0, 225.0]]), torch.tenso
 
 def policy_of(method: str) -> Policy:
     """The shipped policy of a method, or one with random networks, whose actions fill their range."""
-    folder = shipped_policies().get(f"{method}-seed0")
+    folder = shipped_policies().get(method)
     if folder is not None:
         return Policy.load(folder)
     torch.manual_seed(0)
