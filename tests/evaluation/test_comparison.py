@@ -115,9 +115,16 @@ def test_results_without_a_readable_study_are_left_alone(content: str | None, st
 
 @pytest.mark.parametrize("content", ["{", json.dumps({"status": "interrupted"})])
 def test_only_a_finished_training_is_done(content: str, study: ComparisonFolder):
-    assert study.summary(RUN)
+    assert study.is_trained(RUN)
     (study.run(RUN) / "summary.json").write_text(content)
-    assert study.summary(RUN) is None
+    assert not study.is_trained(RUN)
+
+
+def test_a_training_without_its_folder_is_done_if_its_policy_is_evaluated(study: ComparisonFolder):
+    study.run(RUN).rename(study.path / "elsewhere")
+    assert study.is_trained(RUN)
+    study.evaluation(RUN, "unseen").unlink()
+    assert not study.is_trained(RUN)
 
 
 def test_a_result_counts_for_its_own_policy_only(study: ComparisonFolder):
@@ -245,7 +252,7 @@ def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
 
 def test_an_earlier_study_is_read(tmp_path: Path):
     """Its results are those that it was reported with."""
-    copytree(EARLIER / "2026-11-21-comparison", tmp_path / "study")
+    copytree(EARLIER / "2026-11-29-critic", tmp_path / "study")
     table = tmp_path / "study" / "report" / "table.json"
     shown = read_json_object(table)["results"]
     write_comparison(ComparisonFolder(tmp_path / "study"))

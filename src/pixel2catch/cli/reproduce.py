@@ -198,7 +198,7 @@ class Reproduce:
             name=run.name,
             kind=TRAINING,
             work=partial(train_run, train, folder.run(run)),
-            is_done=lambda: folder.summary(run) is not None,
+            is_done=lambda: folder.is_trained(run),
         )
         evaluate = Evaluate(policy=folder.run(run), num_envs=self.num_envs, trials=self.trials)
         evaluate = replace(evaluate, seed=EVALUATION_SEED + run.seed)

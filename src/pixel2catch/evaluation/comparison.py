@@ -63,8 +63,8 @@ DIFFERENCES_NOTE = (
 )
 CURVES_NOTE = (
     "Rates in training: the policy is stochastic and all noise is on, so they are below those of the tables. "
-    "Line: mean over the seeds; shaded: one standard deviation. Each point is the rate of all episodes that "
-    "ended in a bin of transitions."
+    "Line: mean over the seeds with a log; shaded: one standard deviation. Each point is the rate of all "
+    "episodes that ended in a bin of transitions."
 )
 
 
@@ -119,10 +119,11 @@ class ComparisonFolder:
         """Return the log of a training, with one row for each update."""
         return self.run(run) / "metrics.csv"
 
-    def summary(self, run: Training) -> Json | None:
-        """Return how a training ended, or nothing as long as it is not finished."""
-        summary = _read(self.run(run) / "summary.json") or {}
-        return summary if summary.get("status") == "finished" else None
+    def is_trained(self, run: Training) -> bool:
+        """Return whether a training is finished; without its folder, whether its policy is evaluated."""
+        if not self.run(run).exists():
+            return all(self.result(run, group) for group in GROUPS)
+        return (_read(self.run(run) / "summary.json") or {}).get("status") == "finished"
 
     def result(self, run: Training, group: str) -> Metrics | None:
         """Return the metrics of a policy on a set of objects; nothing if absent or of another policy."""
