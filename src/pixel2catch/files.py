@@ -239,20 +239,16 @@ def _require_known(found: Any, value: Any, name: str) -> None:
 
 
 def free_folder(name: str) -> Path:
-    """Return the first of NAME, NAME-2, NAME-3 and so on that is an empty folder, or is not there."""
-    numbered = (Path(f"{name}-{number}") for number in count(2))
-    return next(filter(_is_free, chain([Path(name)], numbered)))
+    """Return the first of NAME, NAME-2, NAME-3 and so on that is not there."""
+    names = chain([name], (f"{name}-{number}" for number in count(2)))
+    return next(path for path in map(Path, names) if not path.exists())
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:
     """Raise InvalidValueError if the folder that an option names is not empty, or cannot be made."""
-    if not _is_free(folder):
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidValueError(f"'{folder}' is not an empty folder; choose another {option}, or empty it.")
     require_place(f"'{folder}'", folder)
-
-
-def _is_free(folder: Path) -> bool:
-    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
 
 
 def require_place(name: str, folder: Path) -> None:

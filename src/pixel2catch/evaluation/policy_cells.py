@@ -58,8 +58,7 @@ def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
         if name in (each.name for each in found):
             raise InvalidValueError(f"two policies have the name '{name}'; rename one of their folders.")
         task = find_task(policy.contract.task)
-        if not method.is_levelled:
-            task = task.with_camera(task_of(policy).sensing.camera)
+        task = task if method.is_levelled else task.with_camera(task_of(policy).sensing.camera)
         found.append(PolicyEntry(name=name, folder=folder, method=method.name, task=task))
     if not folders:
         found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))

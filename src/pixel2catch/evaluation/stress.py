@@ -17,7 +17,6 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.own_files import catalogue
-from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: Returns a changed task; it can be pickled.
@@ -306,6 +305,7 @@ def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
     if any(getattr(nominal, name) is not getattr(changed, name) for name in others):
         return False
     workcell = find_workcell(task.scene.workcell)
+    changed = replace(changed, scene=replace(changed.scene, camera=nominal.scene.camera))  # as in `sensing`
     nominal, changed, trained = (each.for_workcell(workcell) for each in (nominal, changed, task))
     return any(
         all(_is_within(getattr(nominal, p), getattr(changed, p), getattr(variant, p)) for p in PARTS)
@@ -320,7 +320,6 @@ def _is_within(nominal: Any, changed: Any, trained: Any) -> bool:
         for field in fields(nominal)
         if getattr(nominal, field.name) != getattr(changed, field.name)
         and field.name not in GRIDS.values()  # they count with their ranges
-        and not (isinstance(changed, SceneCfg) and field.name == "camera")  # as in `sensing`
     )
 
 

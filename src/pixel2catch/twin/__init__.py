@@ -36,7 +36,7 @@ class RehearsalCfg:
 
     throws: Count = 10  #: Number of throws.
     task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
-    seed: Seed = 0  #: Seed of the first throw; the next throw has the next seed.
+    seed: Seed = 0  #: Seed of the room and of the first throw; the next throw has the next seed.
     clock: AtMostFull = 1.0  #: Seconds of twin and deployment in a real second, at most 1.
     lockstep: bool = False  #: One process with simulated time, instead of several in real time.
     perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
