@@ -102,6 +102,21 @@ def test_summary_by_hand():
     assert looks.summary([])["seen_since_first"] is None
 
 
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (np.arange(60) + np.tile((0.0, 0.3), 30), []),
+        (np.delete(np.arange(60), [20, 40, 41]), ["2 gaps in the stamps, of up to 100 ms"]),
+        (2.0 * np.arange(30), ["15 images a second, policies expect 30"]),
+        (np.arange(2), []),
+    ],
+)
+def test_lost_images_and_a_low_rate_are_said(stamps: np.ndarray, words: list[str]):
+    rows = [{"stamp": f"{stamp * CONTROL_DT:.6f}", "verdict": Verdict.SEEN} for stamp in stamps]
+    notes = list(looks.rate_notes(rows))
+    assert [note[: len(word)] for note, word in zip(notes, words, strict=True)] == words
+
+
 @pytest.mark.parametrize(("every", "is_fast_enough"), [(50, False), (200, True)])
 def test_one_slow_image_in_a_hundred_is_allowed(every: int, is_fast_enough: bool):
     new = [sighting(i, Verdict.SEEN, 0.010 if i % every else 0.050).row() for i in range(600)]

@@ -18,6 +18,7 @@ from pixel2catch.perception.sources import (
     on_control_clock,
     video_images,
 )
+from pixel2catch.rendering.video import write_video
 from pixel2catch.scene.constants import CONTROL_DT
 from ros_bags import joint_state, save_bag
 
@@ -65,6 +66,16 @@ def test_a_damaged_video_ends_where_the_damage_begins(tmp_path: Path):
     frames = list(video_images(file, notes))
     assert 3 < len(frames) < 30
     assert notes[0].startswith(f"the video is damaged after {len(frames)} images: Invalid data")
+
+
+def test_strong_compression_is_said_with_its_remedy(tmp_path: Path):
+    pictures, notes = list(islice(throw(), 30)), list[str]()
+    list(video_images(save_video(tmp_path / "usual.mp4", pictures), notes))
+    assert not notes
+    write_video(tmp_path / "strong.mp4", pictures, fps=30, crf=48)
+    list(video_images(tmp_path / "strong.mp4", notes))
+    assert len(notes) == 1
+    assert "record with -crf 18" in notes[0]
 
 
 def images_got(stamps: list[float], notes: list[str] | None = None) -> list[int]:

@@ -89,6 +89,7 @@ class Track:
             notes.append("stopped by Ctrl-C.")
         if labels and not scores:
             notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
+        notes.extend(sightings.rate_notes(rows))
         source = {"source": self.source, "segmenter": self.perception.segmenter}
         truth = {"truth": box_scores.summary(scores)} if labels else {}
         summary = {**source, **sightings.summary(rows), **truth, "notes": notes}
@@ -206,8 +207,6 @@ def _sentences(summary: dict[str, Any]) -> "Iterator[str]":
         if share is None
         else f"Seen in {100 * share:.1f} % of the images since it was first seen."
     )
-    if summary["num_skipped"]:
-        yield f"Control steps without an image: {summary['num_skipped']}; differences after them are large."
     yield from (f"Note: {note}" for note in summary["notes"])
     start = (
         "Fast enough: 99 % of the images took" if summary["is_fast_enough"] else "TOO SLOW: 99 % must take"

@@ -18,6 +18,8 @@ from pixel2catch.perception.tracker import ObjectTracker
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 LARGEST_AGE = 2.5 * CONTROL_DT  #: Of a fresh box [s]. Source: release; in training they are 1 or 2 steps old.
+LARGEST_GAP = 1.75  #: Longest interval between images without a lost one, in usual ones. Source: ours.
+SLOWEST = 1.3 * CONTROL_DT  #: Longest usual interval between images of a suitable camera [s]. Source: ours.
 STAGES = ("robot", "segment", "box", "total")  #: Timed stages of the tracker, in order; total has all.
 BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
@@ -109,6 +111,27 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "limit_ms": 1e3 * CONTROL_DT,
         "is_fast_enough": "total" in stages and stages["total"]["p99"] < 1e3 * CONTROL_DT,
     }
+
+
+def rate_notes(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield what the stamps in a table of sightings show, with its remedy: lost images, and a low rate."""
+    stamps = [float(row["stamp"]) for row in rows if row["verdict"] is not Verdict.REPEATED]
+    if len(stamps) < 3:
+        return
+    intervals = np.diff(stamps)
+    usual = float(np.median(intervals))
+    gaps = intervals[intervals > LARGEST_GAP * usual]
+    if len(gaps):
+        yield (
+            f"{len(gaps)} gaps in the stamps, of up to {1e3 * gaps.max():.0f} ms, where images are "
+            f"{1e3 * usual:.0f} ms apart: images are lost. Connect the camera alone to a USB 3 port, and "
+            "close programs that use processor or disk."
+        )
+    if usual > SLOWEST:
+        yield (
+            f"{1.0 / usual:.0f} images a second, policies expect {1.0 / CONTROL_DT:.0f}: set the camera's "
+            f"rate, and expose for less than {1e3 * CONTROL_DT:.0f} ms, also in dim light."
+        )
 
 
 #: Colours of a new box, of a held one, of one that is too old, of text without a box, and of the outline.

@@ -28,6 +28,10 @@ PHASE = 0.5
 """Control steps from the first image to the first tick. Source: ours; with half a step, the jitter of a
 camera of 30 Hz makes no tick miss its image."""
 
+LARGEST_QUANTISER, MEASURED_IMAGES = 32.0, 30
+"""Largest mean quantiser of H.264 that is usual, and first images that measure it. Source: public videos
+have 32 at most; a constant rate factor of 42 makes 33 or more of each of them."""
+
 LONGEST_PAUSE = 150  #: Most ticks without a new image for a pause in a recording: 5 s. Source: ours.
 
 FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif"
@@ -182,15 +186,22 @@ def camera_images(source: str, notes: list[str]) -> Iterator[Image]:
 def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
     """Yield the images of a video file with their stamps, rotated as a player shows them.
 
-    A damaged file ends at the damage, with a note.
+    A damaged file ends at the damage, and strong compression by H.264 is measured, each with a note.
     """
-    num_images, stamp = 0, 0.0
+    num_images, stamp, quantisers = 0, 0.0, list[float]()
     try:
         with av.open(str(path), options=OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise PerceptionError(f"{path} has no video stream; give a video file.")
-            period = 1.0 / float(container.streams.video[0].average_rate or 30)
+            stream = container.streams.video[0]
+            period, codec = 1.0 / float(stream.average_rate or 30), stream.codec_context
+            if codec.name == "h264":
+                codec.options = {"export_side_data": "venc_params"}
             for frame in container.decode(video=0):
+                coding = frame.side_data.get("VIDEO_ENC_PARAMS")
+                if coding is not None and num_images < MEASURED_IMAGES:
+                    quantisers.append(float(coding.qp_map().mean()))
+                    notes.extend(_compression_notes(quantisers))
                 stamp = float(frame.time) if frame.time is not None else stamp + period
                 turned = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
                 yield Image(pixels=np.ascontiguousarray(turned), stamp=stamp)
@@ -200,6 +211,16 @@ def video_images(path: Path, notes: list[str]) -> Iterator[Image]:
         if not num_images:
             raise PerceptionError(f"{path} cannot be read as a video: {reason}.") from error
         notes.append(f"the video is damaged after {num_images} images: {reason}.")
+
+
+def _compression_notes(quantisers: list[float]) -> Iterator[str]:
+    """Yield what the mean quantisers of the first images of H.264 show, once all are measured."""
+    usual = float(np.median(quantisers))
+    if len(quantisers) == MEASURED_IMAGES and usual > LARGEST_QUANTISER:
+        yield (
+            f"strong compression: the mean quantiser of H.264 is {usual:.0f}, at most "
+            f"{LARGEST_QUANTISER:.0f} is suitable. Boxes are inaccurate: record with -crf 18."
+        )
 
 
 def bag_images(path: Path, notes: list[str], topic: str | None = None) -> Iterator[Image]:
