@@ -8,6 +8,7 @@ from torch import Tensor
 
 from paper_robot import JOINTS
 from pixel2catch.mdp.control_step import BoxHistory, Measurement, Privileged, Transition
+from pixel2catch.mdp.terminations import HOLD_STEPS
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -75,16 +76,17 @@ def transition(
     rested_steps: tuple[int, ...] | None = None,
     episode_steps: tuple[int, ...] | None = None,
 ) -> Transition:
-    """A control step after which nothing is held, unless told otherwise."""
+    """A control step after which nothing is held, unless told otherwise; the first hold is a success."""
     now = now or privileged()
     num_envs = len(now.object_pos)
+    held_steps = held_steps or (0,) * num_envs
     return Transition(
         before=before or now,
         now=now,
         action=torch.zeros(num_envs, NUM_JOINTS) if action is None else action,
         joint_pos_target=torch.zeros(num_envs, NUM_JOINTS) if joint_pos_target is None else joint_pos_target,
-        held_steps=torch.tensor(held_steps or (0,) * num_envs),
-        rested_steps=torch.tensor(rested_steps or (0,) * num_envs),
+        held_steps=torch.tensor(held_steps),
+        rested_steps=torch.tensor(rested_steps or [int(held == HOLD_STEPS) for held in held_steps]),
         episode_steps=torch.tensor(episode_steps or (1,) * num_envs),
         geometry=GEOMETRY,
     )

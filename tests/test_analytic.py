@@ -14,7 +14,6 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.mdp.control_step import History, Measurement
-from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.policy.analytic import BallisticFit
 from pixel2catch.policy.onnx_policy import to_onnx
@@ -114,8 +113,8 @@ def waiting(policy: Policy) -> Measurement:
 
 
 def act(policy: Policy, measurement: Measurement) -> torch.Tensor:
-    layouts = load_policy(Path("analytic"))[1].layouts
-    return policy.act(observe(layouts, History(measurement, measurement, measurement)))["robot"]
+    method = load_policy(Path("analytic"))[1]
+    return policy.act(method.observe(History(measurement, measurement, measurement)))["robot"]
 
 
 def test_what_is_not_measured_changes_no_action():

@@ -106,7 +106,7 @@ def rewrite(folder: Path, text: str) -> None:
     (folder / "policy.json").write_text(text)
 
 
-@pytest.mark.parametrize("term", ["observe", "ObservationInputs"])
+@pytest.mark.parametrize("term", ["fit_boxes", "ObservationInputs"])
 def test_an_unknown_method_whose_term_is_another_function_does_not_fit(term: str) -> None:
     contract = contract_of(dataclasses.replace(find_method("proposed"), name="mine"))
     arm = contract.agents["arm"]

@@ -5,6 +5,7 @@ Differs: the hand is also rewarded for a grasp (ours); the paper's success is a 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -84,12 +85,12 @@ class AgentSpec:
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS  #: Terms of one observation frame.
     memory: tuple[ObservationTerm, ...] = ()  #: Terms that summarise earlier boxes.
 
-    @property
+    @cached_property
     def joints(self) -> Columns:
         """Return the agent's columns in joint order."""
         return merged([part.joints for part in self.parts])
 
-    @property
+    @cached_property
     def palms(self) -> Columns:
         """Return the palms that it serves, each once."""
         served = sorted({palm for part in self.parts for palm in range(part.palms.start, part.palms.stop)})

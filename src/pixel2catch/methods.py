@@ -3,16 +3,17 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal
+
+import torch
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
 from pixel2catch.batches import ByAgent, Joints
 from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
-from pixel2catch.mdp.control_step import Measurement, Transition, put
-from pixel2catch.mdp.observations import PIXEL_FEATURES
+from pixel2catch.mdp.control_step import History, Measurement, Transition, put
+from pixel2catch.mdp.observations import PIXEL_FEATURES, ObservationInputs
 from pixel2catch.mdp.rewards import BodyPart
 from pixel2catch.own_files import catalogue, computed
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -75,27 +76,35 @@ class Method:
                 "a teacher that observes the object's position, such as catch_teacher+age."
             )
 
-    @cached_property
-    def layouts(self) -> dict[str, observations.ObservationLayout]:
-        """Return what each agent observes, by name: the input of `observations.observe`."""
-        columns = observations.pixel_columns(self.pixel_features)
-        return {
-            agent.name: observations.ObservationLayout(
-                terms=agent.observation,
-                memory=agent.memory,
-                joints=agent.joints,
-                palms=agent.palms,
-                pixel_columns=columns,
-            )
-            for agent in self.agents
-        }
+    def inputs(self, agent: AgentSpec, before: Measurement, now: Measurement) -> ObservationInputs:
+        """Return what the terms of an agent read of two consecutive measurements."""
+        return ObservationInputs(
+            before=before,
+            now=now,
+            joints=agent.joints,
+            palms=agent.palms,
+            pixel_columns=observations.pixel_columns(self.pixel_features),
+        )
+
+    def observe(self, history: History) -> ByAgent:
+        """Return each agent's observation: its terms on two frames, oldest first, then its memory.
+
+        Source: paper, Sec. IV-C; the memory is ours.
+        """
+        observed: ByAgent = {}
+        for agent in self.agents:
+            old = self.inputs(agent, history.oldest, history.before)
+            new = self.inputs(agent, history.before, history.now)
+            values = [term(frame) for frame in (old, new) for term in agent.observation]
+            observed[agent.name] = torch.cat([*values, *(term(new) for term in agent.memory)], dim=-1)
+        return observed
 
 
 def require_terms(method: Method, transition: Transition, before: Measurement, now: Measurement) -> None:
     """Compute each term of a method once, before a device records or compiles them; raise as `computed`."""
     num_envs = len(transition.episode_steps)
     for agent in method.agents:
-        inputs = method.layouts[agent.name].inputs(before, now)
+        inputs = method.inputs(agent, before, now)
         for term in (*agent.observation, *agent.memory):
             computed("observation term", term, (inputs,), num_envs, "any")
         for part in (*agent.parts, *agent.teammates):

@@ -11,7 +11,7 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.scene.scene import SceneCfg
-from snapshots import privileged, transition
+from snapshots import GEOMETRY, privileged
 
 OBJECTS = ("ball", "box")
 TERMS = {"arm": ("arm.a", "arm.b"), "hand": ("hand.c",)}
@@ -40,7 +40,7 @@ def record() -> EpisodeRecord:
         start,
         steps=torch.tensor([40, 60, 80]),
         is_tracked=yes(1, 1, 0),
-        is_success=yes(1, 0, 0),
+        rested_steps=torch.tensor([1, 0, 0]),
         is_palm_contact=yes(1, 0, 0),
         is_hand_contact=yes(1, 1, 0),
         is_dropped=yes(0, 1, 1),
@@ -125,8 +125,10 @@ def state_of(height: float, joint_speed: float = 0.0) -> Privileged:
     )
 
 
-def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Transition:
-    return transition(before, now, held_steps=(held,), episode_steps=(number,))
+def step_of(episode: EpisodeRecord, now: Privileged) -> Transition:
+    """The next control step of an episode, in which nothing moves."""
+    none = torch.zeros(1, 0)
+    return episode.transition(now, now, none, none, GEOMETRY)
 
 
 def log_of(touching: bool, penetration: float = 0.0, itself: bool = False) -> StepExtremes:
@@ -139,16 +141,9 @@ def log_of(touching: bool, penetration: float = 0.0, itself: bool = False) -> St
 def test_a_record_of_three_steps_by_hand():
     """Far and untouched; touched 4 cm over the palm, 1 mm deep; lower, 3 mm deep; 10 N a millimetre."""
     episode = EpisodeRecord.start(torch.tensor([1]))
-    for height, held, number, touching, depth in (
-        (1.5, 0, 1, False, 0.005),
-        (1.04, 1, 2, True, 0.001),
-        (1.02, 2, 3, True, 0.003),
-    ):
-        now = state_of(height)
-        itself = number != 2
-        episode = episode.advanced(
-            step_of(now, now, held, number), log_of(touching, depth, itself=itself), ARMS, PALMS
-        )
+    for height, touching, depth in ((1.5, False, 0.005), (1.04, True, 0.001), (1.02, True, 0.003)):
+        log = log_of(touching, depth, itself=depth != 0.001)
+        episode = episode.advanced(step_of(episode, state_of(height)), log, ARMS, PALMS)
     assert (episode.steps.item(), episode.held_steps.item(), episode.contact_steps.item()) == (3, 2, 2)
     assert episode.penetration_sum.item() == pytest.approx(0.004)
     assert episode.max_penetration.item() == pytest.approx(0.005)
@@ -158,22 +153,25 @@ def test_a_record_of_three_steps_by_hand():
     assert episode.is_self_contact.item()
 
 
-def held_for(episode: EpisodeRecord, first: int, last: int, joint_speed: float) -> EpisodeRecord:
-    """The record after these steps of a hold, all alike."""
-    now = state_of(1.04, joint_speed=joint_speed)
-    for held in range(first, last + 1):
-        episode = episode.advanced(step_of(now, now, held, held), log_of(True), ARMS, PALMS)
+def held_for(episode: EpisodeRecord, num_steps: int, joint_speed: float) -> EpisodeRecord:
+    """The record after some more steps of a hold, all alike."""
+    for _ in range(num_steps):
+        step = step_of(episode, state_of(1.04, joint_speed=joint_speed))
+        episode = episode.advanced(step, log_of(True), ARMS, PALMS)
     return episode
 
 
 def test_rest_is_measured_in_the_last_ten_steps_of_a_hold():
     """Two of six joints at 3 rad/s are 1 rad/s; five such steps and five of rest are 0.5 rad/s."""
     start = EpisodeRecord.start(torch.tensor([1]))
-    wild = held_for(start, 1, 10, joint_speed=30.0)
+    wild = held_for(start, 10, joint_speed=30.0)
     assert wild.hold_speed.item() == 0.0
-    calm = held_for(held_for(wild, 11, 15, joint_speed=3.0), 16, 20, joint_speed=0.0)
-    assert calm.is_success.item()
-    assert calm.hold_speed.item() == pytest.approx(0.5)
+    nearly = held_for(held_for(wild, 5, joint_speed=3.0), 4, joint_speed=0.0)
+    assert not nearly.is_success.item()
+    for rested in (1, 2):  # the step of the success counts
+        nearly = held_for(nearly, 1, joint_speed=0.0)
+        assert (nearly.is_success.item(), nearly.rested_steps.item()) == (True, rested)
+        assert nearly.hold_speed.item() == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("part", "is_palm"), [(1, False), (5, True)])
@@ -182,8 +180,8 @@ def test_any_palm_counts_as_palm_contact(part: int, is_palm: bool):
     world = CatchWorld(SceneCfg(workcell="two_ur5e_allegro"), None, num_envs=1, device="cpu")
     assert world.palms == (slice(0, 1), slice(5, 6))
     log = log_of(False)._replace(is_touching=torch.nn.functional.one_hot(torch.tensor([part]), 10).bool())
-    step = step_of(state_of(1.04), state_of(1.04), 0, 1)
     episode = EpisodeRecord.start(torch.tensor([1]))
+    step = step_of(episode, state_of(1.04))
     assert episode.advanced(step, log, ARMS, world.palms).is_palm_contact.item() == is_palm
 
 

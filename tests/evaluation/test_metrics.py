@@ -31,7 +31,7 @@ def five_trials() -> Trials:
     record = replace(
         start,
         is_tracked=flags(1, 1, 0, 1, 1),
-        is_success=flags(1, 1, 0, 0, 0),
+        rested_steps=torch.tensor([45, 5, 0, 0, 0]),
         is_palm_contact=flags(1, 0, 0, 1, 0),
         is_hand_contact=flags(1, 1, 0, 1, 1),
         is_dropped=flags(0, 1, 1, 1, 0),

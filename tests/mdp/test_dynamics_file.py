@@ -1,11 +1,13 @@
 """The dynamics file: what it keeps, what it leaves out, and how it is refused."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import json_text
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -45,13 +47,9 @@ def test_loading_warns_of_joints_that_are_worse_than_their_command(tmp_path):
         assert DynamicsFile.load(tmp_path / "dynamics.json") == file
 
 
-def test_absent_file_is_the_nominal_robot():
-    assert DynamicsFile.load(None) == DynamicsFile(dynamics=JointDynamics.nominal(), gains=GainRanges())
-
-
 def test_file_without_ranges_keeps_the_papers(tmp_path):
     path = tmp_path / "dynamics.json"
-    path.write_text(json.dumps({"format_version": 1, **DYNAMICS.to_dict()}))
+    path.write_text(json_text({"format_version": 1, **asdict(DYNAMICS)}))
     assert DynamicsFile.load(path) == DynamicsFile(dynamics=DYNAMICS, gains=PAPER)
 
 

@@ -15,7 +15,6 @@ from pixel2catch.mdp.control_step import BoxHistory, History
 from pixel2catch.mdp.observations import (
     ObservationInputs,
     box_age,
-    observe,
     pixel_columns,
 )
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
@@ -51,7 +50,7 @@ SIZES = {
 
 
 def observation(agent: AgentSpec, method: Method, history: History = HISTORY) -> torch.Tensor:
-    return observe(method.layouts, history)[agent.name]
+    return method.observe(history)[agent.name]
 
 
 def seeing(box: list[list[float]], age: list[float]) -> ObservationInputs:
@@ -136,7 +135,7 @@ def test_a_memory_comes_after_the_frames(memory: str):
     plain, method = METHODS["catch"], remembering(METHODS["catch"], memory)
     history = History(*(measurement(2, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
     for agent, forgetful in zip(method.agents, plain.agents, strict=True):
-        frame = method.layouts[agent.name].inputs(history.before, history.now)
+        frame = method.inputs(agent, history.before, history.now)
         remembered = [term(frame) for term in agent.memory]
         expected = torch.cat((observation(forgetful, plain, history), *remembered), dim=-1)
         assert torch.equal(observation(agent, method, history), expected)

@@ -73,7 +73,7 @@ def test_approach_is_of_the_robot_whose_palm_was_nearest():
 
 def test_success_is_paid_for_the_first_hold():
     now = privileged(object_pos=torch.ones(5, 3))
-    step = transition(now=now, held_steps=(0, 19, 20, 21, 20), rested_steps=(0, 0, 0, 1, 9))
+    step = transition(now=now, held_steps=(0, 19, 20, 21, 20), rested_steps=(0, 0, 1, 2, 10))
     assert rewards.success(step, ANY).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 

@@ -9,7 +9,6 @@ from pixel2catch.mdp.terminations import (
     is_dropped,
     is_ended,
     is_near,
-    is_success,
     near_palms,
     reach_of,
 )
@@ -51,11 +50,6 @@ def test_dropped(position, expected):
     assert is_dropped(privileged(object_pos=torch.tensor([position]))).item() is expected
 
 
-@pytest.mark.parametrize(("held", "expected"), [(0, False), (19, False), (20, True), (21, False)])
-def test_success_is_the_step_that_completes_a_hold(held, expected):
-    assert is_success(transition(held_steps=(held,))).item() is expected
-
-
 def steps() -> Transition:
     """Nothing, time-out, drop, success."""
     pos = torch.tensor([[1.0, 0.0, 1.0]] * 4)
@@ -77,5 +71,5 @@ def test_robot_contact_ends_an_episode_if_configured(ends: bool):
 def test_an_episode_ends_rest_steps_after_a_success_also_if_the_hold_was_interrupted():
     assert is_ended(steps(), EpisodeCfg(rest_steps=30)).tolist() == [False, True, True, False]
     now = privileged(object_pos=torch.ones(3, 3))
-    held = transition(now=now, held_steps=(49, 50, 1), rested_steps=(29, 30, 30))
+    held = transition(now=now, held_steps=(49, 50, 1), rested_steps=(30, 31, 31))
     assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True, True]

@@ -65,8 +65,7 @@ class CameraFile:
 
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""
-        content = {"format_version": FORMAT_VERSION, **asdict(self)}
-        write_atomically({path: json_text(content).encode()})
+        write_atomically({path: json_text({"format_version": FORMAT_VERSION, **asdict(self)})})
 
     @classmethod
     def load(cls, path: Path) -> "CameraFile":

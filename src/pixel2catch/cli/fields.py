@@ -23,7 +23,7 @@ TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pix
 """Where the classes of the task's fields are."""
 
 LOSSES = (
-    *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip", "value_loss"),
+    *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip"),
     *("value_loss_scale", "entropy_scale", "gradient_clip"),
 )
 """Options of the losses and of their gradients."""

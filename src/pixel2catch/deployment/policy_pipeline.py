@@ -13,8 +13,7 @@ from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.camera.level import level_boxes
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import DeploymentError, PolicyMismatchError
-from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, put
-from pixel2catch.mdp.observations import observe
+from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.perception.regions import PlausibilityCfg, RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
@@ -67,8 +66,7 @@ class PolicyController:
         """Return the joint targets for the end of the next control step, by measured positions [rad]."""
         past, now = self.history, self._measure(joint_pos, boxes)
         history = History(past.before, past.now, now) if past else History(now, now, now)
-        actions = self._policy.act(observe(self.method.layouts, history))
-        self._action = put([(each.joints, actions[name]) for name, each in self.method.layouts.items()])
+        self._action = self.method.joint_actions(self._policy.act(self.method.observe(history)))
         self._target = self._action_map.joint_pos_target(self._action, now.joint_pos)
         self.history = history
         return self._target

@@ -11,18 +11,18 @@ from torch import Tensor
 from pixel2catch.agents import commands_of
 from pixel2catch.batches import Boxes, ByAgent, Flags, Joints, Scalars, Vectors
 from pixel2catch.camera.level import level_boxes
-from pixel2catch.checks import Count, Device, Seed, require
+from pixel2catch.checks import Count, Device, Seed, typed
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode, EpisodeRecord, EpisodeStatistics, StepExtremes, draw_episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.control_step import ActionMap, BoxHistory, History, Measurement, Privileged, Transition
-from pixel2catch.mdp.observations import observe, privileged_state
+from pixel2catch.mdp.observations import privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, assign, clone, require_shapes, select, write
-from pixel2catch.mdp.terminations import is_ended, is_near
+from pixel2catch.mdp.terminations import is_ended
 from pixel2catch.methods import Method, require_terms
 from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
@@ -82,14 +82,15 @@ class CatchEnv:
     `state_size` that of the value networks' input. The next step overwrites the tensors of `episode`.
     """
 
+    @typed
     def __init__(
         self,
         cfg: CatchEnvCfg,
         method: Method,
         *,
-        num_envs: int,
-        device: str = "cpu",
-        seed: int = 0,
+        num_envs: Count,
+        device: Device = "cpu",
+        seed: Seed = 0,
         teacher: Method | None = None,
         is_fused: bool = False,
     ) -> None:
@@ -98,15 +99,6 @@ class CatchEnv:
         Observations of a `teacher` are computed, too. With `is_fused`, the first step compiles the control
         step: see `sim.graphs.fused`.
         """
-        for kind, name, value in (
-            (CatchEnvCfg, "env", cfg),
-            (Method, "method", method),
-            (Count, "num_envs", num_envs),
-            (Device, "device", device),
-            (Seed, "seed", seed),
-            (Method | None, "teacher", teacher),
-        ):
-            require(kind, name, value)
         method.require_same_view(teacher)
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
@@ -138,9 +130,9 @@ class CatchEnv:
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
         self.state_size = observation.state.shape[1]
 
-    def seed(self, seed: int) -> None:
+    @typed
+    def seed(self, seed: Seed) -> None:
         """Seed all draws; the next `reset` begins the episodes of this seed."""
-        require(Seed, "seed", seed)
         self._generator.manual_seed(seed)
 
     def reset(self, *, is_staggered: bool = False) -> Observation:
@@ -263,19 +255,10 @@ class CatchEnv:
 
     def _transition(self, command: LastAction, log: StepExtremes, is_diverged: Flags) -> Transition:
         """Return the last control step; where the simulation diverged, the object counts as fallen."""
-        before, record = self._sensors.now, self.episode.record
+        before = self._sensors.now
         fallen = replace(before, object_pos=torch.zeros_like(before.object_pos))
         now = select(is_diverged, fallen, self.world.privileged(log))
-        return Transition(
-            before=before,
-            now=now,
-            action=command[0],
-            joint_pos_target=command[1],
-            held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
-            rested_steps=torch.where(record.is_success, record.rested_steps + 1, 0),
-            episode_steps=record.steps + 1,
-            geometry=self.world.geometry,
-        )
+        return self.episode.record.transition(before, now, *command, self.world.geometry)
 
     def _draw_episode(self, cfg: CatchEnvCfg | None = None) -> Episode:
         return draw_episode(
@@ -361,8 +344,8 @@ class CatchEnv:
 
     def _observe(self) -> Observation:
         sensors = self._sensors
-        policy = observe(self.method.layouts, sensors.history)
-        teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
+        policy = self.method.observe(sensors.history)
+        teacher = self.teacher.observe(sensors.history) if self.teacher else {}
         drawn = (self.episode.drawn_parameters(),) if self.cfg.value_sees_parameters else ()
         truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *drawn, truth), dim=-1)

@@ -9,15 +9,16 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.batches import ByAgent, Counts, Features, Flags, Scalars, Vectors
+from pixel2catch.batches import ByAgent, Counts, Features, Flags, Joints, Scalars, Vectors
 from pixel2catch.devices import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.mdp.control_step import Columns, Transition, take
+from pixel2catch.mdp.control_step import Columns, Privileged, Transition, take
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_delay, sample_parameters
 from pixel2catch.mdp.sensing import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.tensors import select
-from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
+from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
+from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
 REST_STEPS = HOLD_STEPS // 2
@@ -53,9 +54,8 @@ class EpisodeRecord:
     object_id: Counts  #: Row of the object in the table of objects.
     steps: Counts  #: Control steps.
     held_steps: Counts  #: Consecutive control steps with the object near the palm, up to now.
-    rested_steps: Counts  #: Control steps since the first success.
+    rested_steps: Counts  #: Control steps from the first success on, that one included.
     is_tracked: Flags  #: Whether the palm reached the object (T.R.).
-    is_success: Flags  #: Whether it was held long enough (S.R.).
     is_palm_contact: Flags  #: Whether a palm itself touched it.
     is_hand_contact: Flags  #: Whether any part of the hand touched it.
     is_dropped: Flags  #: Whether it fell or passed the robot.
@@ -81,6 +81,33 @@ class EpisodeRecord:
         counts = dict.fromkeys(("steps", "held_steps", "rested_steps", "contact_steps"), none)
         return cls(**(begun | counts | {"object_id": object_id}))
 
+    @property
+    def is_success(self) -> Flags:
+        """Return whether the object was held for `HOLD_STEPS` (S.R.). Source: release."""
+        return self.rested_steps > 0
+
+    def transition(
+        self,
+        before: Privileged,
+        now: Privileged,
+        action: Joints,
+        joint_pos_target: Joints,
+        geometry: WorkcellGeometry,
+    ) -> Transition:
+        """Return the next control step, from the states before and after it."""
+        held_steps = torch.where(is_near(now), self.held_steps + 1, 0)
+        is_success = self.is_success | (held_steps == HOLD_STEPS)
+        return Transition(
+            before=before,
+            now=now,
+            action=action,
+            joint_pos_target=joint_pos_target,
+            held_steps=held_steps,
+            rested_steps=torch.where(is_success, self.rested_steps + 1, 0),
+            episode_steps=self.steps + 1,
+            geometry=geometry,
+        )
+
     def advanced(
         self, transition: Transition, log: StepExtremes, arms: Columns, palms: Columns
     ) -> "EpisodeRecord":
@@ -97,7 +124,6 @@ class EpisodeRecord:
             held_steps=transition.held_steps,
             rested_steps=transition.rested_steps,
             is_tracked=self.is_tracked | is_near(now),
-            is_success=self.is_success | is_success(transition),
             is_palm_contact=self.is_palm_contact | take(log.is_touching, palms).any(dim=-1),
             is_hand_contact=self.is_hand_contact | touched,
             is_dropped=self.is_dropped | is_dropped(now),

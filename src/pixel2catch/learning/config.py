@@ -79,9 +79,6 @@ class TrainCfg:
     ratio_clip: Annotated[float, Within(0.0, 10.0, is_open=True)] = 0.2
     #: Clip of the change of a (standardised) value in an update. Source: release.
     value_clip: Annotated[float, Within(0.0, 1000.0, is_open=True)] = 0.2
-    #: Error of a value: clipped, after the clip (release), or maximum, the larger of that and the error
-    #: without the clip, whose gradient does not vanish beyond the clip.
-    value_loss: Literal["clipped", "maximum"] = "clipped"
     #: Weight of the value loss. Source: release.
     value_loss_scale: Annotated[float, Within(0.0, 1000.0)] = 2.0
     #: Weight of the entropy bonus. Source: release.

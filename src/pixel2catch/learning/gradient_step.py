@@ -114,7 +114,8 @@ class GradientStep:
         ratio = log_ratio.exp()
         clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
         policy_loss = -torch.min(batch.advantages * ratio, batch.advantages * clipped_ratio).mean()
-        value_loss = cfg.value_loss_scale * value_errors(cfg, batch, values).mean()
+        change = (values - batch.values).clip(-cfg.value_clip, cfg.value_clip)
+        value_loss = cfg.value_loss_scale * (batch.returns - (batch.values + change)).square().mean()
         objective = policy_loss
         if cfg.entropy_scale:
             objective = objective - cfg.entropy_scale * networks.entropy()
@@ -123,19 +124,6 @@ class GradientStep:
             objective = torch.lerp(objective, imitation, self.teacher_weight)
         losses = torch.stack((policy_loss, value_loss, (ratio - 1.0 - log_ratio).mean())).detach()
         return self._policy_weight * objective + value_loss, losses
-
-
-def value_errors(cfg: TrainCfg, batch: Batch, values: Tensor) -> Tensor:
-    """Return the squared error of each value that a step reduces, with the change of a value clipped.
-
-    The clipped error alone has no gradient where a value is beyond the clip, even on the wrong side; the
-    maximum with the unclipped error has one there. Source: release (clipped); OpenAI baselines (maximum).
-    """
-    clipped = batch.values + (values - batch.values).clip(-cfg.value_clip, cfg.value_clip)
-    errors = (batch.returns - clipped).square()
-    if cfg.value_loss == "maximum":
-        return torch.max(errors, (batch.returns - values).square())
-    return errors
 
 
 def shuffled(cfg: TrainCfg) -> Tensor:

@@ -120,7 +120,7 @@ class Transition:
     action: Joints  #: The actions in joint order, in [-1, 1].
     joint_pos_target: Joints  #: The commanded joint targets [rad].
     held_steps: Counts  #: Consecutive control steps, this one included, with the object in the palm's reach.
-    rested_steps: Counts  #: Control steps since the first success, this one included; 0 up to that success.
+    rested_steps: Counts  #: Control steps from the first success on, that one included; 0 before it.
     episode_steps: Counts  #: Control steps since the start of the episode, this one included.
     geometry: WorkcellGeometry  #: Forward kinematics of palms and arms.
 

@@ -59,8 +59,7 @@ class DynamicsFile:
     """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges."""
 
     dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)  #: Of some joints or of all.
-    #: How the gains are randomised; those of other joints are not in the file.
-    gains: GainRanges = field(default_factory=GainRanges)
+    gains: GainRanges = GainRanges()  #: How the gains are randomised; the file has those of its joints.
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.
     #: Joints whose motion, held out from the fit, their command alone predicts better than these dynamics.
     worse_than_command: tuple[str, ...] = ()
@@ -72,19 +71,17 @@ class DynamicsFile:
         dynamics = self.dynamics.select(names)
         rows = _rows(dynamics, self.workcell)
         ranges = {name: [values[row] for row in rows] for name, values in full.items()}
-        content = {"format_version": FORMAT_VERSION, **dynamics.to_dict(), "gain_ranges": ranges}
+        content = {"format_version": FORMAT_VERSION, **dataclasses.asdict(dynamics), "gain_ranges": ranges}
         if self.worse_than_command:
-            content["worse_than_command"] = list(self.worse_than_command)
-        write_atomically({path: json_text(content).encode()})
+            content["worse_than_command"] = self.worse_than_command
+        write_atomically({path: json_text(content)})
 
     @classmethod
-    def load(cls, path: Path | None, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
-        """Read a file of a work cell's joints; no file is the nominal robot.
+    def load(cls, path: Path, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
+        """Read a file of a work cell's joints.
 
         Without ranges in it, the gains keep the paper's. Warns of joints that are worse than their command.
         """
-        if path is None:
-            return cls(dynamics=JointDynamics.nominal(workcell.joints), workcell=workcell)
         with reading("dynamics file", path, "Identify again, or correct that entry."):
             content = read_json_object(path)
             take_version(content, FORMAT_VERSION)

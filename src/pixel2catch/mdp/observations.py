@@ -1,9 +1,9 @@
 """Observation terms: pure functions of a frame, the same in training and on the robot.
 
-An agent's observation is its terms on two consecutive frames, oldest first (paper, Sec. IV-C).
+An agent's observation is its terms on two consecutive frames: see `methods.Method.observe`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.batches import Boxes, ByAgent, Features, Vectors
+from pixel2catch.batches import Boxes, Features, Vectors
 from pixel2catch.camera.level import level_sight
 from pixel2catch.camera.pinhole import center_and_size, project
 from pixel2catch.devices import constant
-from pixel2catch.mdp.control_step import Columns, History, Measurement, Privileged, take
+from pixel2catch.mdp.control_step import Columns, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
@@ -44,9 +44,7 @@ def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tenso
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = (
-        ((box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]) for box in (now, before)
-    )
+    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
@@ -166,32 +164,6 @@ JOURNAL_TERMS: tuple[ObservationTerm, ...] = (*PAPER_TERMS, palm_displacement, j
 def pixel_columns(names: tuple[str, ...]) -> tuple[int, ...]:
     """Return the columns of named pixel features."""
     return tuple(PIXEL_FEATURES.index(name) for name in names)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObservationLayout:
-    """What one agent observes: its terms, and the joints, palms and pixel features that they read."""
-
-    terms: tuple[ObservationTerm, ...]  #: Terms of each of two consecutive frames.
-    memory: tuple[ObservationTerm, ...]  #: Terms of the newest frame that summarise earlier boxes.
-    joints: Columns  #: The agent's columns in joint order.
-    palms: Columns  #: Columns of the palms on the agent's robots.
-    pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
-
-    def inputs(self, before: Measurement, now: Measurement) -> ObservationInputs:
-        """Return what the terms read of two consecutive measurements."""
-        own = {"joints": self.joints, "palms": self.palms, "pixel_columns": self.pixel_columns}
-        return ObservationInputs(before=before, now=now, **own)
-
-
-def observe(layouts: Mapping[str, ObservationLayout], history: History) -> ByAgent:
-    """Return each agent's observation: its terms on both frames, oldest first, then its memory."""
-    observations: dict[str, Tensor] = {}
-    for name, layout in layouts.items():
-        frames = (layout.inputs(history.oldest, history.before), layout.inputs(history.before, history.now))
-        values = [term(frame) for frame in frames for term in layout.terms]
-        observations[name] = torch.cat([*values, *(term(frames[1]) for term in layout.memory)], dim=-1)
-    return observations
 
 
 def privileged_state(before: Privileged, now: Privileged) -> Features:

@@ -16,7 +16,6 @@ from pixel2catch.mdp.terminations import (
     SURFACE_REACH,
     is_dropped,
     is_near,
-    is_success,
     needs_all,
     palm_distance,
     palm_share,
@@ -87,7 +86,7 @@ def success(transition: Transition, part: BodyPart) -> Scalars:
 
     Ours: for an object that needs all palms, the share of the palms that have reached it.
     """
-    return (is_success(transition) & (transition.rested_steps == 0)) * palm_share(transition.now)
+    return (transition.rested_steps == 1) * palm_share(transition.now)
 
 
 def nearness(transition: Transition, part: BodyPart) -> Scalars:

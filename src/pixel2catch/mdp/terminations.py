@@ -67,11 +67,6 @@ def is_near(snapshot: Privileged) -> Flags:
     return near_palms(snapshot).any(dim=-1)
 
 
-def is_success(transition: Transition) -> Flags:
-    """Return whether this step completes a hold. Source: release."""
-    return transition.held_steps == HOLD_STEPS
-
-
 def is_dropped(snapshot: Privileged) -> Flags:
     """Return whether the object fell or passed the robot. Source: release."""
     return (snapshot.object_pos[:, 2] < DROP_HEIGHT) | (snapshot.object_pos[:, 0] < DROP_X)
@@ -86,5 +81,4 @@ def is_ended(transition: Transition, cfg: EpisodeCfg) -> Flags:
     """Return whether an episode ends by success, loss or time-out, all terminations. Source: release."""
     lost = is_lost if cfg.ends_on_robot_contact else is_dropped
     ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
-    is_caught = is_success(transition) | (transition.rested_steps > 0)
-    return ended | (is_caught & (transition.rested_steps >= cfg.rest_steps))
+    return ended | (transition.rested_steps > cfg.rest_steps)

@@ -130,9 +130,9 @@ def contract_of(
 
 
 def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) -> AgentContract:
-    """List two consecutive frames, oldest first, then the memory, as in `mdp.observations.observe`."""
+    """List two consecutive frames, oldest first, then the memory, as in `Method.observe`."""
     blank = _blank_measurement(method.num_boxes, workcell)
-    frame = method.layouts[agent.name].inputs(blank, blank)
+    frame = method.inputs(agent, blank, blank)
     sizes, memory = (
         [
             (t.__name__, computed("observation term", t, (frame,), 1, "any", is_blank=True).shape[1])
@@ -169,9 +169,10 @@ def unmeasured_terms(method: Method, workcell: WorkcellSpec) -> list[str]:
     lost = dataclasses.replace(blank, object_pos=unknown, initial_object_pos=unknown)
     return [
         term.__name__
-        for layout in method.layouts.values()
-        for term in (*layout.terms, *layout.memory)
-        if (term(layout.inputs(lost, lost)).isnan() & ~term(layout.inputs(blank, blank)).isnan()).any()
+        for agent in method.agents
+        for term in (*agent.observation, *agent.memory)
+        for seen, unseen in [(term(method.inputs(agent, each, each)) for each in (blank, lost))]
+        if (unseen.isnan() & ~seen.isnan()).any()
     ]
 
 

@@ -122,12 +122,6 @@ class JointDynamics:
         }
         return JointDynamics(joints=tuple(last), **values)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Convert to lists and numbers for JSON, which `decoded` reads; an infinite gain becomes null."""
-        values = {name: getattr(self, name).tolist() for name in PARAMETERS}
-        values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in values["filter_gain"]]
-        return {"joints": list(self.joints), **values}
-
     @property
     def has_filter(self) -> np.ndarray:
         """Return which joints have a command filter."""

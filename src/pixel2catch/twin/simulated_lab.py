@@ -15,10 +15,9 @@ from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
-from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
-from pixel2catch.mdp.terminations import is_lost, is_near
+from pixel2catch.mdp.terminations import is_lost
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -213,16 +212,8 @@ class SimulatedLab:
     def _score(self, log: StepExtremes) -> None:
         """Count one control step, by the state at its end and the extremes within it."""
         now = self._world.privileged(log)
-        transition = Transition(
-            before=self._before,
-            now=now,
-            action=torch.zeros(1, 0),
-            joint_pos_target=torch.zeros(1, 0),
-            held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
-            rested_steps=torch.where(self.record.is_success, self.record.rested_steps + 1, 0),
-            episode_steps=self.record.steps + 1,
-            geometry=self._world.geometry,
-        )
+        none = torch.zeros(1, 0)
+        transition = self.record.transition(self._before, now, none, none, self._world.geometry)
         self.record = self.record.advanced(transition, log, self._world.arms, self._world.palms)
         self._before = now
         if int(self.record.steps) >= TRIAL_STEPS or self.record.is_success or is_lost(now):
