@@ -22,13 +22,14 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 from tyro.conf import Positional
 
+from pixel2catch.devices import uniform
 from pixel2catch.envs import catch_env
 from pixel2catch.envs.episode import Episode, draw_episode
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.evaluation.reach import is_reachable
-from pixel2catch.mdp.throws import ThrowCfg, uniform
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.scene.constants import GRAVITY
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.workcells import find_workcell

@@ -1,4 +1,4 @@
-"""Constants and time on the device that computes."""
+"""Constants, uniform draws and time on the device that computes."""
 
 import time
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from contextvars import ContextVar
 from typing import Any, final
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 Constants = dict[tuple[Any, ...], Tensor]
@@ -38,6 +39,15 @@ def constant(values: tuple[Any, ...], device: torch.device, dtype: torch.dtype =
     if kept is not None:
         kept[key] = made
     return made
+
+
+def uniform(
+    ranges: tuple[tuple[float, float], ...], num_rows: int, generator: torch.Generator
+) -> Float[Tensor, "num_rows num_ranges"]:
+    """Return independent uniform draws, one column per range, on the generator's device."""
+    lower, upper = constant(ranges, generator.device).T
+    draws = torch.rand(num_rows, len(ranges), generator=generator, device=generator.device)
+    return lower + (upper - lower) * draws
 
 
 @final

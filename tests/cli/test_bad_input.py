@@ -100,7 +100,6 @@ BAD = [
     # files of one's own
     ("--import", "--import needs a Python file"),
     ("--import absent.py evaluate", "cannot import"),
-    ("train mine.py:mine", "give --import FILE.py, and the name alone"),
     ("--import {exits} train", "SystemExit"),
     ("train mine --import {no_agents}", "it needs one or more, each with its own name"),
     ("train mine --import {twins}", "it needs one or more, each with its own name"),

@@ -8,7 +8,7 @@ from torch import linalg
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.checks import Range
-from pixel2catch.devices import constant
+from pixel2catch.devices import constant, uniform
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 
@@ -23,9 +23,7 @@ class CameraRegion:
 
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
         """Draw cameras on the generator's device."""
-        ranges = constant((*self.pos, *self.look_at, self.roll, self.view_width), generator.device)
-        draws = torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
-        draws = ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * draws
+        draws = uniform((*self.pos, *self.look_at, self.roll, self.view_width), num_envs, generator)
         pos, look_at, roll, view_width = draws.split((3, 3, 1, 1), dim=-1)
         forward = torch.nn.functional.normalize(look_at - pos, dim=-1)
         up = constant((0.0, 0.0, 1.0), forward.device).expand_as(forward)

@@ -3,7 +3,6 @@
 import csv
 import importlib
 import io
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -45,7 +44,8 @@ class TrainingLog:
             return
         # TensorBoard hides later points of older event files.
         events = SummaryWriter(str(folder), purge_step=transitions or None)
-        self._sinks["metrics"] = CsvLog(folder / METRICS_FILE, transitions).write
+        table = CsvLog(folder / METRICS_FILE, transitions)
+        self._sinks["metrics"], self._closing["metrics"] = table.add, table.write
         self._sinks["TensorBoard events"] = lambda row: [
             events.add_scalar(name, value, int(row["transitions"])) for name, value in row.items()
         ]
@@ -68,6 +68,11 @@ class TrainingLog:
         self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         for what, write in self._sinks.items():
             self.attempt(what, partial(write, row))
+
+    def checkpoint(self, save: Callable[[], None]) -> None:
+        """Write the table of metrics and a checkpoint."""
+        self.attempt("metrics", self._closing.get("metrics", lambda: None))
+        self.attempt("checkpoint", save)
 
     def attempt(self, what: str, write: Callable[[], object]) -> None:
         """Write something; if that fails, print a warning and go on."""
@@ -119,48 +124,32 @@ def start_wandb(project: str, folder: Path, config: Mapping[str, Any]) -> Any:
 
 
 class CsvLog:
-    """A CSV file with a row for each update; rows that a full disk refuses are written with a later one."""
+    """A CSV file with a row for each update, written with every checkpoint."""
 
     def __init__(self, path: Path, transitions: int = 0) -> None:
-        """Open the file, and keep its rows up to `transitions`; later ones are repeated."""
+        """Keep the rows of the file up to `transitions`; later ones are repeated."""
         self._path = path
         self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
-        self._columns: list[str] = []
-        self._num_written = 0
 
-    def write(self, row: Row) -> None:
-        """Append a row, and those that failed before; with a new column the whole file is written again."""
+    def add(self, row: Row) -> None:
+        """Add a row, which `write` writes."""
         self._rows.append(
             {name: f"{value:.6g}" for name, value in row.items()} | {"transitions": str(row["transitions"])}
         )
-        columns = list(dict.fromkeys(name for row in (self._rows[0], self._rows[-1]) for name in row))
-        if columns != self._columns:
-            text = ",".join(columns) + "\n" + _format(self._rows, columns)
-            write_atomically({self._path: text})
-        else:
-            self._append(_format(self._rows[self._num_written :], columns).encode())
-        self._columns, self._num_written = columns, len(self._rows)
 
-    def _append(self, content: bytes) -> None:
-        size = self._path.stat().st_size
-        try:
-            with open(self._path, "ab", buffering=0) as file:
-                if file.write(content) != len(content):
-                    raise OSError(f"no space left for '{self._path}'")
-        except OSError:
-            os.truncate(self._path, size)
-            raise
+    def write(self) -> None:
+        """Write all rows, or leave the file as it is."""
+        text = io.StringIO()
+        columns = dict.fromkeys(name for row in self._rows for name in row)
+        writer = csv.DictWriter(text, [*columns], restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        write_atomically({self._path: text.getvalue()})
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the complete rows of a file of metrics; none if there is no file."""
+    """Return the rows of a file of metrics; none if there is no file."""
     if not path.exists():
         return []
     with open(path, newline="") as file:
-        return [row for row in csv.DictReader(file) if None not in row.values() and row["transitions"]]
-
-
-def _format(rows: list[dict[str, str]], columns: list[str]) -> str:
-    text = io.StringIO()
-    csv.DictWriter(text, columns, restval="", lineterminator="\n").writerows(rows)
-    return text.getvalue()
+        return [*csv.DictReader(file)]

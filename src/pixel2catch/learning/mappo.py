@@ -18,8 +18,16 @@ from pixel2catch.envs.catch_env import CatchEnv, Observation, Step
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
-from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, shuffled
-from pixel2catch.learning.networks import EPSILON, ActorCritic, Standardizer, learn_together
+from pixel2catch.learning.gradient_step import (
+    EPSILON,
+    ActorCritic,
+    Batch,
+    GradientStep,
+    Standardizer,
+    adapted_rate,
+    learn_together,
+    shuffled,
+)
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.shipped import policy_folder
 from pixel2catch.sim.graphs import GraphedFunction

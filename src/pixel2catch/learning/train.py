@@ -171,7 +171,7 @@ class _Training:
                 begin_step("")
                 if time.monotonic() >= next_checkpoint:
                     self._log_row(log)
-                    log.attempt("checkpoint", self._save)
+                    log.checkpoint(self._save)
                     next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         finally:
             self._log_row(log)

@@ -13,10 +13,10 @@ from torch import Tensor
 
 from pixel2catch.batches import Counts, Joints, Scalars
 from pixel2catch.checks import Amount, Range, Within
-from pixel2catch.devices import constant
+from pixel2catch.devices import constant, uniform
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.throws import drawn, uniform
+from pixel2catch.mdp.throws import drawn
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import PUSH_OUT
 

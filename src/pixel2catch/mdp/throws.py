@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.batches import Counts, Features, Quaternions, Scalars, Vectors
+from pixel2catch.batches import Counts, Quaternions, Scalars, Vectors
 from pixel2catch.checks import IN_ORDER, Amount, Range, Within
-from pixel2catch.devices import constant
+from pixel2catch.devices import uniform
 from pixel2catch.scene.constants import GRAVITY
 
 Depth = Annotated[Range, Within(0.05, 10.0)]  #: Along x [m].
@@ -129,13 +129,6 @@ def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Scalars:
     if isinstance(amount, tuple):
         return uniform((amount,), num_envs, generator)[:, 0]
     return torch.full((num_envs,), float(amount), device=generator.device)
-
-
-def uniform(ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator) -> Features:
-    """Return independent uniform draws, one column per range, on the generator's device."""
-    lower, upper = constant(ranges, generator.device).T
-    draws = torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
-    return lower + (upper - lower) * draws
 
 
 def random_directions(num_envs: int, generator: torch.Generator) -> Vectors:

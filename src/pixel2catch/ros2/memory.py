@@ -25,7 +25,6 @@ class MessageQueue(Subscription):
             self._node.arrived.notify_all()
 
     def take(self) -> list[Message]:
-        """See `Subscription.take`."""
         with self._node.arrived:
             received = list(self.waiting)
             self.waiting.clear()
@@ -45,7 +44,6 @@ class MessageQueues(list[MessageQueue]):
         return self[-1]
 
     def wait(self, seconds: float) -> bool:
-        """See `Transport.wait`."""
         queues = [each.waiting for each in self if not each.only_watches]
         with self.arrived:
             return self.arrived.wait_for(lambda: any(queues), timeout=seconds)
@@ -74,13 +72,11 @@ class MemoryTransport(Transport):
         self.publishers: list[_MemoryPublisher] = []
 
     def publisher(self, topic: Topic) -> Publisher:
-        """See `Transport.publisher`."""
         with self.broker.lock:
             self.publishers.append(_MemoryPublisher(self, topic))
             return self.publishers[-1]
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """See `Transport.subscription`."""
         with self.broker.lock:
             queue = self.queues.add(topic, depth, only_watches=only_watches)
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
@@ -94,12 +90,10 @@ class MemoryTransport(Transport):
             return [node for node in self.broker.nodes if node is not self]
 
     def other_publishers(self, topic: Topic) -> dict[int, str]:
-        """See `Transport.other_publishers`."""
         others = (each for node in self._others for each in node.publishers)
         return {each.number: f"publisher {each.number}" for each in others if _is_same(each.topic, topic)}
 
     def endpoints(self) -> list[Endpoint]:
-        """See `Transport.endpoints`."""
         ends = [(node, each.topic, True) for node in self._others for each in node.publishers]
         ends += [(node, q.topic, False) for node in self._others for q in node.queues if not q.only_watches]
         return [
@@ -108,11 +102,9 @@ class MemoryTransport(Transport):
         ]
 
     def wait(self, seconds: float) -> bool:
-        """See `Transport.wait`."""
         return self.queues.wait(seconds)
 
     def close(self) -> None:
-        """See `Transport.close`."""
         with self.broker.lock:
             self.broker.nodes = self._others
 

@@ -50,11 +50,9 @@ class RealClock(Clock):
         self.rate = rate
 
     def now(self) -> float:
-        """See `Clock.now`."""
         return self.rate * time.clock_gettime(_CLOCK)
 
     def stamp(self) -> float:
-        """See `Clock.stamp`."""
         return self.rate * time.time()
 
     def age(self, sent: int) -> float:
@@ -62,7 +60,6 @@ class RealClock(Clock):
         return self.stamp() - 1e-9 * self.rate * sent
 
     def sleep_until(self, moment: float) -> None:
-        """See `Clock.sleep_until`."""
         left = (moment - self.now()) / self.rate
         if left > 0.0:
             time.sleep(left)

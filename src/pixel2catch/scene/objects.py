@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.own_files import catalogue
+from pixel2catch.robots.poses import principal_axes
 from pixel2catch.scene import shapes
 from pixel2catch.scene.shapes import ConvexPart, moments
 
@@ -81,11 +82,8 @@ def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"
 def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
     """Return right-handed principal axes as columns; the identity if the axes are nearly principal."""
     off_diagonal = inertia - np.diag(np.diag(inertia))
-    if np.abs(off_diagonal).max() < 2e-3 * np.trace(inertia):
-        return np.eye(3)
-    axes = np.linalg.eigh(inertia).eigenvectors
-    axes[:, 2] *= np.linalg.det(axes)
-    return axes
+    is_principal = np.abs(off_diagonal).max() < 2e-3 * np.trace(inertia)
+    return np.eye(3) if is_principal else principal_axes(inertia)[1]
 
 
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
