@@ -1,6 +1,6 @@
 """A robot of your own: the paper's arm and hand, 10 cm nearer to the thrower.
 
-    pixel2catch train catch_teacher --workcell examples/own_robot.py --out runs/nearer
+    pixel2catch train catch_teacher --import examples/own_robot.py --workcell nearer --out runs/nearer
     pixel2catch evaluate runs/nearer --import examples/own_robot.py
 
 Another arm or hand is a folder with its MJCF and its joints: CONTRIBUTING.md, "Add a robot".

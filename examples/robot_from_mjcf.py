@@ -1,6 +1,6 @@
 """From an MJCF of your own to a policy: its joints, its palm, a place, a training (docs/extending/robot.md).
 
-pixel2catch train catch_teacher --workcell examples/robot_from_mjcf.py --out runs/scoop
+pixel2catch train catch_teacher --import examples/robot_from_mjcf.py --workcell scoop --out runs/scoop
 pixel2catch play runs/scoop --import examples/robot_from_mjcf.py
 """
 

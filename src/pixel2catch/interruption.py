@@ -3,7 +3,7 @@
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from multiprocessing import parent_process
 from types import FrameType
@@ -21,25 +21,19 @@ def raise_on_termination() -> AbstractContextManager[None]:
     def terminate(number: int, frame: FrameType | None) -> None:
         raise Terminated
 
-    return _handling(_terminations(), terminate)
-
-
-def on_signals(handler: Handler) -> AbstractContextManager[None]:
-    """Call a handler in this context, in the main thread, for each signal that ends a program in order."""
-    return _handling((signal.SIGINT, *_terminations()), handler)
-
-
-def _terminations() -> list[signal.Signals]:
-    """Return the termination signals besides SIGINT; `nohup` sets SIGHUP to be ignored."""
-    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    return [signal.SIGTERM] if is_ignored else [signal.SIGTERM, signal.SIGHUP]
+    return on_signals(terminate, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
-def _handling(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[None]:
-    """Handle signals in this context; do nothing outside the main thread, which alone receives signals."""
-    is_main = threading.current_thread() is threading.main_thread()
-    previous = {number: signal.signal(number, handler) for number in numbers if is_main}
+def on_signals(handler: Handler, *numbers: signal.Signals) -> Iterator[None]:
+    """Call a handler in this context for signals, or else for each that ends a program in order.
+
+    Only the main thread receives signals. A SIGHUP that is ignored, as by `nohup`, stays ignored.
+    """
+    is_main, previous = threading.current_thread() is threading.main_thread(), {}
+    for number in (numbers or (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)) if is_main else ():
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            previous[number] = signal.signal(number, handler)
     try:
         yield
     finally:

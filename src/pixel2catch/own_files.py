@@ -53,11 +53,11 @@ def import_files() -> None:
         import_file(name)
 
 
-def import_file(name: str) -> ModuleType:
+def import_file(name: str) -> None:
     """Import a file once and add its values to the catalogues, or raise InvalidValueError."""
     path = Path(name).absolute()
     if str(path) in _MODULES:
-        return _MODULES[str(path)]
+        return
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or path.stem in sys.modules or spec is None or spec.loader is None:
         raise InvalidValueError(
@@ -79,7 +79,6 @@ def import_file(name: str) -> ModuleType:
         for value in defined(module, kind):
             add(value)
     _MODULES[str(path)] = module
-    return module
 
 
 def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:

@@ -180,7 +180,7 @@ def prepared(experiment: Experiment, method: Method, *, resume: bool = False) ->
     cfg, env = experiment.train, experiment.env
     env = replace(env, objects=select_objects(env.objects))
     workcell = find_workcell(env.scene.workcell)
-    env = env.with_workcell(workcell).for_workcell(workcell)
+    env = env.for_workcell(workcell)
     method = method.with_weights(cfg.rewards)
     if cfg.start and not resume:
         policy_folder(cfg.start)  # before anything is built

@@ -52,8 +52,7 @@ class Calibrate:
 
     #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
     views: Positional[Annotated[Path, InputFile()] | None] = None
-    #: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in the first
-    #: hand.
+    #: The robots: a name, as for `train`; the board is in the first hand.
     workcell: str = "ur5e_allegro"
     #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, an earlier camera.json, or
     #: a folder with 10 or more images of the printed board. Default with --live: the images that are taken.

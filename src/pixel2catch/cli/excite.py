@@ -25,7 +25,7 @@ class Excite:
     #: Part whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default:
     #: all.
     robot: str | None = None
-    workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
+    workcell: str = "ur5e_allegro"  #: Name of the robots.
     #: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
     out: Annotated[Path, OutputFile((".npz",))] | None = None
     seconds: Positive = 40.0  #: Duration of a trajectory [s].

@@ -43,7 +43,7 @@ class Identify:
     out: NewFolder | None = None
     #: Only check the data of one joint or more, without a fit; the exit status is 1 if they cannot be fitted.
     check: bool = False
-    workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
+    workcell: str = "ur5e_allegro"  #: Name of the robots.
     #: Robot profile, shipped or a .yaml, with the topics and joint names of a bag.
     profile: str | None = None
     #: Topic of the commands in a bag, without --profile. Default: the only one that can have commands.

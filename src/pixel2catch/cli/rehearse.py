@@ -42,7 +42,7 @@ class Rehearse:
     def run(self) -> None:
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.workcells import known_workcell
+        from pixel2catch.workcells import find_workcell
 
         with needs_extra("deployment"):
             from pixel2catch.twin.lab_node import twin_profile
@@ -69,7 +69,7 @@ class Rehearse:
             report = rehearse_stepped(cfg, cfg.task.make(policy), policy, show)
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
-            profile = twin_profile(known_workcell(policy.contract.workcell))
+            profile = twin_profile(find_workcell(policy.contract.workcell))
             report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
         report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
         print("\n".join(_lines(report)), flush=True)

@@ -16,7 +16,7 @@ class Scene:
     #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
     file: Positional[Annotated[Path, OutputFile((".xml", ".mjb"))]]
     object: str = "cube_s"  #: Name of the object that is in the scene.
-    workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
+    workcell: str = "ur5e_allegro"  #: Name of the work cell.
 
     def run(self) -> None:
         from pixel2catch.scene.scene import SceneCfg, export

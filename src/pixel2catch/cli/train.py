@@ -43,8 +43,8 @@ class Train:
     #: laboratories; wide_sharp, the same with boxes to 2 px; people, throws of people before any camera of a
     #: region; or sizes, balls and boxes of 6 to 28 cm. Default: nominal.
     task: str | None = None
-    #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
-    #: WORKCELLS; other commands load such a file by `--import FILE.py`. Default: ur5e_allegro.
+    #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or those of a file of yours
+    #: (`--import FILE.py`). Default: ur5e_allegro.
     workcell: str | None = None
     #: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps its
     #: values. Evaluations take it by their own --dynamics only. Default: the nominal robot.

@@ -18,7 +18,7 @@ from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.shipped import is_computed, policy_folder
-from pixel2catch.workcells import known_workcell
+from pixel2catch.workcells import find_workcell
 
 PHYSICS_HZ = 600.0
 """Physics rate of evaluations [Hz]. Source: ours, five times the paper's rate of training.
@@ -35,7 +35,7 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
     """
     found = policy_folder(folder)
     policy = AnalyticPolicy(str(found)).to(device) if is_computed(found) else load(found, device)
-    workcell = known_workcell(policy.contract.workcell)
+    workcell = find_workcell(policy.contract.workcell)
     method = method_of(policy.contract)
     expected, trained = contract_of(method, workcell), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}

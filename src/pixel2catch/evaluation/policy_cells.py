@@ -131,7 +131,7 @@ def measure(folder: Path, cfg: EvaluationCfg, is_alone: bool, origin: Json, file
         torch.cuda.set_device(device)  # where PyTorch and Warp capture their graphs
     trials = throw_rounds(*load_policy(folder, device), replace(cfg, device=device), is_alone=is_alone)
     workcell = find_workcell(cfg.task.scene.workcell)
-    happened = vars(trials.record) | vars(trials)
+    happened = vars(trials.record) | vars(trials) | {"is_success": trials.record.is_success}
     digits = {name: "".join(map(str, happened[name].int().tolist())) for name in EVENTS.values()}
     of_row = {"seed": cfg.seed, **provenance(circumstances(), workcell.name)}
     content = origin | {"metrics": metrics(trials, workcell) | {"throws": digits} | of_row}

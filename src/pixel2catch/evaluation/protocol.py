@@ -192,16 +192,15 @@ def evaluate(
             if is_seeded:
                 env.seed(cfg.seed + number)
             steps = itertools.count(number * length + 1)
-            hold, reachable = ClosedLoopHold(env, actor), list[Tensor]()
+            hold, observation = ClosedLoopHold(env, actor), env.reset()
+            reachable = is_reachable(env.episode, env.workcell)
 
-            def watch(_: Step, state: RoundState, hold=hold, steps=steps, reachable=reachable) -> None:
-                if not reachable:  # no object is lost in the first step
-                    reachable.append(is_reachable(env.episode, env.workcell))
+            def watch(_: Step, state: RoundState, hold=hold, steps=steps) -> None:
                 hold.watch(state)
                 on_share(next(steps) / num_steps)
 
-            trials = run_round(env, actor, watch)
-            rounds.append(replace(trials, closed_loop=hold.result(), is_reachable=reachable[0]))
+            trials = _end_of_round(env, actor, observation, watch)
+            rounds.append(replace(trials, closed_loop=hold.result(), is_reachable=reachable))
             on_round(rounds[-1])
             on_share((number + 1) / cfg.trials)
     finally:
@@ -264,16 +263,21 @@ def run_round(
     After every control step `watch` is called; it must copy what it keeps, because the next step overwrites
     it. Environments whose trial is decided are stepped and ignored.
     """
+    return _end_of_round(env, actor, env.reset(), watch)
+
+
+def _end_of_round(
+    env: CatchEnv, actor: Actor, observation: Observation, watch: Callable[[Step, RoundState], None]
+) -> Trials:
     state = _round_start(env)
-    for step, state in round_steps(env, actor):
+    for step, state in round_steps(env, actor, observation):
         watch(step, state)
     env.check()
     return Trials(**{field.name: getattr(state, field.name) for field in fields(Trials)})
 
 
-def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
-    """Yield the control steps of a round; each step overwrites what the one before yielded."""
-    observation = env.reset()
+def round_steps(env: CatchEnv, actor: Actor, observation: Observation) -> Iterator[tuple[Step, RoundState]]:
+    """Yield the control steps of a round that has begun; each overwrites what the one before yielded."""
     state, trial_steps = _round_start(env), env.cfg.trial_steps
     for number in range(1, trial_steps + TEST_STEPS + 1):
         chosen = env.method.joint_actions(actor.act(observation.policy))

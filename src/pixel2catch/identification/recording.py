@@ -16,7 +16,7 @@ from pixel2catch.files import json_object, reading, take_version
 from pixel2catch.robots.spec import JointGroup, JointSpec
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import SPEED_MARGIN
-from pixel2catch.workcells import known_workcell
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1  #: Version of the trajectory files.
@@ -279,7 +279,7 @@ class Trajectory:
             header = json_object(str(arrays["header"]))
             take_version(header, FORMAT_VERSION)
             return Trajectory(
-                workcell=known_workcell(header.pop("workcell")),
+                workcell=find_workcell(header.pop("workcell")),
                 joints=_texts(arrays["joints"]),
                 times=_numbers(arrays["times"]),
                 positions=_numbers(arrays["positions"]),

@@ -15,7 +15,7 @@ from pixel2catch.learning.config import CONFIG_FILE, PRESETS, PresetName, TrainC
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
 from pixel2catch.shipped import policy_folder
-from pixel2catch.workcells import find_workcell, known_workcell
+from pixel2catch.workcells import find_workcell
 
 FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
 """Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn
@@ -104,7 +104,7 @@ def read_run(folder: Path) -> RunRecord:
     try:
         content = read_json_object(file)
         experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
-        known_workcell(experiment.env.scene.workcell)  # a run folder does not choose what Python imports
+        find_workcell(experiment.env.scene.workcell)
         return RunRecord(experiment=experiment, method=content["policy"]["method"], preset=content["preset"])
     except (ValueError, LookupError, TypeError) as error:
         raise CheckpointError(

@@ -26,7 +26,7 @@ from pixel2catch.policy.policy import Policy
 from pixel2catch.robots.geometry import Chain, chain_of, damped_step, joints_reaching, pose_and_slopes
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
-from pixel2catch.workcells import known_workcell
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HEIGHTS = (0.04, -0.04, 0.12, 0.2, 0.32, 0.44)
@@ -254,7 +254,7 @@ class AnalyticPolicy(Policy):
         """Make the policy of a name: analytic, analytic_told, or one of them with `@WORKCELL`."""
         nn.Module.__init__(self)
         method_name, _, cell = name.partition("@")
-        workcell = known_workcell(cell or UR5E_ALLEGRO.name)
+        workcell = find_workcell(cell or UR5E_ALLEGRO.name)
         method = find_method(METHODS_OF[method_name], workcell)
         self.contract, self.hidden = contract_of(method, workcell), ()
         self.agents = nn.ModuleDict(

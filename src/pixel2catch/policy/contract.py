@@ -23,7 +23,7 @@ from pixel2catch.methods import METHODS, Method, find_method, remembering
 from pixel2catch.own_files import OPTION, computed, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, CameraSpec
-from pixel2catch.workcells import known_workcell
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2  #: Version of the files of `Policy.save`; higher where older files cannot be read.
@@ -182,7 +182,7 @@ def method_of(contract: PolicyContract) -> Method:
     Raises PolicyMismatchError for a contract with terms that are not of this package.
     """
     import_files()
-    workcell = known_workcell(contract.workcell)
+    workcell = find_workcell(contract.workcell)
     base, _, memory = contract.method.partition("+")
     if base in METHODS:
         return find_method(contract.method, workcell)

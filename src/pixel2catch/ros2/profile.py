@@ -284,9 +284,9 @@ class Profile:
 
     def __post_init__(self) -> None:
         """Fill in the joint order; refuse joints that are not in the work cell, or driven twice."""
-        from pixel2catch.workcells import known_workcell  # needs MuJoCo: not where a profile is unpickled
+        from pixel2catch.workcells import find_workcell  # needs MuJoCo: not where a profile is unpickled
 
-        workcell = known_workcell(self.workcell)
+        workcell = find_workcell(self.workcell)
         order = tuple(joint.name for joint in workcell.joints)
         parts = tuple(replace(part, joint_order=order) for part in self.robots)
         object.__setattr__(self, "robots", parts)

@@ -30,7 +30,7 @@ SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 class SceneCfg:
     """Robots, physics, contacts and camera of the scene."""
 
-    workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
+    workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: PhysicsRate = 1.0 / PHYSICS_DT
     cone: Cone = "elliptic"  #: Friction cone: elliptic, or pyramidal, which is faster and less accurate.

@@ -79,14 +79,12 @@ class ThrowPlayer:
         self.num_throws += 1
         throw = PlayedThrow(number=self.num_throws, order=order)
         qpos, qvel = (env.world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
-        bystanders, last, release = None, None, 0
-        for step, last in round_steps(env, policy):
-            if bystanders is None:
-                episode = env.episode
-                throw.object_name = env.world.objects.names[int(episode.parameters.object_id)]
-                throw.path, release = _flight(episode), int(episode.throw.hover_steps)
-                release_pos = episode.throw.pos[0].double().numpy()
-                bystanders = Bystanders(release_pos=release_pos, phase=float(throw.number))
+        observation, episode, last = env.reset(), env.episode, None
+        throw.object_name = env.world.objects.names[int(episode.parameters.object_id)]
+        throw.path, release = _flight(episode), int(episode.throw.hover_steps)
+        release_pos = episode.throw.pos[0].double().numpy()
+        bystanders = Bystanders(release_pos=release_pos, phase=float(throw.number))
+        for step, last in round_steps(env, policy, observation):
             if not last.is_running[0]:
                 break
             time = CONTROL_DT * (len(throw.steps) + 1 - release)

@@ -6,8 +6,8 @@ A new one is a new file that defines `WORKCELLS`; no other file changes.
 import importlib
 import pkgutil
 
-from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.own_files import OPTION, catalogue, defined, import_file, import_files
+from pixel2catch.errors import UnknownNameError
+from pixel2catch.own_files import OPTION, catalogue, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 
 _MODULES = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
@@ -21,17 +21,7 @@ def workcells() -> dict[str, WorkcellSpec]:
 
 
 def find_workcell(name: str) -> WorkcellSpec:
-    """Return the work cell of a name, or the last one in the Python file with that path."""
-    if name.endswith(".py") and name not in workcells():
-        found = list(defined(import_file(name), WorkcellSpec))
-        if not found:
-            raise InvalidValueError(f"{name} defines no WorkcellSpec at its top level; see CONTRIBUTING.md")
-        return found[-1]
-    return known_workcell(name)
-
-
-def known_workcell(name: str) -> WorkcellSpec:
-    """Return the work cell of a name; never import the file of that name, unlike `find_workcell`."""
+    """Return the work cell of a name; raise UnknownNameError for another."""
     if name not in _KNOWN and name not in workcells():
         raise UnknownNameError(
             "work cell", name, (*_KNOWN, f"or one of a file of your own, {OPTION} FILE.py")
