@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from pixel2catch.camera import region
 from pixel2catch.camera.level import LEVEL_CAMERA, level_boxes
 from pixel2catch.camera.pinhole import Projection, nominal_projection
-from pixel2catch.camera.region import REGION
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA
 
 NUM = 500
@@ -16,7 +16,7 @@ NUM = 500
 def drawn_spheres() -> tuple[Projection, Tensor]:
     """Cameras of the region, and points on a sphere of 4 cm before each [m]."""
     generator = torch.Generator().manual_seed(1)
-    cameras = REGION.sample(NUM, generator)
+    cameras = region.sample(NUM, generator)
     place = torch.rand(NUM, 1, 3, generator=generator) * torch.tensor([2.0, 0.8, 1.0])
     rays = torch.randn(NUM, 3000, 3, generator=generator)
     return cameras, place + torch.tensor([0.8, -0.4, 0.9]) + 0.04 * torch.nn.functional.normalize(
@@ -46,24 +46,24 @@ def test_the_level_camera_itself_and_empty_boxes_stay():
 
 
 def test_the_region_has_the_camera_of_the_release_and_names_what_is_outside():
-    assert not REGION.outside(RGB_CAMERA)
-    assert "x is 0.30 m" in REGION.outside(replace(RGB_CAMERA, pos=(0.3, 0.0, 2.0)))
-    assert "116° wide" in REGION.outside(replace(RGB_CAMERA, fx=200.0))
-    assert "axis does not pass" in REGION.outside(replace(RGB_CAMERA, quat=FORWARD_TO_OPTICAL))
+    assert not region.outside(RGB_CAMERA)
+    assert "x is 0.30 m" in region.outside(replace(RGB_CAMERA, pos=(0.3, 0.0, 2.0)))
+    assert "116° wide" in region.outside(replace(RGB_CAMERA, fx=200.0))
+    assert "axis does not pass" in region.outside(replace(RGB_CAMERA, quat=FORWARD_TO_OPTICAL))
     rolled = replace(RGB_CAMERA, quat=(0.5, -0.5, 0.5, -0.5), pos=(-0.4, 0.0, 1.4))
-    assert not REGION.outside(rolled)
-    assert "90° about" in REGION.outside(replace(rolled, quat=(0.0, -0.7071068, 0.0, -0.7071068)))
+    assert not region.outside(rolled)
+    assert "90° about" in region.outside(replace(rolled, quat=(0.0, -0.7071068, 0.0, -0.7071068)))
 
 
 def test_drawn_cameras_are_of_the_region():
-    cameras = REGION.sample(20, torch.Generator().manual_seed(0))
+    cameras = region.sample(20, torch.Generator().manual_seed(0))
     for matrix, center in zip(cameras.matrix.double(), cameras.center.tolist(), strict=True):
         right = matrix[0] - RGB_CAMERA.cx * matrix[2]
         focal = float(right.norm())
         axes = torch.stack((right / focal, (matrix[1] - RGB_CAMERA.cy * matrix[2]) / focal, matrix[2]))
         torch.testing.assert_close(axes @ axes.T, torch.eye(3).double(), atol=1e-5, rtol=0)
         camera = replace(RGB_CAMERA, fx=focal, fy=focal, pos=tuple(center), quat=quaternion(axes.T))
-        assert not REGION.outside(camera)
+        assert not region.outside(camera)
         found = nominal_projection(camera, torch.zeros(0, dtype=torch.float64)).matrix
         torch.testing.assert_close(found, matrix, atol=1e-2, rtol=0)
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Counts, Flags, Joints, PointFlags, Points, Quaternions, Scalars, Vectors
@@ -202,10 +202,10 @@ class CatchWorld:
                 self._slow_object(drag, side_force)
             self._actuators.advance(increment)
             self.simulation.step(self.is_active)
-            seen = self._magnitudes()
-            peaks = seen if peaks is None else [*map(torch.maximum, peaks, seen)]
+            seen = self._extremes()
+            peaks = seen if peaks is None else peaks.merged(seen)
         assert peaks is not None
-        return self._log(*peaks)
+        return peaks
 
     def _slow_object(self, drag: Scalars, side_force: Vectors | None) -> None:
         """Apply the force of the air to the object; tumbling is neglected."""
@@ -220,7 +220,7 @@ class CatchWorld:
 
     def quiet_log(self) -> StepExtremes:
         """Return the log of a control step without contacts."""
-        return StepExtremes(*map(torch.zeros_like, self._log(*self._magnitudes())))
+        return StepExtremes(*map(torch.zeros_like, self._extremes()))
 
     def privileged(self, log: StepExtremes) -> Privileged:
         """Return the true state, with the contacts of a control step from its log."""
@@ -275,37 +275,22 @@ class CatchWorld:
         field = self._model[name][:, rows]
         write(mask, value.to(field.dtype).expand_as(field), field)
 
-    def _magnitudes(self) -> list[Tensor]:
-        """Return what `_log` takes of one physics step, in new memory; of several steps the largest."""
+    def _extremes(self) -> StepExtremes:
+        """Return the log of a physics step, in new memory and in SI units."""
         fields, sensors = self._fields, self._fields.sensordata[:, self._contacts]
-        return [
-            sensors[:, ::2] > 0,
-            -sensors[:, 2 * self._anything + 1],
-            take(fields.qvel, self.arms).abs(),
-            fields.actuator_force.abs(),
-            fields.qfrc_constraint[:, self._linear].square().sum(dim=-1),
-        ]
-
-    def _log(
-        self,
-        is_found: Bool[Tensor, "num_envs num_sensors"],
-        overlap: Scalars,
-        joint_speed: Float[Tensor, "num_envs num_arm_joints"],
-        torque: Joints,
-        square_force: Scalars,
-    ) -> StepExtremes:
-        """Return the log of physics steps from the largest of their `_magnitudes`, in SI units."""
-        anything, num_robots = self._anything, self._num_robots
+        anything, num_robots, is_found = self._anything, self._num_robots, sensors[:, ::2] > 0
         of_object, of_robots = is_found[:, : anything + 1], is_found[:, anything + 1 :]
+        torque_share = fields.actuator_force.abs() / self._actuators.limits.effort_limit
+        object_force = fields.qfrc_constraint[:, self._linear].square().sum(dim=-1).sqrt()
         return StepExtremes(
             is_touching=of_object[:, :anything],
             is_robot_on_table=of_robots[:, :num_robots].any(dim=-1),
             is_self_contact=of_robots[:, num_robots:].any(dim=-1),
             is_robot_contact=of_robots[:, 2 * num_robots :].any(dim=-1),
-            penetration=overlap.clamp(min=0.0).float(),
-            joint_speed=joint_speed.amax(dim=-1).float(),
-            torque_share=(torque / self._actuators.limits.effort_limit).amax(dim=-1).float(),
-            object_force=square_force.sqrt().float(),
+            penetration=(-sensors[:, 2 * anything + 1]).clamp(min=0.0).float(),
+            joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
+            torque_share=torque_share.amax(dim=-1).float(),
+            object_force=object_force.float(),
         )
 
 

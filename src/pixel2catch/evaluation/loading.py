@@ -6,8 +6,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
+from pixel2catch.camera import region
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.region import REGION
 from pixel2catch.checks import PhysicsRate
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.methods import Method
@@ -91,7 +91,7 @@ def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
 
 def region_remark(method: Method, camera: CameraSpec) -> Iterator[str]:
     """Yield a remark if a method is for any camera of a region and the camera is outside it."""
-    if method.is_levelled and (outside := REGION.outside(camera)):
+    if method.is_levelled and (outside := region.outside(camera)):
         yield f"the camera is outside the region of the policy's training: {outside}"
 
 

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalars, Vectors
+from pixel2catch.camera import region
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection
-from pixel2catch.camera.region import REGION
 from pixel2catch.checks import Amount, Range, Share, Within
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
@@ -44,7 +44,7 @@ class SensingCfg:
     #: The camera and its uncertainty: the true camera of each episode is drawn within that. Default: the
     #: release's, without errors.
     camera: CameraFile = RELEASE_CAMERA
-    #: Draw the calibrated camera of each episode from `camera.region.REGION` instead.
+    #: Draw the calibrated camera of each episode from `camera.region` instead.
     any_camera: bool = False
     #: Distance of the true camera from the calibrated one, in a random direction [m]. The training of the
     #: paper has neither this error nor those below (ours; values: `envs.tasks`, `evaluation.stress`).
@@ -184,7 +184,7 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     spec = cfg.camera.camera
     assumed = nominal_projection(spec, offset)
     if cfg.any_camera:
-        assumed = REGION.sample(num_envs, generator)
+        assumed = region.sample(num_envs, generator)
     camera = assumed if cfg.camera.is_exact else cfg.camera.sample(num_envs, generator)
     bias_angle = 2.0 * torch.pi * chance[:, 1]
     flight_steps = throw.flight_time() / CONTROL_DT
