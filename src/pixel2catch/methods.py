@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import torch
@@ -166,40 +167,29 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
-    oracle = (observations.object_position, *observations.PROPRIOCEPTION)
-    joints = (observations.joint_pos, observations.last_action)
+    own, joints = observations.PROPRIOCEPTION, (observations.joint_pos, observations.last_action)
+    oracle = (observations.object_position, *own)
+    blind = partial(Method, pixel_features=())
     proposed = Method(name="proposed", agents=agents, pixel_features=ALL_FEATURES)
     single = replace(proposed, name="single_agent", agents=(together(agents),))
     methods = (
         proposed,
-        Method(
-            name="without_pf",
-            agents=_seeing(agents, observations.initial_object_position, *observations.PROPRIOCEPTION),
-            pixel_features=(),
-        ),
+        blind(name="without_pf", agents=_seeing(agents, observations.initial_object_position, *own)),
         replace(proposed, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
         replace(proposed, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
         single,
         replace(proposed, name="proposed_local_critic", value_input="observation"),
         replace(single, name="single_agent_local_critic", value_input="observation"),
-        Method(name="object_position", agents=_seeing(agents, *oracle), pixel_features=()),
-        Method(
-            name="object_extent",
-            agents=_seeing(agents, observations.object_extent, *oracle),
-            pixel_features=(),
-        ),
+        blind(name="object_position", agents=_seeing(agents, *oracle)),
+        blind(name="object_extent", agents=_seeing(agents, observations.object_extent, *oracle)),
         replace(proposed, name="shared_reward", agents=sharing(agents)),
         replace(proposed, name="agent_per_robot", agents=agents_by_robot(workcell, agents)),
         replace(proposed, name="journal", agents=_seeing(agents, *observations.JOURNAL_TERMS)),
         replace(proposed, name="catch", agents=sharing(resting)),
         replace(proposed, name="catch_alone", agents=(alone,)),
-        Method(name="catch_teacher", agents=_seeing((alone,), *oracle), pixel_features=()),
+        blind(name="catch_teacher", agents=_seeing((alone,), *oracle)),
         replace(proposed, name="analytic", agents=_seeing((alone,), observations.pixels, *joints)),
-        Method(
-            name="analytic_told",
-            agents=_seeing((alone,), observations.object_position, *joints),
-            pixel_features=(),
-        ),
+        blind(name="analytic_told", agents=_seeing((alone,), observations.object_position, *joints)),
     )
     return {method.name: method for method in methods}
 

@@ -10,7 +10,7 @@ import torch
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
-from pixel2catch.files import decoded, read_json_object
+from pixel2catch.files import decoded, read_json_object, reading
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, PresetName, TrainCfg
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.policy import Policy
@@ -101,16 +101,12 @@ def preset(
 def read_run(folder: Path) -> RunRecord:
     """Read the configuration of a run folder; raise CheckpointError if it does not fit this code."""
     file = folder / CONFIG_FILE
-    try:
+    fix = "Resume with the version that wrote it, or start another run."
+    with reading("configuration", file, fix, CheckpointError):
         content = read_json_object(file)
         experiment = decoded(Experiment, {name: content[name] for name in ("env", "train")})
         find_workcell(experiment.env.scene.workcell)
         return RunRecord(experiment=experiment, method=content["policy"]["method"], preset=content["preset"])
-    except (ValueError, LookupError, TypeError) as error:
-        raise CheckpointError(
-            f"'{file}' is no configuration that this code reads ({error}); resume with the version that "
-            "wrote it, or start another run."
-        ) from error
 
 
 def require_run(

@@ -27,6 +27,9 @@ from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.progress import heartbeat
 from pixel2catch.shipped import policy_folder
 
+Status = Literal["failed", "interrupted", "finished"]
+"""How a training ended: interrupted by Ctrl-C or a termination signal; failed only in the run folder."""
+
 BeginStep = Callable[[str], None]  #: Names the step that goes on; an empty name ends it.
 MakeEnv = Callable[..., CatchEnv]
 """Makes environments from a share of the `TrainCfg` and a physics rate [1/s], or None for their own rate."""
@@ -36,8 +39,7 @@ MakeEnv = Callable[..., CatchEnv]
 class TrainResult:
     """How a training ended."""
 
-    #: Interrupted: by Ctrl-C or a termination signal; failed: only in the run folder.
-    status: Literal["failed", "interrupted", "finished"]
+    status: Status
     transitions: int  #: Transitions that were used.
     seconds: float  #: Wall-clock time over all sessions [s].
     policy: Path  #: Folder of the policy.
@@ -123,7 +125,7 @@ class _Training:
 
     def run(self, console: Console, begin_step: BeginStep) -> TrainResult:
         """Train to the end; in any case write how it ended."""
-        status: Literal["failed", "interrupted", "finished"] = "failed"
+        status: Status = "failed"
         with contextlib.ExitStack() as stack:
             with self.workers.sync_errors():
                 log = stack.enter_context(self._open_log(console))
@@ -149,9 +151,7 @@ class _Training:
         transitions = self.progress.transitions
         return TrainingLog(self.cfg, self.folder.path, transitions, console, run)
 
-    def _loop(
-        self, log: TrainingLog, stop: StopRequest, begin_step: BeginStep
-    ) -> Literal["interrupted", "finished"]:
+    def _loop(self, log: TrainingLog, stop: StopRequest, begin_step: BeginStep) -> Status:
         observation = None
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         try:
@@ -263,7 +263,7 @@ class _Training:
             save_checkpoint(self.folder.checkpoint, self.mappo, self.contract, self.progress)
             self.mappo.export().save(self.folder.policy)
 
-    def _save_last(self, log: TrainingLog, status: str) -> None:
+    def _save_last(self, log: TrainingLog, status: Status) -> None:
         try:
             self._save()
         except OSError as error:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
+from pixel2catch.checks import Within
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
@@ -31,8 +32,14 @@ SERVOJ_GAIN = 300.0
 SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: the controller's setting.
 EFFORT_MARGIN = 0.999  #: Share of a joint's effort limit that a servo applies; at the limit MuJoCo clamps.
 
-LARGEST, LARGEST_OTHER = {"latency": 1.0, "filter_lookahead": 10.0}, 1e9
-"""Largest valid values of a parameter, by name and of all others. Source: ours."""
+POSITIVE = Within(0.0, 1e9, is_open=True)
+RANGES = {
+    "frictionloss": Within(0.0, 1e9),
+    "latency": Within(0.0, 1.0),
+    "filter_gain": Within(0.0, np.inf, is_open=True),
+    "filter_lookahead": Within(0.0, 10.0),
+}
+"""Valid values of some parameters; others are positive. Source: ours."""
 
 Parameter = Float[np.ndarray, " num_joints"]
 
@@ -54,7 +61,10 @@ class JointDynamics:
         if not self.joints or len(set(self.joints)) < len(self.joints):
             raise InvalidValueError(f"joints are {list(self.joints)}; name each joint once.")
         for name in PARAMETERS:
-            self._check(name)
+            if (values := getattr(self, name)).shape != (len(self.joints),):
+                raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(self.joints)}")
+            for joint, value in zip(self.joints, values.tolist(), strict=True):
+                RANGES.get(name, POSITIVE).require(f"{name} of {joint}", value)
 
     def require(self, joints: Sequence[JointSpec]) -> None:
         """Require that all joints belong to a robot, in its order."""
@@ -64,22 +74,6 @@ class JointDynamics:
                 raise UnknownNameError("joint", name, known)
         if list(self.joints) != [name for name in known if name in self.joints]:
             raise InvalidValueError(f"joints are {list(self.joints)}; name them in the order {known}.")
-
-    def _check(self, name: str) -> None:
-        values = getattr(self, name)
-        if values.shape != (len(self.joints),):
-            raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(self.joints)}")
-        may_be_zero = name in ("frictionloss", "latency", "filter_lookahead")
-        is_good = (values >= 0.0) if may_be_zero else (values > 0.0)
-        largest = LARGEST.get(name, LARGEST_OTHER)
-        is_good &= (values <= largest) | (np.isinf(values) if name == "filter_gain" else False)
-        if not is_good.all():
-            bad = int(np.argmin(is_good))
-            least = "0 or more" if may_be_zero else "more than 0"
-            raise InvalidValueError(
-                f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and at most "
-                f"{largest:g}."
-            )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, JointDynamics) and self._key() == other._key()

@@ -99,9 +99,7 @@ ONE_INTERFACE = """<CycloneDDS xmlns="https://cdds.io/config"><Domain Id="any">
 </Domain></CycloneDDS>
 """
 
-ONLY_WATCHES = (
-    "watches=1;"  #: User data of subscriptions that no driver counts as its source of commands. Source: ours.
-)
+ONLY_WATCHES = "watches=1;"  #: User data of subscriptions that do not count as a source of commands (ours).
 
 NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)  #: A slow reader loses messages.
 
