@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import radians
 from typing import Any
 
-from pixel2catch.camera.region import REGION
+from pixel2catch.camera import region
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import LIGHT, OUTSIDE_CAMERA, PEOPLE_ROBOT, PEOPLE_THROWS
 from pixel2catch.errors import UnknownNameError
@@ -331,7 +331,7 @@ def _is_field_within(name: str, changed: Any, trained: Any) -> bool:
     if name in BOUNDS:
         return _is_inside((0.0, inner), (0.0, outer))
     if name == "camera":
-        is_known = not REGION.outside(inner.camera) if trained.any_camera else inner.camera == outer.camera
+        is_known = not region.outside(inner.camera) if trained.any_camera else inner.camera == outer.camera
         errors = (max(inner.pose_std[:3]), max(inner.pose_std[3:]), inner.focal_std or 0.0)
         drawn = (trained.camera_offset, trained.camera_turn, trained.focal_error)
         largest = ((0.0, DEVIATIONS * error) for error in errors)
