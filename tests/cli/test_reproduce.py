@@ -1,19 +1,19 @@
 """Studies through the real command: real trainings and evaluations, as small as they can be."""
 
+import io
 import json
 import os
 import shlex
 import signal
-import subprocess
 import sys
-import time
+from contextlib import redirect_stderr
 from functools import partial
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 import torch
 
-from domains import PATIENCE
 from pixel2catch.behaviour import HASHES
 from pixel2catch.cli import studies
 from pixel2catch.cli.main import main
@@ -47,17 +47,22 @@ def times(folder: Path) -> dict[str, int]:
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study that was interrupted in its first training and then continued."""
     out = tmp_path_factory.mktemp("study") / "with a, comma"
-    command = [sys.executable, "-m", "pixel2catch", "reproduce", *TINY, "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + PATIENCE
-    while not (out / "runs" / RUN / "checkpoint.pt").exists():
-        assert time.monotonic() < deadline
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert f"{RUN} stopped" in errors
+    errors, has_ended = io.StringIO(), Event()
+
+    def interrupt() -> None:
+        while not (out / "runs" / RUN / "checkpoint.pt").exists() and not has_ended.wait(0.01):
+            pass
+        if not has_ended.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
+
+    user = Thread(target=interrupt)
+    user.start()
+    with redirect_stderr(errors):
+        status = main(["reproduce", *TINY, "--out", str(out)])
+    has_ended.set()
+    user.join()
+    assert status == 130
+    assert f"{RUN} stopped" in errors.getvalue()
     summary = read(out / "runs" / RUN / "summary.json")
     assert summary["status"] == "interrupted"
     assert 0 < summary["transitions"] < 320

@@ -94,6 +94,8 @@ def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
     assert config["agents"]["arm"]["observation"] == ["pixels", "palm_pose", "joint_pos", "last_action"]
     weights = config["agents"]["arm"]["rewards"]
     assert [weights[f"arm.{name}"] for name in ("success", "drop", "nearness")] == [5.0, 0.0, 0.1]
+    text = (out / "summary.json").read_text()  # no episode has ended: rates are null, not NaN
+    assert json.loads(text, parse_constant=pytest.fail)["metrics"]["success_rate"] is None
 
 
 def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):

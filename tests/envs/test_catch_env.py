@@ -18,6 +18,7 @@ from pixel2catch.methods import find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg
 
 OBJECT = slice(len(JOINTS), len(JOINTS) + 7)
 CAMERA = nominal_projection(RGB_CAMERA, torch.zeros(1))
@@ -162,7 +163,8 @@ def test_snapshots_do_not_follow_the_simulation():
 
 
 def test_every_object_is_thrown_without_nan():
-    env = make(2 * len(OBJECTS), objects=tuple(OBJECTS), episode=EpisodeCfg(max_steps=55))
+    scene = SceneCfg(physics_hz=60.0)
+    env = make(2 * len(OBJECTS), objects=tuple(OBJECTS), episode=EpisodeCfg(max_steps=55), scene=scene)
     finite = True
     for _ in range(57):
         actions = {name: 2 * torch.rand(env.num_envs, n) - 1 for name, n in env.action_sizes.items()}

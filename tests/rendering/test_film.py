@@ -7,6 +7,7 @@ import torch
 from PIL import Image, ImageSequence
 
 from pixel2catch.camera.pinhole import project
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg, RecordedThrow, recorded_throws
 from pixel2catch.methods import PROPOSED
@@ -23,7 +24,9 @@ from pixel2catch.workcells import find_workcell
 def throws() -> list[RecordedThrow]:
     torch.manual_seed(0)
     policy = Policy(contract_of(PROPOSED), hidden=(16,))
-    return recorded_throws(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
+    task = CatchEnvCfg(scene=SceneCfg(physics_hz=60.0))
+    cfg = EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1, task=task)
+    return recorded_throws(cfg, policy, PROPOSED)
 
 
 def test_a_recorded_throw_has_its_boxes_and_ends_before_the_next_episode(throws: list[RecordedThrow]):

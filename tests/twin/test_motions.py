@@ -14,6 +14,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.cli.home import EVEN, QUARTER
 from pixel2catch.cli.link import Link
 from pixel2catch.cli.main import main
+from pixel2catch.deployment import throw_cycle
 from pixel2catch.deployment.follower import follow
 from pixel2catch.deployment.joint_check import JointCheck, record_of_today
 from pixel2catch.deployment.operator import OperatorConsole
@@ -117,7 +118,7 @@ def test_a_motion_is_at_rest_in_its_poses_and_as_fast_as_permitted():
     assert speeds[np.searchsorted(times, PEAK**2)] == pytest.approx([0.0, 0.0], abs=1e-2)
 
 
-@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 100), ("two_ur5e_allegro", 20)])
+@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 40), ("two_ur5e_allegro", 10)])
 def test_the_way_home_keeps_its_distances_or_is_refused(workcell: str, number: int):
     """Near its ends their own distances count; none is a contact. Some ways of two arms lead around."""
     profile = Profile.load("ur5e_allegro_v4" if workcell == WORKCELL.name else workcell)
@@ -290,6 +291,7 @@ def test_a_stop_in_a_throw_or_a_motion_goes_on_when_the_robot_is_armed_again():
 
 def test_two_throws_are_caught_without_touching_the_robot(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(stepped, "twin_profile", lambda _: PROFILE)
+    monkeypatch.setattr(throw_cycle, "SHARE", 0.9)
     policy, _ = load_policy(None)
     cfg = RehearsalCfg(plain=True, throws=2, seed=100, after_catch="near")
     with in_step(cfg, task_of(policy, physics_hz=120.0), policy) as (twin, statistics):
