@@ -112,7 +112,7 @@ class Studies:
         study, waived = self.studies[name], {each.study: each.until for each in self.waivers}
         missing = [file for file in study.commands if not self.file(file).exists()]
         if missing:
-            return f"missing {len(missing)} of {len(study.commands)}"
+            return f"without {len(missing)} of {len(study.commands)} files"
         if all(is_current(self._content(file), study.workcell) for file in study.commands):
             return "current"
         return f"waived until {waived[name]}" if name in waived else "outdated"
@@ -128,8 +128,9 @@ class Studies:
         shown = {name for text in self.pages.values() for _, name, *_ in PLACE.findall(text)}
         yield from (f"no document has the table '{name}'" for name in self.tables if name not in shown)
         for name in sorted({table.study for table in self.tables.values()}):
-            if (state := self.state(name)) == "outdated" or state.startswith("missing"):
-                yield f"study '{name}' is {state}; delete its files and run 'make results STUDIES={name}'"
+            if (state := self.state(name)) == "outdated" or state.startswith("without"):
+                again = "delete its files and run" if state == "outdated" else "run"
+                yield f"study '{name}' is {state}; {again} 'make results STUDIES={name}'"
 
     def _waiver_problems(self, today: datetime.date) -> Iterator[str]:
         if len(self.waivers) > MOST_WAIVERS:

@@ -102,7 +102,7 @@ def test_commands_of_studies_are_understood():
 
 
 def test_a_study_is_computed_once_and_its_table_written(checkout: Path, capsys: pytest.CaptureFixture[str]):
-    assert "missing 1 of 1" in problems(checkout)
+    assert "without 1 of 1 files" in problems(checkout)
     for _ in range(2):
         main([], checkout)
     assert (checkout / "count").read_text() == "x"
