@@ -47,7 +47,10 @@ WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.CatchParallelEnv(None), "env is None; it must be CatchEnv"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.Method(name="own", agents=("arm",), pixel_features=()), "agents is 'arm'"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make().seed(-1), "seed is -1"),
-    (lambda: p2c.load_policy().act({}), "observation of agent 'robot' is None; it must be of shape"),
+    (lambda: p2c.load_policy().act({}), "observation of agent 'robot' is None; give a tensor of shape"),
+    (lambda: p2c.load_policy().act({"robot": torch.zeros(99)}), r"'robot' is of shape \(99,\); give"),
+    (lambda: p2c.Policy.load(5), "folder is 5; it must be a text or a path"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.Renderer(None), "model is None; it must be MjModel"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make().step({"arm": torch.zeros(1, 6)}), r"action of agent 'hand' is None; .* \(1, 13\)"),
 )
 

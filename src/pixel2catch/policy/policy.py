@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from pixel2catch import files
 from pixel2catch.batches import ByAgent
+from pixel2catch.checks import Device, typed
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.mdp.tensors import require_shapes
 from pixel2catch.policy.contract import PolicyContract
@@ -82,19 +83,17 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def act(self, observations: ByAgent) -> ByAgent:
-        """Return the mean action of every agent, clipped to [-1, 1]."""
-        try:
-            return {name: agent(observations[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
-        except (AttributeError, KeyError, RuntimeError, TypeError):
-            shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
-            require_shapes("observation", observations, shapes)
-            raise
+        """Return the mean action of every agent, (num_envs, num_joints), clipped to [-1, 1]."""
+        shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
+        require_shapes("observation", observations, shapes)
+        return {n: agent(observations[n].float()).clamp(-1.0, 1.0) for n, agent in self.agents.items()}
 
     @property
     def description(self) -> str:
         """Return the contract and the sizes of the networks as JSON."""
         return json.dumps({"hidden": list(self.hidden), **self.contract.to_dict()}, indent=2) + "\n"
 
+    @typed
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither."""
         text = self.description
@@ -103,7 +102,8 @@ class Policy(nn.Module):
         files.write_atomically({folder / WEIGHTS_FILE: weights, folder / CONTRACT_FILE: text.encode()})
 
     @classmethod
-    def load(cls, folder: Path, device: str = "cpu") -> "Policy":
+    @typed
+    def load(cls, folder: str | Path, device: Device = "cpu") -> "Policy":
         """Read what `save` wrote; raise PolicyMismatchError if it does not fit this code."""
         if is_computed(folder := Path(folder)):
             raise PolicyMismatchError(f"policy '{folder}' has no networks to go on from; give a trained one.")

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from mujoco.rendering.classic import gl_context
 
+from pixel2catch.checks import typed
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.installation import GL_VARIABLE
 from pixel2catch.robots.workcell import COLLISION_GROUP, VISUAL_GROUP
@@ -101,6 +102,7 @@ class Renderer(AbstractContextManager["Renderer"]):
     Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only on request.
     """
 
+    @typed
     def __init__(
         self, model: mujoco.MjModel, view: Viewpoint = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
