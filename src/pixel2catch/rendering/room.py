@@ -1,7 +1,7 @@
 """The scene in a room with a thrower: furnished for camera images, or plain and bright for films."""
 
 from dataclasses import dataclass, replace
-from math import cos, exp, pi, sin
+from math import exp, pi, sin
 
 import mujoco
 import numpy as np
@@ -22,7 +22,6 @@ FILM_FLOOR = (0.64, 0.58, 0.50), (0.62, 0.56, 0.48)  #: Both colours of the floo
 #: A point [m] and the normal of each wall of a film.
 FILM_WALLS = ((WALL_X, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.0, 0.0))
 FILM_WALL_RGBA = (0.90, 0.91, 0.92, 1.0)
-NUM_LAMPS, LAMP_SPREAD = 2, 0.016  #: Steps of a soft shadow's edge, and its width [rad].
 
 CLOTHES_RGBA = (0.16, 0.20, 0.32, 1.0)
 TROUSERS_RGBA = (0.30, 0.27, 0.22, 1.0)
@@ -77,7 +76,7 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
 
 
 def build_film_room(scene: SceneCfg, object_name: str) -> mujoco.MjModel:
-    """Return the compiled scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`."""
+    """Return the compiled scene in a bright, plain room; `qpos` is as of `build_room`."""
     spec = build_spec(replace(scene, visuals=True), object_name)
     spec.texture("floor").rgb1, spec.texture("floor").rgb2 = FILM_FLOOR
     for pos, normal in FILM_WALLS:
@@ -88,27 +87,26 @@ def build_film_room(scene: SceneCfg, object_name: str) -> mujoco.MjModel:
     _add_bystanders(spec)
     for geom in spec.body("ball").geoms:
         geom.rgba[3] = 0.0
-    _add_soft_light(spec)
+    _add_light(spec)
     return spec.compile()
 
 
-def _add_soft_light(spec: mujoco.MjSpec) -> None:
-    """Replace the scene's lights by lamps side by side, for soft shadows, and light from all sides."""
+def _add_light(spec: mujoco.MjSpec) -> None:
+    """Replace the scene's lights by a lamp, the only one with a shadow, and light from all sides."""
     for light in tuple(spec.lights):
         spec.delete(light)
     headlight = spec.visual.headlight
     headlight.ambient, headlight.diffuse, headlight.specular = (0.5,) * 3, (0.18,) * 3, (0.0,) * 3
     spec.visual.map.shadowclip = 1.6
     spec.stat.center = (0.9, 0.0, 1.0)
-    for turn in np.arange(NUM_LAMPS) * 2.0 * pi / NUM_LAMPS:
-        spec.worldbody.add_light(
-            pos=(0.2, -1.6, 3.4),
-            dir=(0.28 + LAMP_SPREAD * cos(turn), 0.5 + LAMP_SPREAD * sin(turn), -1.0),
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            diffuse=(0.6 / NUM_LAMPS,) * 3,
-            specular=(0.3 / NUM_LAMPS,) * 3,
-            castshadow=True,
-        )
+    spec.worldbody.add_light(
+        pos=(0.2, -1.6, 3.4),
+        dir=(0.28, 0.5, -1.0),
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=(0.6,) * 3,
+        specular=(0.3,) * 3,
+        castshadow=True,
+    )
 
 
 def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: np.random.Generator) -> None:
