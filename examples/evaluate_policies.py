@@ -1,7 +1,7 @@
 """Evaluate a policy in Python, and under a disturbance of your own.
 
 python examples/evaluate_policies.py
-pixel2catch stress --axes nominal heavy --import examples/evaluate_policies.py
+pixel2catch --import examples/evaluate_policies.py stress --axes nominal heavy
 """
 
 from dataclasses import replace

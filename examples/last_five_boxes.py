@@ -1,7 +1,7 @@
 """The last five boxes as an observation, by a term of your own.
 
     python examples/last_five_boxes.py
-    pixel2catch evaluate runs/five_boxes --import examples/last_five_boxes.py
+    pixel2catch --import examples/last_five_boxes.py evaluate runs/five_boxes
 
 The package has such a memory, too: `pixel2catch train proposed+boxes5`.
 """

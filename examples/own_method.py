@@ -1,6 +1,6 @@
 """A method of your own: a single agent that sees the box's size and the age of the image, no centre.
 
-pixel2catch train size_and_age --import examples/own_method.py --out runs/size
+pixel2catch --import examples/own_method.py train size_and_age --out runs/size
 pixel2catch evaluate runs/size      # all of its terms are the package's: no file is needed
 """
 

@@ -1,8 +1,8 @@
 """Objects of your own: a bottle of two shapes, and a cup from a mesh file that this script writes.
 
 python examples/own_object.py
-pixel2catch evaluate --objects bottle --import examples/own_object.py
-pixel2catch play --objects bottle --import examples/own_object.py
+pixel2catch --import examples/own_object.py evaluate --objects bottle
+pixel2catch --import examples/own_object.py play --objects bottle
 """
 
 import tempfile

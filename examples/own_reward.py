@@ -1,7 +1,7 @@
 """A reward term of your own: the faster a held object still moves, the more it costs.
 
 python examples/own_reward.py
-pixel2catch train gentle --import examples/own_reward.py    # the same, with all options of the command
+pixel2catch --import examples/own_reward.py train gentle    # the same, with all options of the command
 """
 
 from dataclasses import replace
