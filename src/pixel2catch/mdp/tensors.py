@@ -95,8 +95,7 @@ def require_shapes(kind: str, values: Any, shapes: Mapping[str, tuple[int | None
     """Raise InvalidValueError unless each agent has a tensor of its shape, where None is any size."""
     given = values if isinstance(values, Mapping) else {}
     for agent, (rows, size) in shapes.items():
-        value = given.get(agent)
-        found = tuple(value.shape) if isinstance(value, Tensor) else ()
+        found = tuple(value.shape) if isinstance(value := given.get(agent), Tensor) else ()
         if len(found) != 2 or found != (found[0] if rows is None else rows, size):
             shown = f"of shape {found}" if found else f"{value!r:.200}"
             fix = f"give a tensor of shape ({rows or 'num_envs'}, {size})"

@@ -84,16 +84,19 @@ class Policy(nn.Module):
     @torch.no_grad()
     def act(self, observations: ByAgent) -> ByAgent:
         """Return the mean action of every agent, (num_envs, num_joints), clipped to [-1, 1]."""
-        shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
-        require_shapes("observation", observations, shapes)
-        return {n: agent(observations[n].float()).clamp(-1.0, 1.0) for n, agent in self.agents.items()}
+        try:  # the index fails without the row of environments
+            given = {name: observations[name].float()[:, :] for name in self.agents}
+            return {name: agent(given[name]).clamp(-1.0, 1.0) for name, agent in self.agents.items()}
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError):
+            shapes = {name: (None, agent.num_inputs) for name, agent in self.contract.agents.items()}
+            require_shapes("observation", observations, shapes)
+            raise
 
     @property
     def description(self) -> str:
         """Return the contract and the sizes of the networks as JSON."""
         return json.dumps({"hidden": list(self.hidden), **self.contract.to_dict()}, indent=2) + "\n"
 
-    @typed
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither."""
         text = self.description

@@ -99,13 +99,9 @@ def _add_light(spec: mujoco.MjSpec) -> None:
     headlight.ambient, headlight.diffuse, headlight.specular = (0.5,) * 3, (0.18,) * 3, (0.0,) * 3
     spec.visual.map.shadowclip = 1.6
     spec.stat.center = (0.9, 0.0, 1.0)
+    kind, diffuse, specular = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, (0.6,) * 3, (0.3,) * 3
     spec.worldbody.add_light(
-        pos=(0.2, -1.6, 3.4),
-        dir=(0.28, 0.5, -1.0),
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        diffuse=(0.6,) * 3,
-        specular=(0.3,) * 3,
-        castshadow=True,
+        pos=(0.2, -1.6, 3.4), dir=(0.28, 0.5, -1.0), type=kind, diffuse=diffuse, specular=specular
     )
 
 
