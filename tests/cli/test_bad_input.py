@@ -141,13 +141,7 @@ def files_beside(places: dict[str, Path]) -> set[Path]:
 
 
 @pytest.mark.parametrize(("line", "words"), BAD, ids=[line[:60] for line, _ in BAD])
-def test_one_line_says_what_is_right(
-    line: str,
-    words: str,
-    places: dict[str, Path],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-):
+def test_one_line_says_what_is_right(line: str, words: str, places: dict[str, Path], capsys, monkeypatch):
     monkeypatch.setenv(VARIABLE, "")
     before = files_beside(places)
     assert main([word.format_map(places) for word in line.split()]) == 2
@@ -176,12 +170,10 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
         require_valid(parsed)
 
 
-STRESS = "stress proposed --axes nominal --trials 500"
-
-
 def test_what_is_terminated_says_so(tmp_path: Path):
     """`test_reproduce.py` has what Ctrl-C does."""
-    command = [sys.executable, "-m", "pixel2catch", *STRESS.split()]
+    stress = ("stress", "proposed", "--axes", "nominal", "--trials", "500")
+    command = [sys.executable, "-m", "pixel2catch", *stress]
     pipe, both = subprocess.PIPE, subprocess.STDOUT
     with subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=both, text=True) as process:
         assert process.stdout is not None

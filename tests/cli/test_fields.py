@@ -31,17 +31,8 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 THROWS = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "60")
 TRAINING = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-TRAIN = (
-    "train",
-    "only_center",
-    *TRAINING,
-    "--hidden",
-    "8",
-    "--device",
-    "cpu",
-    "--env.scene.physics-hz",
-    "30",
-)
+COARSE = ("--hidden", "8", "--device", "cpu", "--env.scene.physics-hz", "30")
+TRAIN = ("train", "only_center", *TRAINING, *COARSE)
 
 CAMERA = replace(RGB_CAMERA, pos=(-0.5, 0.1, 2.1), fx=600.0, fy=601.0)
 MEASURED = CameraFile(
@@ -138,14 +129,8 @@ def test_without_a_key_of_weights_and_biases_nothing_is_left(tmp_path: Path):
     """In a process of its own, because the package keeps the mode of earlier runs."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
     command = [sys.executable, "-m", "pixel2catch", *TRAIN, "--wandb", "catching", "--out", "new/run"]
-    done = subprocess.run(
-        command,
-        env=environment | {"HOME": str(tmp_path)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment["HOME"] = str(tmp_path)
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2
     assert "WANDB_MODE=offline" in done.stderr
     assert not (tmp_path / "new").exists()

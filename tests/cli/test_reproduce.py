@@ -107,9 +107,7 @@ def test_only_what_is_missing_is_computed(study: Path):
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")
-def test_a_missing_device_and_another_configuration_are_refused(
-    study: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_missing_device_and_another_configuration_are_refused(study: Path, capsys):
     before, out = times(study), ("--out", str(study))
     assert main(["reproduce", *TINY, *out, "--device", "cuda", "--seeds", "2"]) == 2
     assert "CUDA" in capsys.readouterr().err
@@ -142,9 +140,7 @@ def test_every_combination_of_sweeps_is_trained(tmp_path: Path, monkeypatch: pyt
     assert plan["configuration"]["training epochs"] == 5
 
 
-def test_a_training_is_a_job_of_a_cluster(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_training_is_a_job_of_a_cluster(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.setattr(grids, "CLUSTER", "local")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     tiny = "--preset cpu --num-envs 4 --transitions 64 --rollout-steps 16 --hidden 8 --physics-stages 60"
