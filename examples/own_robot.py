@@ -3,7 +3,7 @@
     pixel2catch train catch_teacher --import examples/own_robot.py --workcell nearer --out runs/nearer
     pixel2catch evaluate runs/nearer --import examples/own_robot.py
 
-Another arm or hand is a folder with its MJCF and its joints: CONTRIBUTING.md, "Add a robot".
+Another arm or hand is a folder with its MJCF and its joints: CONTRIBUTING.md, "Add to the package".
 """
 
 from dataclasses import replace
