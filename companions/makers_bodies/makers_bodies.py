@@ -396,7 +396,8 @@ def main() -> None:
     except p2c.Pixel2CatchError as error:
         sys.exit(f"error: {error}")
     print("\n".join(lines))
-    print(f"wrote it; to evaluate: pixel2catch evaluate --env.scene.workcell {args.out / 'workcell.py'}")
+    file, name = args.out / "workcell.py", f"{args.workcell}_makers"
+    print(f"wrote it; to evaluate: pixel2catch --import {file} evaluate --env.scene.workcell {name}")
 
 
 if __name__ == "__main__":

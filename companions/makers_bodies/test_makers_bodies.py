@@ -4,6 +4,7 @@ import re
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from runpy import run_path
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ from makers_bodies import Surface, main, read_model, write_workcell
 from pixel2catch.robots.allegro import allegro
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import workcells
 
 WORKCELL = p2c.find_workcell("ur5e_allegro")
 HOME = np.array([joint.home for joint in WORKCELL.joints])
@@ -75,8 +77,10 @@ def test_the_same_robot_in_other_words_is_the_same_robot(
     assert all(float(number) <= 0.01 for number in re.findall(r"[\d.]+(?= m)", lines))
     assert len(re.findall(r"[\d.]+(?= m)", lines)) == 5
     pos = HOME + np.random.default_rng(1).uniform(0.0, 0.2, len(HOME))
+    makers = run_path(str(out / "workcell.py"))["makers"]
+    monkeypatch.setitem(workcells(), makers.name, makers)
     (ours, own), (theirs, other) = (
-        placed(SceneCfg(workcell=name), pos) for name in ("ur5e_allegro", str(out / "workcell.py"))
+        placed(SceneCfg(workcell=name), pos) for name in ("ur5e_allegro", makers.name)
     )
     assert other.site_xpos == pytest.approx(own.site_xpos, abs=1e-5)
     for name in ("upper_arm_link", "thumb_link_0", "index_link_0", "ring_link_3"):

@@ -136,7 +136,8 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("my_cell.py").write_text(CELL)
-    assert run("train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run") == 0
+    mine = ("--import", "my_cell.py")
+    assert run("train", "proposed", "--workcell", "nearer", *TRAINING, *mine, "--out", "run") == 0
     assert run("evaluate", "run", *THROWS) == 2
     assert re.search(r"unknown work cell 'nearer'.*--import FILE\.py", capsys.readouterr().err)
     assert run("evaluate", "run", *THROWS, "--json", "--import", "my_cell.py") == 0

@@ -172,7 +172,7 @@ def test_impossible_configurations() -> None:
 
 
 def test_networks_have_the_sizes_of_the_policy_to_start_from() -> None:
-    assert preset("cpu").train.hidden != preset("cpu", start=Path("catch+fit")).train.hidden == HIDDEN
+    assert preset("cpu").train.hidden != preset("cpu", start=Path("catch_alone+fit")).train.hidden == HIDDEN
 
 
 def test_the_exported_policy_acts_like_the_learner_and_is_adopted(mappo: Mappo) -> None:

@@ -44,7 +44,9 @@ def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tenso
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
+    (center, size), (old_center, old_size) = (
+        ((box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]) for box in (now, before)
+    )
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)

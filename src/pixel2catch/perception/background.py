@@ -319,30 +319,28 @@ class BackgroundSubtraction(Segmenter):
 class Appearance:
     """Histograms of the object's colours and of all other things'. A colour is of that with more pixels."""
 
+    own_share: float  #: Share of the object that has colours of its own.
+
     def __init__(self) -> None:
         """Start without colours."""
-        self._object = np.zeros(LEVELS**3, dtype=np.float32)
-        self._other = np.zeros(LEVELS**3, dtype=np.float32)
+        self._object = self._other = np.zeros(LEVELS**3, dtype=np.float32)
+        self.learn(*[np.zeros((0, 3), dtype=np.uint8)] * 2)
 
     def learn(self, pixels: Colors, others: Colors) -> None:
         """Learn pixels of the object in an image, and pixels of other things."""
-        self._object = _faded(self._object, pixels)
-        self._other = _faded(self._other, others)
+        self._object, self._other = _faded(self._object, pixels), _faded(self._other, others)
+        other = _spread(self._other)
+        self._is_likely = _spread(self._object) > np.maximum(other, LEAST_COUNT)
+        self._is_new = other <= LEAST_COUNT
+        self.own_share = float(self._object[self._is_likely].sum() / max(self._object.sum(), LEAST_COUNT))
 
     def compare(self, image: Pixels) -> tuple[Mask, Mask]:
         """Return the pixels with the object's colours, and those with colours that no other thing has.
 
         The latter may show an unseen side of the object. The former is empty if its colours are unknown.
         """
-        codes, other = _codes(image), _spread(self._other)
-        is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
-        return is_likely[codes], is_new[codes]
-
-    @property
-    def own_share(self) -> float:
-        """Share of the object that has colours of its own."""
-        is_own = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
-        return float(self._object[is_own].sum() / max(self._object.sum(), LEAST_COUNT))
+        codes = _codes(image)
+        return self._is_likely[codes], self._is_new[codes]
 
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
-from pixel2catch.checks import Within
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
@@ -32,14 +31,14 @@ SERVOJ_GAIN = 300.0
 SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: the controller's setting.
 EFFORT_MARGIN = 0.999  #: Share of a joint's effort limit that a servo applies; at the limit MuJoCo clamps.
 
-POSITIVE = Within(0.0, 1e9, is_open=True)
+POSITIVE = 1e-9, 1e9
 RANGES = {
-    "frictionloss": Within(0.0, 1e9),
-    "latency": Within(0.0, 1.0),
-    "filter_gain": Within(0.0, np.inf, is_open=True),
-    "filter_lookahead": Within(0.0, 10.0),
+    "frictionloss": (0.0, 1e9),
+    "latency": (0.0, 1.0),
+    "filter_gain": (1e-9, np.inf),
+    "filter_lookahead": (0.0, 10.0),
 }
-"""Valid values of some parameters; others are positive. Source: ours."""
+"""Ranges of the values of some parameters; those of others are `POSITIVE`. Source: ours."""
 
 Parameter = Float[np.ndarray, " num_joints"]
 
@@ -64,7 +63,11 @@ class JointDynamics:
             if (values := getattr(self, name)).shape != (len(self.joints),):
                 raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(self.joints)}")
             for joint, value in zip(self.joints, values.tolist(), strict=True):
-                RANGES.get(name, POSITIVE).require(f"{name} of {joint}", value)
+                low, high = RANGES.get(name, POSITIVE)
+                if not low <= value <= high:
+                    raise InvalidValueError(
+                        f"{name} of {joint} is {value:g}; it must be from {low:g} to {high:g}."
+                    )
 
     def require(self, joints: Sequence[JointSpec]) -> None:
         """Require that all joints belong to a robot, in its order."""
