@@ -33,6 +33,8 @@ def take_option(args: Sequence[str]) -> list[str]:
     remaining = iter(args)
     for argument in remaining:
         name, _, value = argument.partition("=")
+        if ".py:" in argument:
+            raise InvalidValueError(f"'{argument}': give {OPTION} FILE.py, and the name alone.")
         if name != OPTION:
             rest.append(argument)
         elif file := value or next(remaining, ""):

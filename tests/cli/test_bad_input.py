@@ -22,6 +22,7 @@ BAD = [
     ("train propse", "Did you mean 'proposed'?"),
     ("train catch+fit --teacher propsed", "Did you mean 'proposed'?"),
     ("train --task wild", "unknown task 'wild'"),
+    ("train mine.py:mine", "give --import FILE.py, and the name alone"),
     ("evaluate --objects seen teapot", "teapot"),
     # policies that are none
     ("evaluate {file}", "is a file; give the folder of a policy"),
@@ -195,7 +196,8 @@ def test_what_is_terminated_says_so(tmp_path: Path):
 @pytest.mark.parametrize(
     ("line", "status", "words"),
     [
-        ("scene scene.xml >/dev/full", 2, "pixel2catch: error: No space left on device"),  # without OpenGL
+        ("scene scene.xml >/dev/full", 2, "pixel2catch: error: No space left on device"),
+        ("scene scene.xml", 0, "wrote scene.xml"),  # without OpenGL
         ("evaluate >&-", 2, "standard output is closed"),  # before work
         ("stress --help", 0, "--axes"),  # in a narrow terminal without Unicode
         ("play --throws 1", 2, "unset it"),
