@@ -1,6 +1,7 @@
 """The joints' drives in simulation: what was identified is what a policy trains with, on both back ends."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from pixel2catch.envs.actuators import (
     SPEED_MARGIN,
     ActuatorLimits,
     ActuatorState,
+    CommandMotion,
     CommandPath,
     JointActuators,
 )
@@ -27,15 +29,18 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, sample_parameters
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.methods import PROPOSED
+from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics, filter_step
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.servo.laws import limited_speed, speed_to
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.simulation import Simulation
 from pixel2catch.sim.warp import WarpSimulation
+from pixel2catch.workcells.fr3_allegro import WORKCELLS as FR3_CELLS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
+FR3 = FR3_CELLS[0]
 NOMINAL = JointDynamics.nominal()
 HOME = np.array([joint.home for joint in JOINTS])
 INWARDS = np.where(np.isclose(HOME, [joint.upper for joint in JOINTS]), -1.0, 1.0)
@@ -131,8 +136,7 @@ def test_one_law_at_the_torque_limits():
 
 def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
     """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
-    speeds = [joint.velocity_limit for joint in JOINTS]
-    qpos, drives = simulation.bind("qpos"), JointActuators(simulation, IDENTIFIED, NOMINAL, speeds)
+    qpos, drives = simulation.bind("qpos"), JointActuators(simulation, IDENTIFIED, JOINTS)
     qpos[:, :19] = torch.tensor(HOME).to(qpos)
     everywhere = torch.ones(2, dtype=torch.bool)
     drives.reset(everywhere, qpos[:, :19].clone(), parameters(2))
@@ -233,6 +237,39 @@ def test_step_response_of_the_filter_is_the_analytic_one():
     speed = np.exp(-decay * time) * FILTERED.filter_gain / omega * np.sin(omega * time)
     np.testing.assert_allclose(np.stack(path)[..., 0], 1.0 - wave, atol=1e-12)
     np.testing.assert_allclose(np.stack(path)[..., 1], speed, atol=1e-12)
+
+
+def test_simulated_commands_keep_the_acceleration_limit_as_the_servo_does():
+    """Equal to the servo's laws, to the stop at the goal; a joint without a limit follows at once."""
+    acceleration = torch.tensor([10.0, math.inf], dtype=torch.float64)
+    motion = CommandMotion(acceleration, torch.tensor([2.62, 2.62]).double(), DT, torch.zeros(1, 2).double())
+    change = 10.0 * DT
+    law = SimpleNamespace(change=change, bend=change * DT, lower=-9.0, upper=9.0, speed=2.62)
+    position, velocity = 0.0, 0.0
+    goals = np.concatenate((ramps(), np.full((240, 2), 0.4)))
+    for goal in goals:
+        velocity = limited_speed(position, velocity, speed_to(position, goal[0], law), law)
+        position += velocity * DT
+        found = motion.advance(torch.tensor(goal)[None])[0].numpy()
+        np.testing.assert_allclose(found, (position, goal[1]), atol=1e-12)
+    assert (position, velocity) == pytest.approx((0.4, 0.0), abs=1e-9)
+
+
+def test_the_fr3_accelerates_within_its_limit():
+    """A jump of the target; in a new episode, commands are at rest."""
+    env = CatchEnv(CatchEnvCfg().with_workcell(FR3), find_method("proposed", FR3), num_envs=2)
+    env.reset()
+    world, home = env.world, env.world.joint_pos.clone()
+    target, path = home + 0.3, []
+    for _ in range(4):
+        world.run(target)
+        path.append(world.joint_pos[0, 0] - home[0, 0])
+    assert 0.0 < path[0] < 0.5 * 10.0 * CONTROL_DT**2
+    assert 0.0 < path[3] < 0.5 * 10.0 * (4 * CONTROL_DT) ** 2
+    env.reset()
+    begun = world.joint_pos.clone()
+    world.run(begun)
+    assert (world.joint_pos - begun)[:, :7].abs().max() < 1e-3
 
 
 SPEED_LIMIT = 2.79253

@@ -173,18 +173,18 @@ def test_a_request_that_cannot_be_met_is_refused_with_the_reason(bench: Bench):
 
 
 @pytest.mark.parametrize(
-    ("workcell", "profile", "acceleration"),
+    ("workcell", "profile", "jerk"),
     [
         ("ur5e_allegro_right", "ur5e_allegro_v4", np.inf),
-        ("fr3_allegro", "fr3_allegro", 10.0),
+        ("fr3_allegro", "fr3_allegro", 5000.0),
         ("ur5e_leap", "ur5e_leap", np.inf),
         ("ur5e_allegro_release", "ur5e_allegro_v4", np.inf),
     ],
 )
-def test_a_twin_has_the_shipped_profile_of_its_work_cell(workcell: str, profile: str, acceleration: float):
+def test_a_twin_has_the_shipped_profile_of_its_work_cell(workcell: str, profile: str, jerk: float):
     found = twin_profile(find_workcell(workcell))
     assert (found.name, found.workcell) == (profile, workcell)
-    assert found.robots[0].limits.acceleration == acceleration
+    assert found.robots[0].limits.jerk == jerk
 
 
 def test_buttons_prepare_and_throw(bench: Bench):

@@ -1,6 +1,5 @@
 """The actuators of all joints: command path, speed and effort limits, dry friction and gains."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
 from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
+from pixel2catch.robots.spec import JointSpec
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -32,16 +32,21 @@ class JointActuators:
         self,
         simulation: Simulation,
         dynamics: JointDynamics,
-        nominal: JointDynamics,
-        velocity_limits: Sequence[float],
+        joints: tuple[JointSpec, ...],
+        *,
+        limits_commands: bool = True,
     ) -> None:
-        """Take over the controls of a simulation; `nominal` are the joints without an identification."""
-        num_joints = len(dynamics.joints)
+        """Take over the controls of a simulation.
+
+        Commands keep the acceleration limits of the joints, unless a servo before them does.
+        """
+        num_joints, nominal = len(joints), JointDynamics.nominal(joints)
         self._ctrl = simulation.bind("ctrl")
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
-        numbers = (efforts, velocity_limits, dynamics.frictionloss)
+        speeds = [joint.velocity_limit for joint in joints]
+        numbers = (efforts, speeds, dynamics.frictionloss)
         self.limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
@@ -53,9 +58,12 @@ class JointActuators:
             damping=self._damping.expand_as(self._ctrl).clone(),
         )
         self._command, self._last_vel = torch.zeros_like(self._ctrl), torch.zeros_like(self._ctrl)
-        self._path, self._dry_friction, self._implicit = None, None, 1.0
+        self._path, self._dry_friction, self._implicit, dt = None, None, 1.0, simulation.model.opt.timestep
+        accelerations = torch.tensor([joint.acceleration_limit for joint in joints]).to(self._command)
+        self._motion = None
+        if limits_commands and accelerations.isfinite().any():
+            self._motion = CommandMotion(accelerations, self.limits.velocity_limit, dt, self._command)
         if dynamics != nominal:
-            dt = simulation.model.opt.timestep
             self._path = CommandPath(dynamics, dt, self._command)
             friction, armature = (
                 torch.as_tensor(each).to(self._command) for each in (dynamics.frictionloss, dynamics.armature)
@@ -66,6 +74,9 @@ class JointActuators:
         """Begin in the masked environments, with new gains, at joint positions [rad] as the command."""
         write(mask, joint_pos, self._command)
         self._last_vel.masked_fill_(mask[:, None], 0.0)
+        if self._motion is not None:
+            write(mask, joint_pos, self._motion.command)
+            self._motion.velocity.masked_fill_(mask[:, None], 0.0)
         if self._path is not None and self._dry_friction is not None:
             self._path.reset(mask, joint_pos)
             self._dry_friction.bend.masked_fill_(mask[:, None], 0.0)
@@ -84,7 +95,8 @@ class JointActuators:
     @property
     def live(self) -> tuple[Tensor, ...]:
         """Return the tensors of the state besides the gains, one row per environment."""
-        state = (self._command, self._last_vel)
+        motion = () if self._motion is None else (self._motion.command, self._motion.velocity)
+        state = (self._command, self._last_vel, *motion)
         if self._path is None or self._dry_friction is None:
             return state
         return (*state, *self._path.live, self._dry_friction.bend, self._dry_friction.last)
@@ -96,7 +108,8 @@ class JointActuators:
     def advance(self, increment: Joints) -> None:
         """Move the command, and set controls and friction of the next physics step."""
         self._command.add_(increment)
-        aim = self._command if self._path is None else self._path.advance(self._command)
+        command = self._command if self._motion is None else self._motion.advance(self._command)
+        aim = command if self._path is None else self._path.advance(command)
         state = self._state
         self._ctrl.copy_(self.limits.limited(aim, state))
         if self._dry_friction is None:
@@ -162,6 +175,38 @@ class ActuatorLimits:
         Differs: MuJoCo's `frictionloss` is a constraint, which doubles the time of a physics step.
         """
         return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
+
+
+class CommandMotion:
+    """Commands that keep limits of speed and acceleration, in memory that keeps its address.
+
+    The law is that of `servo.laws.speed_to`. Differs: the servo also limits the jerk, which delays commands
+    by a part of a physics step.
+    """
+
+    def __init__(
+        self,
+        acceleration: Float[Tensor, " num_joints"],
+        speed: Float[Tensor, " num_joints"],
+        dt: float,
+        command: Joints,
+    ) -> None:
+        self._is_limited, self._speed, self._dt = acceleration.isfinite(), speed, dt
+        self._change = torch.where(self._is_limited, acceleration, 1.0) * dt
+        self.command, self.velocity = command.clone(), torch.zeros_like(command)
+
+    def advance(self, wanted: Joints) -> Joints:
+        """Return the command after a physics step to the wanted one [rad]; the next step overwrites it."""
+        distance = wanted - self.command
+        share = distance.abs() / (self._change * self._dt)
+        whole = torch.floor(torch.sqrt(2.0 * share + 0.25) - 0.5)
+        speed = torch.minimum((share / (whole + 1.0) + 0.5 * whole) * self._change, self._speed)
+        requested = torch.copysign(speed, distance)
+        low, high = self.velocity - self._change, self.velocity + self._change
+        self.velocity.copy_(torch.clamp(requested, low, high))
+        moved = self.command + self.velocity * self._dt
+        self.command.copy_(torch.where(self._is_limited, moved, wanted))
+        return self.command
 
 
 class CommandPath:

@@ -87,9 +87,18 @@ class CatchWorld:
     """
 
     def __init__(
-        self, scene: SceneCfg, dynamics: JointDynamics | None, *, num_envs: int, device: str
+        self,
+        scene: SceneCfg,
+        dynamics: JointDynamics | None,
+        *,
+        num_envs: int,
+        device: str,
+        limits_commands: bool = True,
     ) -> None:
-        """Build the model and its copies; joints without `dynamics` are nominal."""
+        """Build the model and its copies; joints without `dynamics` are nominal.
+
+        Commands keep the acceleration limits of the joints, unless a servo before the world does.
+        """
         workcell = find_workcell(scene.workcell)
         nominal = JointDynamics.nominal(workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
@@ -117,8 +126,9 @@ class CatchWorld:
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
         self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
         self._fields = SimpleNamespace(**{name: self.simulation.bind(name) for name in FIELDS})
-        speeds = [joint.velocity_limit for joint in workcell.joints]
-        self._actuators = JointActuators(self.simulation, dynamics, nominal, speeds)
+        self._actuators = JointActuators(
+            self.simulation, dynamics, workcell.joints, limits_commands=limits_commands
+        )
         ranges = [(joint.home, joint.lower, joint.upper) for joint in workcell.joints]
         self._home, self._lower, self._upper = tensor(ranges).T.contiguous()
         self._table = {

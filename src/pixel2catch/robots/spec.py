@@ -7,6 +7,7 @@ Lengths in metres, angles in radians, quaternions (w, x, y, z).
 """
 
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +32,8 @@ class JointSpec:
     armature: float  #: Reflected inertia of the drive [kg·m²].
     effort_limit: float  #: Largest torque of the whole servo [N·m].
     velocity_limit: float  #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
+    #: Largest acceleration of a command [rad/s²]; simulated commands keep it as the servo does.
+    acceleration_limit: float = inf
 
 
 def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:

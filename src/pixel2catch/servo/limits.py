@@ -122,7 +122,8 @@ class JointLimits:
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed
         arm_acceleration, arm_jerk = (1000.0, 200e3) if is_identified else (300.0, 60e3)
-        acceleration = np.minimum(part * each(arm_acceleration, 2000.0), most["acceleration"])
+        allowed = np.minimum(most["acceleration"], [joint.acceleration_limit for joint in workcell.joints])
+        acceleration = np.minimum(part * each(arm_acceleration, 2000.0), allowed)
         jerk = np.minimum(part * each(arm_jerk, 2e6), most["jerk"])
         stoppable = acceleration * (STOP_TIME - 2.0 * acceleration / jerk - BRAKING_MARGIN)
         fastest = np.minimum(most["command_speed"], stoppable)  # braking ends within the stop time

@@ -79,7 +79,7 @@ class SimulatedLab:
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
         self.camera: CameraSpec = self._task.scene.camera  #: Lens and pose of the camera.
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
-        self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
+        self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu", limits_commands=False)
         names = self._world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in task.objects])
         self._qpos, self._qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))

@@ -19,11 +19,13 @@ ARM = replace(
         ("fr3_joint6", 0.4398, 4.6216, 3.737, 2000.0, 260.0, 0.074, 0.44, 12.0),
         ("fr3_joint7", -radians(20), radians(20), 0.0, 2000.0, 260.0, 0.074, 0.248, 12.0),
         velocity_limit=2.62,
+        acceleration_limit=10.0,
     ),
 )
 """From base to flange.
 
-Source: limits of joints 2, 4 and 6, torques and speeds of joints 1 to 4: the maker's description; armature
+Source: limits of joints 2, 4 and 6, torques and speeds of joints 1 to 4: the maker's description;
+accelerations: libfranka, rate_limiting.h; armature
 and friction: published identification of the arm (MuJoCo Menagerie's figures). Limits of joints 1, 3, 5 and 7
 are narrowed to what catching needs, as the release does with the UR5e's pan and wrists, and joints 5 to 7 are
 no faster than the others, as the UR5e's wrists are (ours; the maker: 5.26, 4.18 and 5.26 rad/s): the palm
