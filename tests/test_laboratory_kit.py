@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from pixel2catch.cli.main import parse
+from pixel2catch.deployment.control_loop import read_prompt
 from pixel2catch.deployment.laboratory import Survey, checks_of_laboratory
-from pixel2catch.deployment.operator import read_prompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import PROFILES, Profile, RobotPart

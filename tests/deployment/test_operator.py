@@ -14,7 +14,7 @@ from loop_lab import BOX, PROFILE, PassingClock, moved
 
 from pixel2catch.cli.operate import KEYS
 from pixel2catch.deployment import operator
-from pixel2catch.deployment.control_loop import StepClock
+from pixel2catch.deployment.control_loop import OperatorRequests, StepClock, read_prompt
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.segmenter import BoxPrompt
@@ -31,7 +31,7 @@ class Requests:
     def __init__(self) -> None:
         self.broker, self.statistics = Broker(), RunStatistics()
         self.own = self.node()
-        self.received = operator.OperatorRequests(self.own, PROFILE.operator, self.statistics)
+        self.received = OperatorRequests(self.own, PROFILE.operator, self.statistics)
 
     def node(self) -> MemoryTransport:
         return self.broker.node(PassingClock())
@@ -105,7 +105,7 @@ BAD_PROMPTS = {
 @pytest.mark.parametrize("text", BAD_PROMPTS.values(), ids=BAD_PROMPTS.keys())
 def test_a_prompt_without_a_box_is_refused(text: str):
     with pytest.raises(DeploymentError, match="prompt"):
-        operator.read_prompt(messages.text(text))
+        read_prompt(messages.text(text))
 
 
 STATUS = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}

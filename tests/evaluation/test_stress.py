@@ -25,10 +25,12 @@ from pixel2catch.evaluation.policy_cells import (
     PolicyEntry,
     cell_file,
     find_policies,
+    result_rows,
+    stress_sections,
     throw_rounds,
+    transfer_sections,
     transfer_settings,
 )
-from pixel2catch.evaluation.policy_report import result_rows, stress_sections, transfer_sections
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row
 from pixel2catch.evaluation.stress import AXES, Setting, select_settings

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mutation import changed_bytes, changed_json
-from pixel2catch.deployment.operator import is_status, read_prompt
+from pixel2catch.deployment.control_loop import read_prompt
+from pixel2catch.deployment.operator import is_status
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode

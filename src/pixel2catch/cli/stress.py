@@ -50,9 +50,8 @@ class Stress:
 
     def run(self) -> None:
         from pixel2catch.cli.studies import make_slots, run_grid
+        from pixel2catch.evaluation import policy_cells as cells
         from pixel2catch.evaluation.grid import StudyGrid
-        from pixel2catch.evaluation.policy_cells import find_policies, policy_cells
-        from pixel2catch.evaluation.policy_report import result_rows, stress_sections, transfer_sections
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import write_report
         from pixel2catch.scene.objects import select_objects
@@ -72,15 +71,15 @@ class Stress:
             seed=self.seed,
             device=device,
         )
-        policies = find_policies(self.policies)
-        grid = StudyGrid(policy_cells(policies, settings, self.out, cfg, is_alone=len(slots) == 1))
+        policies = cells.find_policies(self.policies)
+        grid = StudyGrid(cells.policy_cells(policies, settings, self.out, cfg, is_alone=len(slots) == 1))
         run_grid(grid, slots, "transfer" if self.engines else "stress")
 
         def home_of(setting: "Setting") -> str:
             return replace(setting, axis=settings[0].axis).name if self.engines else "nominal"
 
-        if rows := result_rows(policies, settings, self.out, home_of):
-            sections = transfer_sections(rows) if self.engines else stress_sections(rows)
+        if rows := cells.result_rows(policies, settings, self.out, home_of):
+            sections = (cells.transfer_sections if self.engines else cells.stress_sections)(rows)
             title = "Transfer" if self.engines else "Stress suite"
             print(as_markdown(title, sections), end="", flush=True)
             data = {"results": rows, "circumstances": circumstances()}

@@ -4,6 +4,7 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import floor, inf
 from typing import Any, final
@@ -11,16 +12,16 @@ from typing import Any, final
 import numpy as np
 
 from pixel2catch.camera.image import Box
-from pixel2catch.deployment.operator import OperatorRequests
 from pixel2catch.deployment.perception import INLINE, ImageSubscriber, PerceptionRunner
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import SERVO, TARGETS, DeploymentRecorder
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
 from pixel2catch.deployment.throw_cycle import ThrowCycle
 from pixel2catch.errors import DeploymentError
+from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.ros2.profile import OperatorTopics, Profile
+from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Command, JointTargets, LoopEnd, Mode, link
@@ -33,6 +34,8 @@ QUANTILE = 0.9  #: Share of the images that are processed before their decision.
 NUM_AGES = 60  #: Processed images that the decision time is taken from: two to four seconds. Source: ours.
 SHIFT = 0.0005  #: Largest change of a control step's length [s]. Source: ours.
 GRACE = 0.15 * CONTROL_DT  #: Time by which a decision waits for a result that is due [s]. Source: ours.
+DEPTH = 64  #: Requests of operators kept between two polls.
+UNKNOWN_SENDER = "an unknown program"  #: A sender that has left, or that the network does not name.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +99,64 @@ class DecisionTimer:
         error = (self._moment - self.due + 0.5 * CONTROL_DT) % CONTROL_DT - 0.5 * CONTROL_DT
         most = SHIFT if is_even else inf
         self.due += min(max(error, -most), most)
+
+
+class OperatorRequests:
+    """Receives the prompts of one program, and counts who requests a stop.
+
+    The first program that sends a prompt is the only one that may, as long as it is on the network. Where
+    the network does not name senders, prompts are refused as soon as there are several publishers.
+    """
+
+    def __init__(self, transport: Transport, topics: OperatorTopics, statistics: RunStatistics) -> None:
+        """Subscribe to prompts (where the object is) and to stop requests, which are counted by sender."""
+        self._transport, self._topics, self._statistics = transport, topics, statistics
+        self._prompts = transport.subscription(topics.prompt, DEPTH)
+        self._stops = transport.subscription(topics.stop, DEPTH, only_watches=True)
+        self._pointer = 0
+        self.complaint = ""  #: Why the last prompt was refused; empty if it was not.
+        self.stopped_by = ""  #: Sentence about the last stop request; empty without one.
+
+    def take_prompts(self) -> Iterator[BoxPrompt]:
+        """Yield the valid prompts since the last call; count the stop requests."""
+        for message in self._stops.take():
+            with suppress(DeploymentError):
+                if messages.read_boolean(message.data):
+                    others = self._transport.other_publishers(self._topics.stop)
+                    who = others.get(message.sender, UNKNOWN_SENDER)
+                    self.stopped_by = f"The stop was requested by {who}."
+                    self._statistics.stop_requests[who] += 1
+        for message in self._prompts.take():
+            self.complaint = self._refusal(message)
+            if not self.complaint:
+                try:
+                    yield read_prompt(message.data)
+                except DeploymentError as error:
+                    self.complaint = str(error)
+
+    def _refusal(self, message: Message) -> str:
+        known, sender = self._transport.other_publishers(self._topics.prompt), message.sender
+        if sender and self._pointer not in known:
+            self._pointer = sender
+        if sender == self._pointer and (sender or len(known) < 2):
+            return ""
+        who = known.get(sender, UNKNOWN_SENDER) if sender else " or ".join(known.values())
+        self._statistics.refused_prompts[who] += 1
+        return (
+            f"a prompt of {who} was refused: {known.get(self._pointer, 'only one program')} points at the "
+            "object. End one of them; a program that was killed counts for 10 s."
+        )
+
+
+def read_prompt(data: bytes) -> BoxPrompt:
+    """Read a prompt message; raise DeploymentError if it is not a box in an image."""
+    with suppress(DeploymentError, ValueError, TypeError, KeyError, OverflowError):
+        xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
+        if -inf < xmin < xmax < inf and -inf < ymin < ymax < inf:
+            return BoxPrompt(box=(xmin, ymin, xmax, ymax))
+    raise DeploymentError(
+        'a prompt is not {"box": [xmin, ymin, xmax, ymax]} in pixels, with xmin < xmax and ymin < ymax.'
+    )
 
 
 class ControlLoop:

@@ -1,4 +1,4 @@
-"""The operator: requests as the control loop receives them, and the console and keys that send them."""
+"""The operator's side: the console and the keys that send requests and show the status."""
 
 import errno
 import json
@@ -11,76 +11,13 @@ from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
-from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
-from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.ros2.transport import Clock, Message, Transport
 
 DEPTH = 64  #: Messages kept between two polls.
 ANSWERS = ("caught", "reached", "dropped", "repeat")  #: What the operator can say of a throw of a series.
-UNKNOWN_SENDER = "an unknown program"  #: A sender that has left, or that the network does not name.
-
-
-class OperatorRequests:
-    """Receives the prompts of one program, and counts who requests a stop.
-
-    The first program that sends a prompt is the only one that may, as long as it is on the network. Where
-    the network does not name senders, prompts are refused as soon as there are several publishers.
-    """
-
-    def __init__(self, transport: Transport, topics: OperatorTopics, statistics: RunStatistics) -> None:
-        """Subscribe to prompts (where the object is) and to stop requests, which are counted by sender."""
-        self._transport, self._topics, self._statistics = transport, topics, statistics
-        self._prompts = transport.subscription(topics.prompt, DEPTH)
-        self._stops = transport.subscription(topics.stop, DEPTH, only_watches=True)
-        self._pointer = 0
-        self.complaint = ""  #: Why the last prompt was refused; empty if it was not.
-        self.stopped_by = ""  #: Sentence about the last stop request; empty without one.
-
-    def take_prompts(self) -> Iterator[BoxPrompt]:
-        """Yield the valid prompts since the last call; count the stop requests."""
-        for message in self._stops.take():
-            with suppress(DeploymentError):
-                if messages.read_boolean(message.data):
-                    others = self._transport.other_publishers(self._topics.stop)
-                    who = others.get(message.sender, UNKNOWN_SENDER)
-                    self.stopped_by = f"The stop was requested by {who}."
-                    self._statistics.stop_requests[who] += 1
-        for message in self._prompts.take():
-            self.complaint = self._refusal(message)
-            if not self.complaint:
-                try:
-                    yield read_prompt(message.data)
-                except DeploymentError as error:
-                    self.complaint = str(error)
-
-    def _refusal(self, message: Message) -> str:
-        known, sender = self._transport.other_publishers(self._topics.prompt), message.sender
-        if sender and self._pointer not in known:
-            self._pointer = sender
-        if sender == self._pointer and (sender or len(known) < 2):
-            return ""
-        who = known.get(sender, UNKNOWN_SENDER) if sender else " or ".join(known.values())
-        self._statistics.refused_prompts[who] += 1
-        return (
-            f"a prompt of {who} was refused: {known.get(self._pointer, 'only one program')} points at the "
-            "object. End one of them; a program that was killed counts for 10 s."
-        )
-
-
-def read_prompt(data: bytes) -> BoxPrompt:
-    """Read a prompt message; raise DeploymentError if it is not a box in an image."""
-    with suppress(DeploymentError, ValueError, TypeError, KeyError, OverflowError):
-        xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
-        if -inf < xmin < xmax < inf and -inf < ymin < ymax < inf:
-            return BoxPrompt(box=(xmin, ymin, xmax, ymax))
-    raise DeploymentError(
-        'a prompt is not {"box": [xmin, ymin, xmax, ymax]} in pixels, with xmin < xmax and ymin < ymax.'
-    )
-
-
 SWITCH_TIME = 0.04  #: Time between two messages of the switch [s]. Source: ours, a fifth of its timeout.
 FARTHEST = 1e9  #: Limit of the coordinates [px] and latencies [ms] of a valid status. Source: ours.
 NOTHING = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}

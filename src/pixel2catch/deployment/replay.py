@@ -111,16 +111,14 @@ def _begin(recording: Path, profile: Profile) -> float:
 def recorded_targets(recording: Path) -> list[JointTargets]:
     """Return the first targets for every image of a recording; `image_stamp` is since the epoch [s]."""
     first, offset = dict[float, JointTargets](), 0.0
-    with opened_bag(recording) as reader:
-        wanted = [each for each in reader.connections if each.topic in (TARGETS.name, SERVO.name)]
-        for connection, time, data in reader.messages(wanted):
-            row = messages.read_float_array(data)
-            if connection.topic == SERVO.name:
-                offset = 1e-9 * time - Command.of(row).time
-            else:
-                targets = JointTargets.of(row)
-                stamp = targets.image_stamp
-                first.setdefault(stamp, replace(targets, image_stamp=stamp + offset))
+    for time, topic, content in played(recording, {TARGETS, SERVO}):
+        row = messages.read_float_array(content)
+        if topic == SERVO:
+            offset = time - Command.of(row).time
+        else:
+            targets = JointTargets.of(row)
+            stamp = targets.image_stamp
+            first.setdefault(stamp, replace(targets, image_stamp=stamp + offset))
     return list(first.values())
 
 

@@ -77,6 +77,17 @@ def difference(change: Row) -> str:
     return f"{100 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
 
 
+def difference_cells(change: Row | None) -> Cells:
+    """Return the cells of a `paired_difference`, in points; of None those of home."""
+    if not change:
+        return {"difference": "home", "lost, won": "", "p": ""}
+    return {
+        "difference": difference(change),
+        "lost, won": f"{change['lost']}, {change['won']}",
+        "p": f"{change['p_value']:.2g}",
+    }
+
+
 def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:
     """Yield the tables of one or several sets of objects, by name; of one set also those of each object."""
     rows = list[Cells]()

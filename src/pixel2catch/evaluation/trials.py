@@ -13,8 +13,7 @@ import numpy as np
 
 from pixel2catch.evaluation.grid import Json, read_row
 from pixel2catch.evaluation.metrics import paired_difference, rate, wilson_interval
-from pixel2catch.evaluation.policy_report import difference_cells
-from pixel2catch.evaluation.report import Row, percent, table, write_report
+from pixel2catch.evaluation.report import Row, difference_cells, percent, table, write_report
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.reports import Section, as_markdown, circumstances
 

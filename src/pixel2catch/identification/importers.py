@@ -11,21 +11,15 @@ from pixel2catch.arrays import numbers_of, table_columns
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, held, require_joints, require_motion
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.ros2.bags import (
-    METADATA,
-    MOTION_TYPES,
-    JointMotion,
-    decoded,
-    is_bag,
-    joint_motion,
-    opened_bag,
-)
+from pixel2catch.ros2.bags import METADATA, BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
+STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
+MOTION_TYPES = (STATE, TRAJECTORY, "std_msgs/msg/Float64MultiArray")  # messages with joint positions
 COMMAND_TABLE = "commands.csv"  # the sent commands; another .csv file of its folder has the measurements
 MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
 
@@ -186,22 +180,21 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
         raise RecordingError(f"{bag.path}: no topic {topic}; recorded are {names or 'none'}. Record it, too.")
     everything = []
     for i, message in enumerate(decoded(bag.reader, connections)):
-        motion = joint_motion(f"{source}, message {i}", message)
-        everything.append((message, replace(motion, joints=bag.names.renamed(motion.joints))))
+        names, numbers = _joint_motion(f"{source}, message {i}", message)
+        everything.append((message, bag.names.renamed(names), numbers))
     if not everything:
         raise RecordingError(f"{source}: empty, there is no message; record again.")
-    concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
-    received, motions = zip(*(concerned or everything), strict=True)
-    first = motions[0]
-    if not first.joints and topic == bag.names.measured_topic:
+    concerned = [entry for entry in everything if not entry[1] or {*entry[1]} & {*bag.joints}]
+    received, names_of, rows = zip(*(concerned or everything), strict=True)
+    if not names_of[0] and topic == bag.names.measured_topic:
         problem = "a joint state without names of joints"
         raise RecordingError(f"{source}: {problem}; let the driver fill in 'name', and record again.")
-    recorded = first.joints or unnamed or bag.joints
-    for i, motion in enumerate(motions):
-        _require_same_order(f"{source}, message {i}", motion, first, len(recorded))
+    recorded = names_of[0] or unnamed or bag.joints
+    for i, (names, numbers) in enumerate(zip(names_of, rows, strict=True)):
+        _require_same_order(f"{source}, message {i}", names, names_of[0], len(numbers), len(recorded))
     joints = tuple(joint for joint in bag.joints if joint in recorded)
     order = [recorded.index(joint) for joint in joints]
-    positions = np.stack([motion.positions for motion in motions])[:, order]
+    positions = np.stack(rows)[:, order]
     stamps = [message.stamp for message in received]
     is_stamped = all(stamps) and len({*stamps}) > 1
     times = np.array(stamps if is_stamped else [message.received for message in received], dtype=np.int64)
@@ -209,15 +202,38 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     return _Stream(joints=joints, recorded=recorded, times=times, positions=positions)
 
 
-def _require_same_order(where: str, motion: JointMotion, first: JointMotion, num_joints: int) -> None:
-    if motion.joints != first.joints:
+def _joint_motion(where: str, message: BagMessage) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return the names, if any, and the positions [rad] of a message of one of `MOTION_TYPES`."""
+    content, kind = message.content, message.type
+    if kind not in MOTION_TYPES:
+        raise RecordingError(f"{where}: type {kind} is not read; record {', '.join(MOTION_TYPES)}.")
+    if kind == TRAJECTORY and len(content.points) != 1:
         raise RecordingError(
-            f"{where}: joints {', '.join(motion.joints)}, but the first message has "
-            f"{', '.join(first.joints)}; two publishers share the topic: choose the --robot of one of them, "
+            f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
+            "record the targets that are streamed to the joints, one point in each message."
+        )
+    if kind == STATE and not len(content.position):
+        raise RecordingError(f"{where}: a joint state without positions; record one that has them.")
+    if kind == STATE:
+        joints, positions = content.name, content.position
+    elif kind == TRAJECTORY:
+        joints, positions = content.joint_names, content.points[0].positions
+    else:
+        joints, positions = (), content.data
+    return tuple(joints), np.asarray(positions, dtype=np.float64)
+
+
+def _require_same_order(
+    where: str, joints: tuple[str, ...], first: tuple[str, ...], num_positions: int, num_joints: int
+) -> None:
+    if joints != first:
+        raise RecordingError(
+            f"{where}: joints {', '.join(joints)}, but the first message has "
+            f"{', '.join(first)}; two publishers share the topic: choose the --robot of one of them, "
             "or record them on two topics."
         )
-    if len(motion.positions) != num_joints:
+    if num_positions != num_joints:
         raise RecordingError(
-            f"{where}: {len(motion.positions)} positions for {num_joints} joints; publish one number per "
+            f"{where}: {num_positions} positions for {num_joints} joints; publish one number per "
             "joint, choose the --robot with that many joints, or name the --profile."
         )

@@ -94,18 +94,6 @@ def recorded_model(workcell: WorkcellSpec, joints: Sequence[str], physics_dt: fl
     return model
 
 
-def hanging_on(parents: Int[np.ndarray, " num"]) -> Bool[np.ndarray, "num num"]:
-    """Return which elements (columns) of a tree descend from each element (rows), itself included.
-
-    `parents` has the index of each element's parent, which precedes it.
-    """
-    hangs = np.eye(len(parents), dtype=bool)
-    for child, parent in enumerate(parents):
-        if 0 <= parent < child:
-            hangs[:, child] |= hangs[:, parent]
-    return hangs
-
-
 def step_commands(
     t_cmd: np.ndarray, q_cmd: np.ndarray, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
@@ -257,7 +245,9 @@ class RecordedMotion:
     @property
     def coupled(self) -> Bool[np.ndarray, "num_joints num_joints"]:
         """Return which joints (columns) each joint moves: its chain in its group, and what hangs on it."""
-        hangs = hanging_on(self._model.dof_parentid)
+        hangs = np.eye(len(self.joints), dtype=bool)
+        for joint, parent in enumerate(self._model.dof_parentid):
+            hangs[:, joint] |= hangs[:, parent] & (parent >= 0)
         return hangs | (hangs.T & (self.groups[:, None] == self.groups))
 
     @property

@@ -14,9 +14,7 @@ from tempfile import TemporaryDirectory
 from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError, RecordingError
+from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
 from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
 from pixel2catch.installation import install_command
 
@@ -200,36 +198,3 @@ def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMe
             stamp=sent.stamp.sec * 10**9 + sent.stamp.nanosec if sent else 0,
             content=content,
         )
-
-
-STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
-MOTION_TYPES = (STATE, TRAJECTORY, "std_msgs/msg/Float64MultiArray")  #: Messages with joint positions.
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointMotion:
-    """The content of a message of one of `MOTION_TYPES`."""
-
-    joints: tuple[str, ...]  #: Names in the order of the numbers; empty if the type has none.
-    positions: np.ndarray  #: One number for each joint [rad].
-
-
-def joint_motion(where: str, message: BagMessage) -> JointMotion:
-    """Read a joint state, a trajectory of one target, or numbers without names; `where` begins an error."""
-    content, kind = message.content, message.type
-    if kind not in MOTION_TYPES:
-        raise RecordingError(f"{where}: type {kind} is not read; record {', '.join(MOTION_TYPES)}.")
-    if kind == TRAJECTORY and len(content.points) != 1:
-        raise RecordingError(
-            f"{where}: a trajectory of {len(content.points)} points, which a controller interpolates; "
-            "record the targets that are streamed to the joints, one point in each message."
-        )
-    if kind == STATE and not len(content.position):
-        raise RecordingError(f"{where}: a joint state without positions; record one that has them.")
-    if kind == STATE:
-        joints, positions = content.name, content.position
-    elif kind == TRAJECTORY:
-        joints, positions = content.joint_names, content.points[0].positions
-    else:
-        joints, positions = (), content.data
-    return JointMotion(joints=tuple(joints), positions=np.asarray(positions, dtype=np.float64))
