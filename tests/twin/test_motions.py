@@ -15,8 +15,7 @@ from pixel2catch.cli.home import EVEN, QUARTER
 from pixel2catch.cli.link import Link
 from pixel2catch.cli.main import main
 from pixel2catch.deployment import throw_cycle
-from pixel2catch.deployment.follower import follow
-from pixel2catch.deployment.joint_check import JointCheck, record_of_today
+from pixel2catch.deployment.follower import JointCheck, follow, record_of_today
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.paths import PEAK, Motion, PathFinder
 from pixel2catch.deployment.throw_cycle import HELD_TIME, MISSED_TIME, ThrowCycle

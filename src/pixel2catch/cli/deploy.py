@@ -83,7 +83,7 @@ class Deploy:
     def run(self) -> None:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
-            from pixel2catch.deployment.joint_check import check_joints
+            from pixel2catch.deployment.follower import check_joints
             from pixel2catch.deployment.throw_cycle import ThrowCycle
             from pixel2catch.servo import link
             from pixel2catch.servo.status_words import sentence
@@ -131,7 +131,7 @@ class Deploy:
 
     def _is_check_due(self) -> bool:
         """Return whether the joints are to be checked now; at a terminal, a person decides."""
-        from pixel2catch.deployment.joint_check import record_of_today
+        from pixel2catch.deployment.follower import record_of_today
 
         if self.dry_run and (self.joint_check or self.after_catch):
             raise InvalidValueError("--joint-check and --after-catch move the robot: leave out --dry-run")

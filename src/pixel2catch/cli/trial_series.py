@@ -24,7 +24,7 @@ from pixel2catch.cli.deploy import Deploy, make_pipeline
 from pixel2catch.cli.main import parse_options
 from pixel2catch.cli.rehearse import Rehearse
 from pixel2catch.deployment.operator import ANSWERS, NOTHING, newest
-from pixel2catch.deployment.trials import measure
+from pixel2catch.deployment.replay import measure
 from pixel2catch.errors import DeploymentError, InvalidValueError, PerceptionError
 from pixel2catch.evaluation.grid import Json
 from pixel2catch.evaluation.loading import fingerprint, load_policy
