@@ -51,14 +51,9 @@ def curves_picture(
                 axes.fill_between(
                     millions, mean - deviation, mean + deviation, color=color, alpha=0.2, linewidth=0
                 )
-                drawn = {
-                    "marker": "o" if np.isfinite(mean).sum() == 1 else "",
-                    "markersize": 3,
-                    "linewidth": 1.8,
-                }
-                axes.plot(
-                    millions, mean, label=method.replace("_", " "), color=color, linestyle=line, **drawn
-                )
+                marker = "o" if np.isfinite(mean).sum() == 1 else ""
+                style = {"color": color, "linestyle": line, "linewidth": 1.8, "marker": marker}
+                axes.plot(millions, mean, label=method.replace("_", " "), markersize=3, **style)
             axes.set(title=f"{title} in training", xlabel="transitions [millions]")
             axes.set(xlim=(0.0, edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()

@@ -49,10 +49,8 @@ def simulated_recordings(
     blanks = []
     for trajectory in trajectories:
         t_cmd = np.append(turns_of_a_loop(rng, trajectory.duration, PERIOD, stall), trajectory.duration)
-        start, robot = (
-            rng.uniform(0.0, period),
-            {"workcell": trajectory.workcell, "joints": trajectory.joints},
-        )
+        start = rng.uniform(0.0, period)
+        robot = {"workcell": trajectory.workcell, "joints": trajectory.joints}
         t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, period, stall)
         q = np.repeat(trajectory.positions[:1], len(t_meas), axis=0)
         blanks.append(Recording(**robot, t_cmd=t_cmd, q_cmd=trajectory.at(t_cmd), t_meas=t_meas, q=q))

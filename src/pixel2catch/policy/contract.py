@@ -133,16 +133,12 @@ def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) ->
     """List two consecutive frames, oldest first, then the memory, as in `Method.observe`."""
     blank = _blank_measurement(method.num_boxes, workcell)
     frame = method.inputs(agent, blank, blank)
-    sizes, memory = (
-        [
-            (t.__name__, computed("observation term", t, (frame,), 1, "any", is_blank=True).shape[1])
-            for t in terms
-        ]
-        for terms in (agent.observation, agent.memory)
-    )
-    frames = ((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes)
+    frames = [(term, when) for when in ("t-1", "t") for term in agent.observation]
+    terms = [*frames, *((term, "t") for term in agent.memory)]
+    sizes = [computed("observation term", t, (frame,), 1, "any", is_blank=True).shape[1] for t, _ in terms]
+    names = [f"{term.__name__}[{when}]" for term, when in terms]
     return AgentContract(
-        observation=(*frames, *((f"{name}[t]", size) for name, size in memory)),
+        observation=tuple(zip(names, sizes, strict=True)),
         joints=tuple(joint.name for columns in agent.joints for joint in workcell.joints[columns]),
     )
 

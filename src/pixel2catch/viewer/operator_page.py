@@ -18,9 +18,8 @@ from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.servo.status_words import latencies, refusal_words, status_words, verdict_words
 from pixel2catch.viewer import PageCfg
-from pixel2catch.viewer.images import jpeg
 from pixel2catch.viewer.server import open_server
-from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
+from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors, jpeg
 
 PERIOD = 0.02  #: Real time between two polls of network and page [s]. Source: ours, half of the switch's.
 PICTURE_TIME = 1 / 15  #: Time between two images [s]. Source: ours.
@@ -35,9 +34,7 @@ LEAST_SIDE = 3.0  #: Least side of a box that points at the object [px].
 ACTIVE = ("armed", "ramp", "run", "several")
 """Modes in which the robot may move; "several" stands for several programs that publish a status."""
 
-REQUESTS = (
-    "stop, arm, press, hold, let_go, point, caught, reached, dropped, repeat"  #: Requests of every page.
-)
+REQUESTS = "stop, arm, press, hold, let_go, point, caught, reached, dropped, repeat"  #: Of every page.
 
 
 @final

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from importlib.resources import files
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from pathlib import PurePath
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -44,12 +43,10 @@ Talk = Callable[[ServerConnection], Awaitable[None]]  #: Handler of a connection
 
 def own_files() -> dict[str, tuple[str, bytes]]:
     """Return types and contents of the files of the operator's page, by path."""
-    folder = files("pixel2catch.viewer") / "operate"
-    found = {f"/{file.name}": file.read_bytes() for file in folder.iterdir()}
-    kinds = {".html": "html", ".js": "javascript", ".css": "css"}
-    own = {
-        path: (f"text/{kinds[PurePath(path).suffix]}; charset=utf-8", body) for path, body in found.items()
-    }
+    own, kinds = dict[str, tuple[str, bytes]](), {"html": "html", "js": "javascript", "css": "css"}
+    for file in (files("pixel2catch.viewer") / "operate").iterdir():
+        kind = kinds[file.name.rpartition(".")[2]]
+        own[f"/{file.name}"] = f"text/{kind}; charset=utf-8", file.read_bytes()
     return own | {"/": own["/index.html"]}
 
 

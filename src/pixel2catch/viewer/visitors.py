@@ -1,12 +1,15 @@
 """The browsers of an own page: the state that is sent to them, and the switch that they hold."""
 
 import asyncio
+import io
 import json
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, final
 
+import numpy as np
+from PIL import Image
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
@@ -17,6 +20,7 @@ BEAT_AGE = 0.4
 """Real time after which a silent browser no longer holds the switch [s]. Source: ours: `operate.js` repeats
 `hold` every 0.05 s and sends a release at once, so this is for a browser that hangs."""
 
+QUALITY = 80  #: Quality of the JPEG images of a page.
 LONGEST = 1000  #: Largest number of characters of a request; those of our pages have a hundred.
 
 Visitor = ServerConnection  #: A connected browser.
@@ -129,3 +133,10 @@ class Visitors:
                 if self._image is not image:
                     image = self._image
                     await visitor.send(image)
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    """Return an image (red, green, blue) as JPEG."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
+    return buffer.getvalue()
