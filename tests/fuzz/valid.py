@@ -142,7 +142,7 @@ def _read_bag(file: Path) -> None:
 
     path, errors = file if file.suffix != ".yaml" else file.parent, []
     for read in (
-        lambda: read_rosbag(path, ARM),
+        lambda: read_rosbag(path, ARM, None, UR5E_ALLEGRO),
         lambda: [*images_of(str(path), [])],
         lambda: read_lens(path, CharucoBoard()),
     ):

@@ -59,7 +59,7 @@ def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np
 def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:
     """Half sines and half steps of `excite`, sent and measured at 125 Hz by clocks that stall."""
     t_cmd = stalled_clock(rng, seconds - SETTLING, 1 / RATE)
-    envelope = Envelope.of(truth.joints, 1.0, {})
+    envelope = Envelope.of(truth.joints, 1.0, {}, UR5E_ALLEGRO)
     num = int((seconds - SETTLING) * RATE) // 2 + 1
     targets = envelope.center + np.concatenate([signal(rng, envelope, num) for signal in (multisine, steps)])
     q_cmd, t_meas = targets[(t_cmd * RATE).astype(int)], stalled_clock(rng, seconds, 0.008)

@@ -26,6 +26,7 @@ from pixel2catch.identification.rehearsal import Assessment, Violation, clearanc
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells import workcells
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 WHOLE = ExcitationCfg(seconds=20.0, seed=0)
 JOINTS = ROBOTS["ur5e_allegro"]
@@ -86,7 +87,7 @@ def test_joints_that_violate_a_limit_move_less(monkeypatch: pytest.MonkeyPatch):
 
 
 def draw(signal: Signal, seed: int, speed: float, num_times: int = 500) -> tuple[Envelope, np.ndarray]:
-    envelope = Envelope.of(JOINTS, speed, {})
+    envelope = Envelope.of(JOINTS, speed, {}, UR5E_ALLEGRO)
     return envelope, signal(np.random.default_rng(seed), envelope, num_times)
 
 
@@ -131,7 +132,7 @@ def test_steps_are_large_and_many_and_turns_move_one_joint_of_a_limb_at_a_time(s
 
 
 def test_approach_goes_smoothly_from_the_start_pose_to_the_middle():
-    envelope = Envelope.of(JOINTS, 0.1, {})
+    envelope = Envelope.of(JOINTS, 0.1, {}, UR5E_ALLEGRO)
     offsets = approach(envelope)
     np.testing.assert_allclose(envelope.center + offsets[0], envelope.home)
     np.testing.assert_allclose(offsets[-1], 0.0, atol=ROUNDING)
@@ -142,7 +143,7 @@ def test_approach_goes_smoothly_from_the_start_pose_to_the_middle():
 
 
 def test_envelope_by_hand():
-    envelope = Envelope.of(JOINTS, 0.5, {"elbow_joint": 0.8})
+    envelope = Envelope.of(JOINTS, 0.5, {"elbow_joint": 0.8}, UR5E_ALLEGRO)
     elbow, wrist, thumb = (JOINTS.index(name) for name in ("elbow_joint", "wrist_2_joint", "thumb_joint_0"))
     # the elbow is far from its limits: 80 % of 0.35 rad about its start pose, 40 % of everything else
     assert envelope.swing[elbow] == pytest.approx(0.28)

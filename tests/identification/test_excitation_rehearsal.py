@@ -12,6 +12,7 @@ from pixel2catch.identification.rehearsal import assess, clearances
 from pixel2catch.identification.simulation import FIT_DT
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HOME = np.array([spec.home for spec in JOINT_SPECS.values()])
 
@@ -37,7 +38,7 @@ def pose(**angles: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_start_pose_keeps_all_distances():
     time, position = pose()
-    table, arm, hand = clearances(list(JOINT_SPECS), time, position)
+    table, arm, hand = clearances(list(JOINT_SPECS), time, position, UR5E_ALLEGRO)
     assert all(each.is_kept for each in (table, arm, hand))
     assert np.isinf(table.distance)
     assert table.sentence() == "robot and table: never closer than 100 mm"
@@ -47,7 +48,7 @@ def test_the_start_pose_keeps_all_distances():
 
 
 def test_a_folded_arm_is_too_near_to_itself_and_to_the_table():
-    near = clearances(list(JOINT_SPECS), *pose(elbow_joint=3.0))
+    near = clearances(list(JOINT_SPECS), *pose(elbow_joint=3.0), UR5E_ALLEGRO)
     assert [each.is_kept for each in near] == [False, False, True]
     assert set(near[1].bodies) == {"upper_arm_link", "wrist_1_link"}
 

@@ -56,7 +56,7 @@ def test_a_recording_that_fails_its_checks_is_not_fitted():
     swapped = recording.q[:, [0, 1, 2, 4, 3, 5]]
     late = replace(recording, name="late", t_cmd=recording.t_cmd - 3.0, q=swapped)
     with pytest.raises(RecordingError, match=r"late cannot be used:\n- clock offset: .*add 3.055 s") as error:
-        identify(checked([recording, late]), start_of_fit("ur5e", None, False), FitCfg(), print)
+        identify(checked([recording, late]), start_of_fit("ur5e", None, False, UR5E_ALLEGRO), FitCfg(), print)
     assert "- follows its command of wrist_1_joint: it follows the command of wrist_2_joint" in str(
         error.value
     )
@@ -79,7 +79,7 @@ def arm_file(tmp_path: Path) -> Path:
 
 
 def test_other_joints_keep_their_entries_in_the_file(arm_file: Path):
-    start = start_of_fit("allegro", arm_file, fits_filter=False)
+    start = start_of_fit("allegro", arm_file, fits_filter=False, workcell=UR5E_ALLEGRO)
     assert start.before == start.first == JointDynamics.nominal().select(HAND)
     result = merged_file(hand_fit(), start, [])
     known = DynamicsFile.load(arm_file)
@@ -93,17 +93,17 @@ def test_other_joints_keep_their_entries_in_the_file(arm_file: Path):
 
 def test_a_filter_is_in_front_of_a_stiff_servo_or_of_that_of_the_file(arm_file: Path):
     nominal = JointDynamics.nominal().select(ARM)
-    new = start_of_fit("ur5e", None, fits_filter=True)
+    new = start_of_fit("ur5e", None, fits_filter=True, workcell=UR5E_ALLEGRO)
     assert new.before == nominal
     np.testing.assert_allclose(new.first.damping / new.first.stiffness, 0.003)
     assert (new.first.stiffness > nominal.stiffness).all()
-    known = start_of_fit("ur5e", arm_file, fits_filter=True)
+    known = start_of_fit("ur5e", arm_file, fits_filter=True, workcell=UR5E_ALLEGRO)
     np.testing.assert_array_equal(known.first.stiffness, nominal.stiffness)
     for start in (new, known):
         np.testing.assert_array_equal(start.first.filter_gain, 300.0)
         np.testing.assert_array_equal(start.first.filter_lookahead, 0.1)
     with pytest.raises(InvalidValueError, match="filter_gain is of an arm's command filter"):
-        start_of_fit("ur5e_allegro", None, fits_filter=True)
+        start_of_fit("ur5e_allegro", None, fits_filter=True, workcell=UR5E_ALLEGRO)
 
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
@@ -165,7 +165,7 @@ def about_one(half_width: float) -> tuple[float, float]:
     ids=["well known", "one scale", "damping alone", "stiffness alone"],
 )
 def test_ranges_are_as_wide_as_what_is_known(covariance, free, stiffness, damping, is_relative):
-    ranges = gain_ranges(fit_of(np.stack([covariance]), free), PAPER)
+    ranges = gain_ranges(fit_of(np.stack([covariance]), free), PAPER, UR5E_ALLEGRO)
     np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], stiffness)
     np.testing.assert_allclose(ranges.damping_scale[ELBOW], damping)
     assert ranges.is_damping_relative[ELBOW] == is_relative
@@ -173,14 +173,14 @@ def test_ranges_are_as_wide_as_what_is_known(covariance, free, stiffness, dampin
 
 def test_ranges_of_other_joints_and_of_what_is_not_known_stay():
     """What an earlier fit of the elbow narrowed is not widened by one of the wrist and the index finger."""
-    assert gain_ranges(fit_of(np.stack([4.0 * np.eye(3)] * 3)), PAPER) == PAPER
-    earlier = gain_ranges(fit_of(np.stack([2.5e-7 * np.eye(3)])), PAPER)
+    assert gain_ranges(fit_of(np.stack([4.0 * np.eye(3)] * 3)), PAPER, UR5E_ALLEGRO) == PAPER
+    earlier = gain_ranges(fit_of(np.stack([2.5e-7 * np.eye(3)])), PAPER, UR5E_ALLEGRO)
     wrist = fit_of(np.stack([2.5e-7 * np.eye(3)] * 2), joints=JOINTS[1:])
-    both = gain_ranges(wrist, earlier)
+    both = gain_ranges(wrist, earlier, UR5E_ALLEGRO)
     assert both.stiffness_scale[ELBOW] == earlier.stiffness_scale[ELBOW]
     assert both.stiffness_scale[WRIST] == both.stiffness_scale[ELBOW]
     latency = fit_of(np.stack([1e-4 * np.eye(1)]), ("latency",))
-    assert gain_ranges(latency, earlier) == earlier
+    assert gain_ranges(latency, earlier, UR5E_ALLEGRO) == earlier
 
 
 def test_errors_of_the_model_bound_what_is_known() -> None:

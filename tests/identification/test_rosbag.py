@@ -30,6 +30,10 @@ SHUFFLED = [2, 1, 0, 3, 4, 5]
 """UR's driver publishes the elbow first."""
 
 
+def read(path: Path, joints: tuple[str, ...], names: RecordedNames | None = None) -> Recording:
+    return read_rosbag(path, joints, names, UR5E_ALLEGRO)
+
+
 def nanoseconds(time: float) -> int:
     return EPOCH * 10**9 + round(time * 1e9)
 
@@ -84,7 +88,7 @@ def commands(recording: Recording, kind: str) -> list[Message]:
 def test_a_bag_that_is_read_leaves_rosbags_as_it_was(tmp_path: Path):
     path = save_bag(tmp_path / "bag", measured(short()) + commands(short(), TRAJECTORY))
     before = [dict(vars(module)) for module in (reader, storage_mcap)]
-    read_rosbag(path, ARM)
+    read(path, ARM)
     assert [dict(vars(module)) for module in (reader, storage_mcap)] == before
 
 
@@ -94,9 +98,9 @@ def test_bag_keeps_both_clocks(storage: StoragePlugin, tmp_path: Path):
     for kind in (JOINT_STATE, TRAJECTORY, ARRAY):
         sent = measured(short()) + commands(short(), kind)
         path = save_bag(tmp_path / kind.replace("/", "."), sent, storage)
-        assert_same(read_rosbag(path, ARM), short(), NANOSECOND)
+        assert_same(read(path, ARM), short(), NANOSECOND)
         (file,) = (each for each in path.iterdir() if each.suffix in (".mcap", ".db3"))
-        assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
+        assert_same(read(file, ARM), short(), NANOSECOND)
 
 
 def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
@@ -110,7 +114,7 @@ def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
     (first / "metadata.yaml").write_text(
         content.replace(listed, f"{listed}\n{listed.replace('bag0.mcap', name)}")
     )
-    assert_same(read_rosbag(first, ARM), short(), NANOSECOND)
+    assert_same(read(first, ARM), short(), NANOSECOND)
 
 
 @pytest.mark.parametrize("stamp", [0, nanoseconds(0.0)])
@@ -121,20 +125,20 @@ def test_optional_signals_may_be_nan_and_stamps_stand_still(stamp: int, tmp_path
         message.velocity = message.effort = np.full(7, np.nan)
         message.header = header(stamp)
     path = save_bag(tmp_path / "bag", sent + commands(short(), TRAJECTORY))
-    assert_same(read_rosbag(path, ARM), replace(short(), t_meas=short().t_meas + 0.003), NANOSECOND)
+    assert_same(read(path, ARM), replace(short(), t_meas=short().t_meas + 0.003), NANOSECOND)
 
 
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_a_bag_may_be_compressed(mode: CompressionMode, tmp_path: Path):
     sent = measured(short()) + commands(short(), TRAJECTORY)
     path = save_bag(tmp_path / "bag", sent, StoragePlugin.SQLITE3, mode)
-    assert_same(read_rosbag(path, ARM), short(), NANOSECOND)
+    assert_same(read(path, ARM), short(), NANOSECOND)
     (file,) = path.glob("*.db3*")
     if mode is CompressionMode.FILE:
-        assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
+        assert_same(read(file, ARM), short(), NANOSECOND)
     else:
         with pytest.raises(RecordingError, match=r"its messages are compressed, .* give its folder"):
-            read_rosbag(file, ARM)
+            read(file, ARM)
 
 
 def test_channels_of_an_mcap_file_that_are_not_ros_are_left_out(tmp_path: Path):
@@ -146,18 +150,18 @@ def test_channels_of_an_mcap_file_that_are_not_ros_are_left_out(tmp_path: Path):
     schema = re.compile(rb"(?<=std_msgs/msg/String\x07\0\0\0)ros2msg(.{4}).", re.DOTALL)
     content = schema.sub(lambda found: b"protob2" + found[1] + b"\xff", content)
     file.write_bytes(content.replace(b"\4\0\0\0ros2", b"\4\0\0\0ros1", 1))
-    assert_same(read_rosbag(file, ARM), short(), NANOSECOND)
+    assert_same(read(file, ARM), short(), NANOSECOND)
     file.write_bytes(content.replace(b"\3\0\0\0cdr", b"\3\0\0\0pb3"))
     with pytest.raises(RecordingError, match="have the encoding pb3, but only cdr, of ROS 2, is read"):
-        read_rosbag(file, ARM)
+        read(file, ARM)
 
 
 def test_one_of_several_command_topics_is_chosen_by_name(tmp_path: Path):
     other = [("/other", nanoseconds(0.1), array(np.zeros(13)))]
     path = save_bag(tmp_path / "bag", measured(short()) + commands(short(), ARRAY) + other)
     with pytest.raises(RecordingError, match=r"2 topics could .* \(/command, /other\); .* --command-topic"):
-        read_rosbag(path, ARM)
-    assert_same(read_rosbag(path, ARM, RecordedNames(command_topics={"/command": ()})), short(), NANOSECOND)
+        read(path, ARM)
+    assert_same(read(path, ARM, RecordedNames(command_topics={"/command": ()})), short(), NANOSECOND)
 
 
 def one_state(*args: Any) -> list[Message]:
@@ -190,7 +194,7 @@ UNNAMED = [
 def test_error_names_topic_message_and_fix(messages: list[Message], message: str, tmp_path: Path):
     path = save_bag(tmp_path / "bag", messages)
     with pytest.raises(RecordingError, match=message) as caught:
-        read_rosbag(path, ARM)
+        read(path, ARM)
     assert str(path) in str(caught.value)
 
 
@@ -214,21 +218,21 @@ def tables(folder: Path, time: str = "t", separator: str = ",", point: str = "."
     ("separator", "point"), [(",", "."), (";", ","), (";", "."), ("\t", ","), (" ", ","), (" ", ".")]
 )
 def test_tables_have_any_separator_and_decimal_commas(separator: str, point: str, tmp_path: Path):
-    got = read_tables(tables(tmp_path / "log", separator=separator, point=point), ALL)
+    got = read_tables(tables(tmp_path / "log", separator=separator, point=point), ALL, None, UR5E_ALLEGRO)
     assert_same(got, short(), NANOSECOND)
 
 
 def test_tables_that_do_not_fit_are_named(tmp_path: Path):
     with pytest.raises(RecordingError, match=r"commands\.csv': no column t; it has"):
-        read_tables(tables(tmp_path / "log", time="when"), ARM)
+        read_tables(tables(tmp_path / "log", time="when"), ARM, None, UR5E_ALLEGRO)
 
 
 def test_other_files_and_a_missing_library_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(RecordingError, match=r"notes\.txt: not a recording; give an \.npz file"):
-        read_rosbag(tmp_path / "notes.txt", ARM)
+        read(tmp_path / "notes.txt", ARM)
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(RecordingError, match=r"needs rosbags.*pip install .*\[identification\]"):
-        read_rosbag(tmp_path / "bag.mcap", ARM)
+        read(tmp_path / "bag.mcap", ARM)
 
 
 def wide(arm: np.ndarray) -> np.ndarray:
@@ -257,7 +261,7 @@ def test_commands_of_two_topics_hold_on_their_own_clocks(tmp_path: Path):
     """At 0.1 s the arm gets its second command, the hand still has its first; at 0.15 s it has the second."""
     recording = WITH_HAND
     path = save_bag(tmp_path / "bag", states(recording, ALL) + two_topics(recording))
-    got = read_rosbag(path, ALL, RecordedNames(command_topics=BOTH))
+    got = read(path, ALL, RecordedNames(command_topics=BOTH))
     np.testing.assert_allclose(got.t_cmd, np.arange(10) * 0.05, atol=NANOSECOND)
     np.testing.assert_array_equal(got.q_cmd[:, :6], np.repeat(recording.q_cmd[:, :6], 2, axis=0))
     hand = np.concatenate((recording.q_cmd[:1], np.repeat(recording.q_cmd, 2, axis=0)))[:10, 6:]
@@ -269,11 +273,11 @@ def test_one_part_is_read_from_topics_of_two_publishers(tmp_path: Path):
     recording = WITH_HAND
     late = replace(recording, t_meas=recording.t_meas + 0.01)
     path = save_bag(tmp_path / "bag", states(recording, ARM) + states(late, FINGERS) + two_topics(recording))
-    hand = read_rosbag(path, FINGERS, RecordedNames(command_topics={"/hand": BOTH["/hand"]}))
+    hand = read(path, FINGERS, RecordedNames(command_topics={"/hand": BOTH["/hand"]}))
     np.testing.assert_array_equal(hand.q, recording.q[:, 6:])
     np.testing.assert_allclose(hand.t_meas[0] - hand.t_cmd[0], 0.02 + 0.01 - 0.05, atol=NANOSECOND)
     with pytest.raises(RecordingError, match="two publishers share the topic"):
-        read_rosbag(path, ALL, RecordedNames(command_topics=BOTH))
+        read(path, ALL, RecordedNames(command_topics=BOTH))
 
 
 @pytest.mark.parametrize(
@@ -286,7 +290,7 @@ def test_one_part_is_read_from_topics_of_two_publishers(tmp_path: Path):
 def test_topics_that_do_not_fit_are_named(topics: dict[str, tuple[str, ...]], message: str, tmp_path: Path):
     path = save_bag(tmp_path / "bag", states(WITH_HAND, ALL) + two_topics(WITH_HAND))
     with pytest.raises(RecordingError, match=message):
-        read_rosbag(path, ALL, RecordedNames(command_topics=topics))
+        read(path, ALL, RecordedNames(command_topics=topics))
 
 
 def test_a_name_of_ours_on_another_joint_is_not_taken_for_ours():
@@ -311,4 +315,4 @@ def test_a_profile_has_topics_and_names(tmp_path: Path):
         topic = robot.command_topic.name
         messages += stream(topic, recording.t_cmd, np.array(sent), lambda at, row: array(row))
     path = save_bag(tmp_path / "bag", messages)
-    assert_same(read_rosbag(path, ALL, RecordedNames.of(profile, order)), recording, 1e-6)
+    assert_same(read(path, ALL, RecordedNames.of(profile, order)), recording, 1e-6)

@@ -18,6 +18,7 @@ from pixel2catch.perception.calibration.capture import Capture, blur
 from pixel2catch.perception.calibration.lens import SQUARE, CharucoBoard, read_image
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.workcells import find_workcell
 
 JOINTS = [joint.name for joint in ARM.joints]
 NUM_IMAGES = 8
@@ -102,6 +103,9 @@ def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path
     }
     for words, table in cases.items():
         assert words in error_of(capsys, write_table(tmp_path / "views.csv", *table), *lens)
+    names = find_workcell("fr3_allegro").joint_names[:7]
+    other = write_table(tmp_path / "views.csv", [["nowhere.png", *[0.0] * 7]] * 6, ["image", *names])
+    assert "nowhere.png" in error_of(capsys, other, "--workcell", "fr3_allegro", *lens)
     lens = ("--intrinsics", wide, "--out", tmp_path / "camera.json")
     assert "set the camera to that resolution" in error_of(capsys, laboratory / "views.csv", *lens)
     assert not (tmp_path / "camera.json").exists()

@@ -69,7 +69,7 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     assert "BAD" not in checks
     assert re.search(r"stalls +│ +│ good", checks)
 
-    read = read_rosbag(recording, ARM, NAMES)
+    read = read_rosbag(recording, ARM, NAMES, UR5E_ALLEGRO)
     dynamics = DynamicsFile.load(truth).dynamics.select(ARM)
     motion = RecordedMotion([read])
     late = np.linspace(*WIRE, 5)

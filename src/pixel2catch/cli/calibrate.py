@@ -176,7 +176,7 @@ class Calibrate:
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
         joint_pos, names = read_table(path, joints, text=IMAGE_COLUMN)
-        require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos)
+        require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos, workcell)
         board, views, blank = CharucoBoard(self.square), [], []
         chain, steps = chain_of(workcell, workcell.palms[0]), STEP * np.eye(len(joints))
         turned = np.stack([joint_pos, *(joint_pos + each for each in (*steps, *-steps))])

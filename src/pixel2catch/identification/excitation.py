@@ -81,11 +81,7 @@ class Envelope:
 
     @classmethod
     def of(
-        cls,
-        joints: Sequence[str],
-        speed: float,
-        shrunk: Mapping[str, float],
-        workcell: WorkcellSpec = UR5E_ALLEGRO,
+        cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float], workcell: WorkcellSpec
     ) -> "Envelope":
         """Return the envelope of some joints; `speed` and `shrunk`, by joint, are factors on their motion."""
         known, groups = specs_of(workcell), groups_of(workcell)

@@ -18,7 +18,6 @@ from pixel2catch.identification.simulation import Encoders, RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0  # stiffness of the servo behind a command filter over the nominal one (ours)
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
@@ -93,9 +92,7 @@ class Identification:
         return tuple(motion for motion in self.motions if motion.is_held_out == is_held_out)
 
 
-def start_of_fit(
-    part: str, path: Path | None, fits_filter: bool, workcell: WorkcellSpec = UR5E_ALLEGRO
-) -> FitStart:
+def start_of_fit(part: str, path: Path | None, fits_filter: bool, workcell: WorkcellSpec) -> FitStart:
     """Return the start of a fit of a part, from a dynamics file if there is one.
 
     Without a file, the servo behind a filter that is to be fitted is stiff.
@@ -237,7 +234,7 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
     return found
 
 
-def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLEGRO) -> GainRanges:
+def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec) -> GainRanges:
     """Return the ranges in which a training must randomise the gains: their 95 % intervals.
 
     They are within the paper's ranges and never a single point. Gains that were not fitted keep their ranges

@@ -13,7 +13,6 @@ from pixel2catch.identification.recording import Recording, held, require_joints
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import METADATA, BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
@@ -80,10 +79,7 @@ class _Bag:
 
 
 def read_rosbag(
-    path: Path,
-    joints: tuple[str, ...],
-    names: RecordedNames | None = None,
-    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    path: Path, joints: tuple[str, ...], names: RecordedNames | None, workcell: WorkcellSpec
 ) -> Recording:
     """Read the motion of those of some joints that a rosbag2 (MCAP or SQLite, its folder or file) measured.
 
@@ -114,10 +110,7 @@ def read_rosbag(
 
 
 def read_tables(
-    folder: Path,
-    joints: tuple[str, ...],
-    names: RecordedNames | None = None,
-    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    folder: Path, joints: tuple[str, ...], names: RecordedNames | None, workcell: WorkcellSpec
 ) -> Recording:
     """Read the motion of those of some joints that two tables have: commands, and measurements as of RTDE.
 

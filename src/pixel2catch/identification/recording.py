@@ -171,11 +171,7 @@ def require_joints(source: str, joints: Iterable[str], recorded: Iterable[str]) 
 
 
 def require_motion(
-    source: str,
-    joints: tuple[str, ...],
-    time: np.ndarray,
-    positions: np.ndarray,
-    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    source: str, joints: tuple[str, ...], time: np.ndarray, positions: np.ndarray, workcell: WorkcellSpec
 ) -> None:
     """Refuse motion that is impossible for a robot: positions [rad], a row per time [s]."""
     groups = groups_of(workcell)

@@ -19,7 +19,6 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.distances import RULES, Clearance, Distances
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
 STALL = 0.05  # share of a loop's turns that stall. Source: the same.
@@ -92,7 +91,7 @@ def clearances(
     joints: Sequence[str],
     time: Float64[np.ndarray, " num_times"],
     positions: Float64[np.ndarray, "num_times num_joints"],
-    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    workcell: WorkcellSpec,
 ) -> tuple[Clearance, ...]:
     """Return the smallest distance in a motion for each of `RULES`; other joints are in the start pose."""
     distances, least = Distances(workcell), list(RULES)
