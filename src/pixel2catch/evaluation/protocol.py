@@ -13,7 +13,6 @@ robot's base, and at least two parts of the hand must touch it at the end.
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
@@ -191,15 +190,12 @@ def evaluate(
         for number in range(cfg.trials):
             if is_seeded:
                 env.seed(cfg.seed + number)
-            steps = itertools.count(number * length + 1)
-            hold, observation = ClosedLoopHold(env, actor), env.reset()
+            hold, observation, state = ClosedLoopHold(env, actor), env.reset(), _round_start(env)
             reachable = is_reachable(env.episode, env.workcell)
-
-            def watch(_: Step, state: RoundState, hold=hold, steps=steps) -> None:
+            for step, (_, state) in enumerate(round_steps(env, actor, observation), start=1):
                 hold.watch(state)
-                on_share(next(steps) / num_steps)
-
-            trials = _end_of_round(env, actor, observation, watch)
+                on_share((number * length + step) / num_steps)
+            trials = _end_of_round(env, state)
             rounds.append(replace(trials, closed_loop=hold.result(), is_reachable=reachable))
             on_round(rounds[-1])
             on_share((number + 1) / cfg.trials)
@@ -263,15 +259,13 @@ def run_round(
     After every control step `watch` is called; it must copy what it keeps, because the next step overwrites
     it. Environments whose trial is decided are stepped and ignored.
     """
-    return _end_of_round(env, actor, env.reset(), watch)
-
-
-def _end_of_round(
-    env: CatchEnv, actor: Actor, observation: Observation, watch: Callable[[Step, RoundState], None]
-) -> Trials:
-    state = _round_start(env)
+    observation, state = env.reset(), _round_start(env)
     for step, state in round_steps(env, actor, observation):
         watch(step, state)
+    return _end_of_round(env, state)
+
+
+def _end_of_round(env: CatchEnv, state: RoundState) -> Trials:
     env.check()
     return Trials(**{field.name: getattr(state, field.name) for field in fields(Trials)})
 
