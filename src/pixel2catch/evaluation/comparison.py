@@ -178,18 +178,18 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
 
     plan = folder.plan()
     results, curves = list(summary_rows(folder, plan)), all_curves(folder, plan)
-    rates, differences = rates_table(results), list(difference_rows(results))
-    data = {"results": results, "differences": differences, "sessions": plan.sessions}
+    rates, changes = rates_table(results), list(difference_rows(results))
+    data = {"results": results, "differences": changes, "sessions": plan.sessions}
     configuration = [{"name": name, "value": f"{value}"} for name, value in plan.configuration.items()]
     sections = [
         Section(title="Results", text=RATES_NOTE, rows=rates),
         Section(title="Holds and contact", text=QUALITY_NOTE, rows=quality_table(results)),
     ]
-    if differences:
+    if changes:
         rows = [
             {name: row[name] for name in ("pair", "objects")}
             | {title: difference(row[name]) for title, name in RATES.items() if name in row}
-            for row in differences
+            for row in changes
         ]
         sections.append(Section(title="Differences", text=DIFFERENCES_NOTE, rows=rows))
     if curves:

@@ -14,14 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.signal import detrend
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.intervals import (
-    BLOCK,
-    FRICTION_DEVIATION,
-    LATENCY_DEVIATION,
-    block_covariance,
-    lag_deviation,
-    model_covariance,
-)
+from pixel2catch.identification import intervals
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import FIT_DT, Encoders, RecordedMotion
 from pixel2catch.robots.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
@@ -234,7 +227,7 @@ class _Problem:
         self, point: Point, jacobian: Jacobian
     ) -> Float[np.ndarray, "num_joints num_columns num_columns"]:
         """Return the covariance of each joint's row of a fitted point."""
-        weight, starts = _information(jacobian.residuals), self._motion.block_starts(BLOCK)
+        weight, starts = _information(jacobian.residuals), self._motion.block_starts(intervals.BLOCK)
         equations = self.normal_equations(point, jacobian, weight)
         scores = np.zeros((len(starts), len(equations.hessian)))
         for j, is_affected in enumerate(jacobian.directions.affected.T):
@@ -243,19 +236,20 @@ class _Problem:
             added = columns * (weight[:, j] * jacobian.residuals[:, j])
             scores[:, moving] += np.add.reduceat(added, starts, axis=1).T
         steps = jacobian.directions.steps
-        covariance = np.einsum("kja,kl,ljb->jab", steps, block_covariance(equations.hessian, scores), steps)
+        of_steps = intervals.block_covariance(equations.hessian, scores)
+        covariance = np.einsum("kja,kl,ljb->jab", steps, of_steps, steps)
         dynamics, num = self.dynamics(point), self.num_free
         inertias = self._dynamics.armature, self._motion.link_inertia
         motions = [(np.diff(each.q, axis=0), np.diff(each.t_meas)[:, None]) for each in self._recordings]
         speed = np.sqrt(np.mean([np.mean((q / time) ** 2, axis=0) for q, time in motions], axis=0))
-        covariance[:, :num, :num] += model_covariance(
+        covariance[:, :num, :num] += intervals.model_covariance(
             dynamics, *inertias, speed, self._cfg.free, LATENCY_UNIT
         )
         seconds = [np.ptp(recording.t_meas) for recording in self._recordings]
         # A joint that turns around rests until its command moved by the play and 2 frictionloss / stiffness.
-        play = 2.0 * FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness
-        lag = lag_deviation(dynamics, speed) * dynamics.damping / dynamics.stiffness
-        beside = [play, *(np.hypot(LATENCY_DEVIATION, lag) / length for length in seconds)]
+        play = 2.0 * intervals.FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness
+        lag = intervals.lag_deviation(dynamics, speed) * dynamics.damping / dynamics.stiffness
+        beside = [play, *(np.hypot(intervals.LATENCY_DEVIATION, lag) / length for length in seconds)]
         for column, deviation in enumerate(beside, start=num):
             covariance[:, column, column] += (deviation / self.unit[column]) ** 2
         return covariance

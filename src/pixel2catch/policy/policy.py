@@ -116,7 +116,7 @@ class Policy(nn.Module):
 
     @classmethod
     def of(cls, description: dict[str, Any], tensors: dict[str, Tensor]) -> "Policy":
-        """Make a policy of its description and its weights; raise PolicyMismatchError if they do not fit."""
+        """Make a policy of its description and weights; raise InvalidValueError or PolicyMismatchError."""
         if "hidden" not in description:
             raise InvalidValueError("field 'hidden' is missing")
         contract = {key: value for key, value in description.items() if key != "hidden"}

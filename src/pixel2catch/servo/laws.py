@@ -226,10 +226,9 @@ def joint_faults(joints: Records, inputs: Records, now: float, is_commanded: boo
 def hand_faults(robot: Record, joints: Records, inputs: Record, limits: Records) -> int:
     """Update how long fingers move freely, and return the faults of free fingers that do not follow.
 
-    Until an object touches it, a hand follows its commands as an arm does; what a swing of the arm drags are
-    several joints alike. It is free up to the ramp, for
-    `FREE_TIME` from its first quick motion on, and again after it was calm for `CALM_TIME`. In a planned
-    motion it may hold something, and is not watched.
+    Until an object touches it, a hand follows its commands as an arm does; a swing of the arm drags several
+    joints alike. It is free up to the ramp, for `FREE_TIME` from its first quick motion on, and again after
+    it was calm for `CALM_TIME`. In a planned motion it may hold something, and is not watched.
     """
     is_quick, is_calm, is_astray, is_frozen, largest, second = False, True, False, False, 0.0, 0.0
     for number in range(len(joints)):

@@ -155,10 +155,9 @@ class OperatorPage:
 
     def _robot(self, theirs: str) -> str:
         """Return the robot of a deployment in words; with those of this program where they differ."""
-        is_same = theirs.startswith(self._words)
-        return (
-            theirs if theirs and is_same else "; but this program: ".join(filter(None, (theirs, self._words)))
-        )
+        if theirs and theirs.startswith(self._words):
+            return theirs
+        return "; but this program: ".join(filter(None, (theirs, self._words)))
 
     def _handle(self, visitor: Visitor, request: dict[str, Any]) -> None:
         """Do what a browser requests; stops at any time, the rest only if its state is recent."""
