@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
@@ -36,13 +35,11 @@ def reading(**positions: float):
 
 def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
     arm, hand = Profile.load("ur5e_allegro_v4").robots
-    joint_pos = np.full(len(JOINTS), -1.0)
     state = reading(elbow_joint=2.0, ah_joint11=6.0, shoulder_pan_joint=0.0, gripper=99.0, ah_joint00=15.0)
-    assert arm.merge(state, joint_pos).tolist() == [0, 2]
-    assert joint_pos.tolist() == [0.0, -1.0, 2.0, *[-1.0] * 16]
-    assert hand.merge(state, joint_pos).tolist() == [6, 15]
-    assert (joint_pos[6], joint_pos[15]) == (6.0, 15.0)
-    assert arm.merge(reading(gripper=1.0), joint_pos).tolist() == []
+    found = [part.columns(state.names) for part in (arm, hand)]
+    assert [ids.tolist() for _, ids in found] == [[0, 2], [6, 15]]
+    assert [state.position[columns].tolist() for columns, _ in found] == [[0.0, 2.0], [6.0, 15.0]]
+    assert arm.columns(("gripper",))[1].tolist() == []
 
 
 def shipped() -> Any:

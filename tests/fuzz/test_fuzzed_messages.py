@@ -32,7 +32,7 @@ def merged(data: bytes) -> None:
     """Read a joint state as the servo does."""
     reading = messages.read_joint_state(data)
     for part in PARTS:
-        part.merge(reading, np.zeros(19))
+        part.columns(reading.names)
 
 
 BINARY: dict[str, tuple[Any, Callable[[bytes], object]]] = {

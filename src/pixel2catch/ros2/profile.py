@@ -18,7 +18,7 @@ from pixel2catch.camera.image import Image
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import ENCODINGS, JointReading
+from pixel2catch.ros2.messages import ENCODINGS
 from pixel2catch.ros2.transport import Topic
 
 if TYPE_CHECKING:
@@ -177,14 +177,6 @@ class RobotPart:
         if self.command_topic.type == messages.JOINT_STATE:
             return messages.joint_state((), values, stamp)
         return messages.float_array(values)
-
-    def merge(
-        self, reading: JointReading, joint_pos: Float[np.ndarray, " num_joints"]
-    ) -> Int[np.ndarray, " num_read"]:
-        """Copy its joints of a joint state into positions [rad]; return their ids. Raises as `columns`."""
-        columns, ids = self.columns(reading.names)
-        joint_pos[ids] = reading.position[columns]
-        return ids
 
     def columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
         """Return the columns of a joint state with these names that are its joints, and their `ids`.

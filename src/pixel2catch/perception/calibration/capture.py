@@ -138,7 +138,9 @@ def topic_images(
         for part, subscription in subscriptions:
             for message in subscription.take():
                 reading = messages.read_joint_state(message.data)
-                if len(part.merge(reading, joint_pos)) and np.isfinite(joint_pos[columns]).all():
+                found, ids = part.columns(reading.names)
+                joint_pos[ids] = reading.position[found]
+                if len(ids) and np.isfinite(joint_pos[columns]).all():
                     states.append((reading.stamp, joint_pos[columns].copy()))
         newest, known = images.take()[-most:], states[-1][1] if states else None
         for message in newest:
