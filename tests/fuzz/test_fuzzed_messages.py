@@ -32,7 +32,7 @@ def merged(data: bytes) -> None:
     """Read a joint state as the servo does."""
     reading = messages.read_joint_state(data)
     for part in PARTS:
-        part.columns(reading.names)
+        np.take(reading.position, part.columns(reading.names)[0])
 
 
 BINARY: dict[str, tuple[Any, Callable[[bytes], object]]] = {
