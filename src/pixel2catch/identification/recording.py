@@ -50,10 +50,13 @@ def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:
     """Return the joints of everything that can be identified alone: arms, hands, joint groups, all."""
     found = {}
     for placed in workcell.robots:
-        for part in placed.robot.parts:
-            name = part.name.removesuffix(f"_{part.tool.robot.name}") if part.tool else part.name
+        part = placed.robot
+        while part is not None:
+            tool = part.tool.robot if part.tool else None
+            name = part.name.removesuffix(f"_{tool.name}") if tool else part.name
             joints = (joint for group in part.groups for joint in group.joints)
             found[placed.prefix + name] = tuple(placed.prefix + joint.name for joint in joints)
+            part = tool
     found |= {group.name: tuple(joint.name for joint in group.joints) for group in workcell.groups}
     return found | {workcell.name: tuple(joint.name for joint in workcell.joints)}
 
