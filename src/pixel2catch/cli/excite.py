@@ -57,10 +57,8 @@ class Excite:
         for path in outs:
             require_free_file(path)
         workcell, found = find_workcell(self.workcell), []
-        dynamics = JointDynamics.nominal(workcell.joints)
-        if self.dynamics:
-            dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
-        dynamics = dynamics.select(joints_of(workcell, self.robot))
+        known = DynamicsFile.load(self.dynamics, workcell).dynamics if self.dynamics else None
+        dynamics = JointDynamics.of(workcell.joints, known).select(joints_of(workcell, self.robot))
         with working() as report:
             for i in range(self.recordings):
                 report(f"drawing and trying trajectory {i + 1} of {self.recordings}")

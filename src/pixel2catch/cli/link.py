@@ -136,13 +136,14 @@ class Link(Network):
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(profile.workcell)
-        dynamics = JointDynamics.nominal(workcell.joints)
-        if self.dynamics:
-            dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
-        elif not self.is_twin:
+        known = DynamicsFile.load(self.dynamics, workcell).dynamics if self.dynamics else None
+        if not (known or self.is_twin):
             say("no --dynamics: commands are no faster than the joints; identify the robot to catch")
-        is_identified = self.is_twin or self.dynamics is not None
         joints = JointLimits.of(
-            workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots
+            workcell,
+            self.speed,
+            JointDynamics.of(workcell.joints, known),
+            is_identified=self.is_twin or known is not None,
+            parts=profile.robots,
         )
         return ServoLimits.of(workcell, joints, profile.robots)

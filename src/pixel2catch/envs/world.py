@@ -1,6 +1,7 @@
 """Robot, object and camera in simulation."""
 
 from functools import partial
+from itertools import accumulate
 from types import SimpleNamespace
 
 import mujoco
@@ -97,39 +98,34 @@ class CatchWorld:
     ) -> None:
         """Build the model and its copies; joints without `dynamics` are nominal.
 
-        Commands keep the acceleration limits of the joints, unless a servo before the world does.
+        Commands keep the joints' limits of acceleration, unless a servo before it does.
         """
         workcell = find_workcell(scene.workcell)
-        nominal = JointDynamics.nominal(workcell.joints)
-        dynamics = dynamics.over(nominal) if dynamics else nominal
+        dynamics = JointDynamics.of(workcell.joints, dynamics)
         dynamics.require(workcell.joints)
         self._num_joints = len(workcell.joints)
         model = build_model(scene, armature=dict(zip(dynamics.joints, dynamics.armature, strict=True)))
         model.dof_frictionloss[: self._num_joints] = 0.0  # the servos apply it
         self.simulation: Simulation = make_simulation(model, num_envs, device, scene.engine)
         self.objects: ObjectTable = object_table(scene)
-        self.num_envs, self.device = num_envs, self.simulation.device
-        self._scene = scene
+        self.num_envs, self.device, self._scene = num_envs, self.simulation.device, scene
         tensor = partial(torch.tensor, dtype=self.simulation.dtype, device=self.device)
         palms = [palm.spec for palm in workcell.palms]
         self._palms = [(model.site(palm.site).id, tensor(palm.normal)) for palm in palms]
-        tips = [finger.tip for palm in palms for finger in palm.fingers]
-        self._tips = [model.site(tip).id for tip in tips]
+        self._tips = [model.site(finger.tip).id for palm in palms for finger in palm.fingers]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         sensors = [*contact_sensors(workcell)]  # each has the number of contacts and the least distance
         first = int(model.sensor(sensors[0]).adr[0])
         self._contacts = slice(first, first + 2 * len(sensors))
         self._anything, self._num_robots = sensors.index("object_any"), len(workcell.robots)
         self.arms = merged(workcell.of_role("arm"))
-        sizes = [1 + len(palm.fingers) for palm in palms]
-        starts = np.cumsum([0, *sizes[:-1]]).tolist()
+        starts = accumulate((1 + len(palm.fingers) for palm in palms[:-1]), initial=0)
         #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
         self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
         self._fields = SimpleNamespace(**{name: self.simulation.bind(name) for name in FIELDS})
-        self._actuators = JointActuators(
-            self.simulation, dynamics, workcell.joints, limits_commands=limits_commands
-        )
-        ranges = [(joint.home, joint.lower, joint.upper) for joint in workcell.joints]
+        joints = workcell.joints
+        self._actuators = JointActuators(self.simulation, dynamics, joints, limits_commands=limits_commands)
+        ranges = [(joint.home, joint.lower, joint.upper) for joint in joints]
         self._home, self._lower, self._upper = tensor(ranges).T.contiguous()
         self._table = {
             name: torch.as_tensor(rows).to(self.device)

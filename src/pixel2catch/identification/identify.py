@@ -104,8 +104,7 @@ def start_of_fit(part: str, path: Path | None, fits_filter: bool, workcell: Work
             "with it, then the hand with --start and the dynamics file of the arm."
         )
     file = DynamicsFile.load(path, workcell) if path else None
-    nominal = JointDynamics.nominal(workcell.joints)
-    before = (file.dynamics.over(nominal) if file else nominal).select(joints)
+    before = JointDynamics.of(workcell.joints, file.dynamics if file else None).select(joints)
     first = before
     if fits_filter:
         servo = before if file else stiff(before)

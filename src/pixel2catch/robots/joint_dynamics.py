@@ -110,6 +110,12 @@ class JointDynamics:
         values = {name: getattr(self, name)[columns] for name in PARAMETERS}
         return JointDynamics(joints=tuple(joints), **values)
 
+    @classmethod
+    def of(cls, specs: Sequence[JointSpec], known: "JointDynamics | None") -> "JointDynamics":
+        """Return the dynamics of joints: the known ones, nominal for the others."""
+        nominal = cls.nominal(specs)
+        return known.over(nominal) if known else nominal
+
     def over(self, below: "JointDynamics") -> "JointDynamics":
         """Return the joints of both, those of `below` first; this one's values win for common joints."""
         last = {name: i for i, name in enumerate((*below.joints, *self.joints))}

@@ -93,9 +93,8 @@ class SimulatedLab:
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
         steps = [ENCODER_STEP[each.role] for each in workcell.groups for _ in each.joints]
         self._encoder_step = np.array(steps)
-        nominal = JointDynamics.nominal(workcell.joints)
-        dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
-        self.lag: Joints = steady_lag(dynamics)  #: Time by which joints lag in a steady motion [s].
+        #: Time by which joints lag in a steady motion [s].
+        self.lag: Joints = steady_lag(JointDynamics.of(workcell.joints, task.dynamics))
         self.prepare(seed)
         self._held_from = inf
 
