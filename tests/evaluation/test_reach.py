@@ -6,7 +6,7 @@ import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import Episode, draw_episode
-from pixel2catch.evaluation.reach import is_reachable
+from pixel2catch.evaluation.reach import is_reachable, motion_time
 from pixel2catch.mdp.throws import Throw
 from pixel2catch.workcells import find_workcell
 
@@ -49,3 +49,10 @@ def test_drag_shortens_flights():
     """By 0.5 /m no throw of the paper arrives."""
     episode = replace(drawn(), drag=torch.full((NUM,), 0.5))
     assert is_reachable(episode, WORKCELL).float().mean() < 0.3
+
+
+def test_times_of_motions_by_hand():
+    """1 rad by 4 rad/s² takes 0.5 s there and 0.5 s back; 3 rad 1 s more at 2 rad/s; then without a limit."""
+    angle, speed = torch.tensor([1.0, 3.0, 3.0, 0.0]), torch.full((4,), 2.0)
+    acceleration = torch.tensor([4.0, 4.0, torch.inf, torch.inf])
+    torch.testing.assert_close(motion_time(angle, speed, acceleration), torch.tensor([1.0, 2.0, 1.5, 0.0]))

@@ -7,10 +7,12 @@ robot. Hand, sight and policy do not count.
 
 from functools import cache
 from math import cos, radians
+from operator import attrgetter
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
+from torch import Tensor
 
 from pixel2catch.batches import Flags
 from pixel2catch.envs.episode import Episode
@@ -28,6 +30,12 @@ LONGEST = 1.0  #: Longest time of a motion of the arm [s]. Source: ours.
 NUM_TIMES = 48  #: Times of a flight that are looked at. Source: ours.
 
 
+def motion_time(angle: Tensor, speed: Tensor, acceleration: Tensor) -> Tensor:
+    """Return the shortest time [s] of a motion by an angle [rad] from rest to rest, within limits."""
+    ramp = speed / acceleration
+    return torch.where(angle > ramp * speed, angle / speed + ramp, 2.0 * (angle / acceleration).sqrt())
+
+
 @cache
 def _palm_places(workcell: WorkcellSpec) -> tuple[KDTree, np.ndarray, np.ndarray]:
     """Return places of palms [m], their normals, and the times of the motions from the start [s].
@@ -35,8 +43,9 @@ def _palm_places(workcell: WorkcellSpec) -> tuple[KDTree, np.ndarray, np.ndarray
     Positions of the joints are drawn; those in which the arm is in the table are left out.
     """
     generator, geometry = torch.Generator().manual_seed(0), WorkcellGeometry(workcell)
-    joints = [(j.home, j.lower, j.upper, j.velocity_limit, j.damping / j.stiffness) for j in workcell.joints]
-    home, lower, upper, speed, lag = torch.tensor(joints).T[:, None]
+    limits = attrgetter("home", "lower", "upper", "velocity_limit", "acceleration_limit")
+    joints = [(*limits(joint), joint.damping / joint.stiffness) for joint in workcell.joints]
+    home, lower, upper, speed, acceleration, lag = torch.tensor(joints).T[:, None]
     rows = []
     for i, palm in enumerate(workcell.palms):
         draws = torch.rand(NUM_POSES, len(workcell.joints), generator=generator)
@@ -44,7 +53,8 @@ def _palm_places(workcell: WorkcellSpec) -> tuple[KDTree, np.ndarray, np.ndarray
         first, last = torch.maximum(lower, home - way), torch.minimum(upper, home + way)
         joint_pos = home.expand(NUM_POSES, -1).clone()
         joint_pos[:, palm.carriers] = (first + (last - first) * draws)[:, palm.carriers]
-        time = ((joint_pos - home).abs() / speed + lag)[:, palm.carriers].amax(dim=1) + CONTROL_DT
+        time = motion_time((joint_pos - home).abs(), speed, acceleration) + lag
+        time = time[:, palm.carriers].amax(dim=1) + CONTROL_DT
         pos, quat = (value[:, i] for value in geometry.palm_poses(joint_pos))
         normal = rotation_matrix(quat) @ torch.tensor(palm.spec.normal)
         is_clear = geometry.depth_in_table(joint_pos)[:, i] <= 0.0
