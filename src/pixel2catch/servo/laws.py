@@ -13,6 +13,7 @@ Compilation: numba is imported at the first call of an entry. Compiled code is k
 hash of all sources, beside these or in the user's cache. Without a writable folder, each process compiles.
 """
 
+import fcntl
 import os
 import shutil
 from contextlib import suppress
@@ -96,11 +97,15 @@ def _compile(function: FunctionType, arguments: tuple[object, ...]) -> Any:
     types = [tuple(numba.typeof(argument) for argument in arguments)]
     if folder := _cache_folder(Path(function.__code__.co_filename)):
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+        lock = os.open(folder, os.O_RDONLY)
         try:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(lock, fcntl.LOCK_EX)  # one process compiles, the others wait and load
             return numba.njit(types, cache=True, error_model="numpy", nogil=True)(function)
         except Exception:  # such as a full disk or a damaged file
             shutil.rmtree(folder, ignore_errors=True)
         finally:
+            os.close(lock)
             config.CACHE_DIR = before
     return numba.njit(types, error_model="numpy", nogil=True)(function)
 
