@@ -1,8 +1,10 @@
 import gc
 import os
+import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import wraps
+from multiprocessing import get_context
 from pkgutil import resolve_name
 from typing import Any
 
@@ -97,6 +99,30 @@ def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
         return capsys.readouterr().err
 
     return run
+
+
+def change_cells() -> Iterator[None]:
+    """Throws of evaluations last 20 control steps; cells of studies are computed in forks of this process.
+
+    Forks import nothing; CUDA forbids them. `test_grid` and `test_own_methods` spawn processes as users do.
+    """
+    from pixel2catch.envs.cfg import CatchEnvCfg
+    from pixel2catch.evaluation import grid
+
+    def begin_fork(begin: Callable[[], None] = grid._begin) -> None:
+        sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # not what pytest captures here
+        begin()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CatchEnvCfg, "trial_steps", 20)
+        if not torch.cuda.is_available():
+            patch.setattr(grid, "get_context", lambda _: get_context("fork"))
+            patch.setattr(grid, "_begin", begin_fork)
+        yield
+
+
+small_cells = pytest.fixture(change_cells)
+small_study = pytest.fixture(change_cells, scope="module")
 
 
 @pytest.fixture(scope="session")

@@ -54,7 +54,7 @@ def test_every_example_is_here_and_short():
 SLOW = ("last_five_boxes", "own_method")  #: They train as `own_reward` does.
 
 
-@pytest.mark.usefixtures("catalogues")
+@pytest.mark.usefixtures("catalogues", "small_cells")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in EXAMPLES]
 )

@@ -80,6 +80,7 @@ def test_shipped_policies_of_every_compared_method():
     assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
 
 
+@pytest.mark.usefixtures("small_cells")
 def test_evaluate_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     Policy(contract_of(PROPOSED), hidden=(16,)).save(tmp_path)
     files = {name: tmp_path / f"{name}.json" for name in ("dynamics", "camera")}

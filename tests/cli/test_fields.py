@@ -81,6 +81,7 @@ def test_a_field_reaches_an_evaluation(folder: Path, capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["tracking_rate"] == 0.0
 
 
+@pytest.mark.usefixtures("small_cells")
 def test_a_field_holds_beneath_every_disturbance(folder: Path, tmp_path: Path):
     command = ["stress", folder, *THROWS, "--axes", "air", "--out", tmp_path / "stress"]
     assert run(*command, "--env.sensing.drop-rate", "0.1", "0.2") == 0

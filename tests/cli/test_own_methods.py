@@ -124,7 +124,7 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
     assert run("evaluate", "with_height", *THROWS) == 2
     assert re.search(r"unknown method 'with_height'.*--import FILE\.py", capsys.readouterr().err)
     thrown = (*THROWS[:-1], "brick")
-    options = ("--import", "my_methods.py", "--axes", "heavy", "--jobs", "2", "--out", "stress")
+    options = ("--import", "my_methods.py", "--axes", "heavy", "--out", "stress")
     assert run("stress", "size_alone", "with_height", *thrown, *options) == 0
     for name in ("size_alone", "with_height"):
         cell = json.loads(Path("stress", "cells", name, "heavy-60.json").read_text())

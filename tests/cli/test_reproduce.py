@@ -44,7 +44,7 @@ def times(folder: Path) -> dict[str, int]:
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study(tmp_path_factory: pytest.TempPathFactory, small_study: None) -> Path:
     """A study that was interrupted in its first training and then continued."""
     out = tmp_path_factory.mktemp("study") / "with a, comma"
     errors, has_ended = io.StringIO(), Event()

@@ -94,6 +94,7 @@ def test_settings_come_in_the_order_of_the_tables():
         select_settings(("camera_positon",))
 
 
+@pytest.mark.usefixtures("small_cells")
 def test_every_round_has_the_throws_of_its_seed_whatever_the_policy_and_the_setting():
     """Physics among other processes takes one processor, with the same result."""
     task = replace(TASK, scene=replace(TASK.scene, physics_hz=30.0))
@@ -138,6 +139,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
+@pytest.mark.usefixtures("small_cells")
 def test_the_command_end_to_end(policies: list[str], tmp_path: Path, refusal: Any, capsys: Any):
     """Four cells, which have the events of each throw, and a report; a lost cell is made again."""
     assert main(arguments(policies, tmp_path)) == 0
