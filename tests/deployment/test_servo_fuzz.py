@@ -83,8 +83,8 @@ def test_no_sequence_of_faults_breaks_a_law(story: list[tuple[int | None, list[f
     assert lab.request_arm()["mode"] in (Mode.ARMED, Mode.RUN)
 
 
-def test_no_law_is_broken_in_two_hundred_thousand_ticks():
-    check_that_everything_happened(watched(num_rows=1000, num_ticks=200, seed=0))
+def test_no_law_is_broken_in_a_hundred_thousand_ticks():
+    check_that_everything_happened(watched(num_rows=500, num_ticks=200, seed=0))
 
 
 def slow_limits(dt: float) -> ServoLimits:
@@ -98,7 +98,7 @@ def slow_limits(dt: float) -> ServoLimits:
 def test_no_law_is_broken_where_braking_takes_nearly_the_whole_stop_time(dt: float):
     limits = slow_limits(dt)
     assert (limits.joints.speed[:6] / limits.joints.acceleration[:6] > 0.28).all()
-    laws = watched(250, 300, seed=3, limits=limits)
+    laws = watched(120, 300, seed=3, limits=limits)
     assert laws.ticks_in[Mode.STOPPED] > 0.1 * laws.ticks_in.sum()
     assert min(laws.reached.values()) > 0.9, laws.reached
 

@@ -110,11 +110,11 @@ def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pyte
 
 def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_robot(tmp_path: Path):
     options = ("--seconds", "20", "--recordings", "2", "--rehearse", tmp_path / "new")
-    assert run("--robot", "allegro", *options) == 0
+    assert run("--robot", "ur5e", *options) == 0
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
     assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
     truth = DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics
-    ratio = truth.stiffness / JointDynamics.nominal().select(ROBOTS["allegro"]).stiffness
+    ratio = truth.stiffness / JointDynamics.nominal().select(ROBOTS["ur5e"]).stiffness
     assert 0.7 <= ratio.min() < 0.9 < 1.1 < ratio.max() <= 1.4
     assert (truth.latency == 0.012).all()
 

@@ -54,17 +54,21 @@ def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
     return [(process.returncode, output) for process, output in zip(processes, outputs, strict=True)]
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, needs_two_gpus])])
-def test_two_processes_learn_as_one(device: str, tmp_path: Path) -> None:
-    """The checks are in the processes: `two_processes.py`."""
-    outcomes = pair("update", tmp_path, device)
+@pytest.mark.gpu
+@needs_two_gpus
+def test_two_devices_learn_as_one(tmp_path: Path) -> None:
+    outcomes = pair("update", tmp_path, "cuda")
     assert [status for status, _ in outcomes] == [0, 0], outcomes
     assert sorted(path.name for path in tmp_path.iterdir()) == ["checked0", "checked1"]
 
 
-def test_an_error_in_one_ends_both(tmp_path: Path) -> None:
-    """The first tells what befell the second; before that, the episodes of both were counted."""
-    (status, output), second = pair("fail", tmp_path)
+def test_two_processes_learn_as_one_and_an_error_in_one_ends_both(tmp_path: Path) -> None:
+    """The checks of learning are in the processes: `two_processes.py`.
+
+    The first tells what befell the second; before that, the episodes of both were counted.
+    """
+    (status, output), second = pair("update fail", tmp_path)
+    assert {path.name for path in tmp_path.glob("checked*")} == {"checked0", "checked1"}, output
     assert status == 1
     assert "WorkerError: process 1: NaN or infinity in reward of agent 'hand'" in output
     assert second == (0, "")

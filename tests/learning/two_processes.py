@@ -123,11 +123,12 @@ def train_endlessly(folder: Path, device: str) -> None:
 
 
 def update(folder: Path, device: str) -> None:
-    algorithm.shuffled = ordered
+    shuffled, algorithm.shuffled = algorithm.shuffled, ordered
     with start_workers(device) as workers:
         check_halves_learn_as_the_whole(workers)
         check_networks_stay_the_same(workers)
         (folder / f"checked{workers.rank}").touch()
+    algorithm.shuffled = shuffled
     # A thread of the group that outlives it may end the process with "terminate called".
     threads = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
     assert not [name for name in threads if "gloo" in name], threads
@@ -136,4 +137,5 @@ def update(folder: Path, device: str) -> None:
 WHAT = {"update": update, "fail": fail_in_the_second, "endless": train_endlessly}
 
 if __name__ == "__main__":
-    WHAT[sys.argv[1]](Path(sys.argv[2]), sys.argv[3])
+    for what in sys.argv[1].split():
+        WHAT[what](Path(sys.argv[2]), sys.argv[3])

@@ -1,17 +1,11 @@
 """Options of commands become segmenters and prompters, or errors that say what to give."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
-from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.perception import factory
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.factory import PerceptionArgs
-from pixel2catch.perception.sam2 import Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, ColorThreshold
 
 RED = (340.0, 20.0)
@@ -24,16 +18,6 @@ def test_segmenters_and_their_missing_options():
         PerceptionArgs(segmenter="color").make_segmenter()
     with pytest.raises(InvalidValueError, match="sam2 needs --checkpoint"):
         PerceptionArgs(segmenter="sam2").make_segmenter()
-
-
-def test_the_time_of_sam2_is_printed_and_too_slow_for_a_camera_is_refused(tmp_path: Path, monkeypatch):
-    args, said = PerceptionArgs(segmenter="sam2", checkpoint=save_tiny_sam2(tmp_path)), list[str]()
-    assert isinstance(args.make_segmenter(say=said.append), Sam2Segmenter)
-    (line,) = said
-    assert re.fullmatch(r"SAM 2 takes \d+\.\d ms for an image of 64 px on cpu; a camera .*", line)
-    monkeypatch.setattr(factory, "LONGEST_IMAGE_TIME", 0.0)
-    with pytest.raises(InvalidValueError, match=r"takes \d+\.\d ms .* of 64 px on cpu, and a camera"):
-        args.make_segmenter(is_live=True)
 
 
 def test_options_reach_the_prompter():

@@ -14,7 +14,8 @@ from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, PerceptionError
-from pixel2catch.perception import sam2
+from pixel2catch.perception import factory, sam2
+from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation
 from pixel2catch.perception.self_test import KINDS, LEAST_RIGHT, NUM_EMPTY, painted_throw
@@ -98,6 +99,16 @@ def test_compiled_modules_give_the_same_masks(folder: Path, device: str) -> None
         assert expected.mask is not None
         assert (result.mask != expected.mask).mean() < 0.001
         assert result.score == pytest.approx(expected.score, abs=1e-5)
+
+
+def test_the_time_is_printed_and_too_slow_for_a_camera_is_refused(folder: Path, monkeypatch) -> None:
+    args, said = PerceptionArgs(segmenter="sam2", checkpoint=folder), list[str]()
+    assert isinstance(args.make_segmenter(say=said.append), Sam2Segmenter)
+    (line,) = said
+    assert re.fullmatch(r"SAM 2 takes \d+\.\d ms for an image of 64 px on cpu; a camera .*", line)
+    monkeypatch.setattr(factory, "LONGEST_IMAGE_TIME", 0.0)
+    with pytest.raises(InvalidValueError, match=r"takes \d+\.\d ms .* of 64 px on cpu, and a camera"):
+        args.make_segmenter(is_live=True)
 
 
 def test_random_weights_do_not_pass_the_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

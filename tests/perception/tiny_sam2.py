@@ -1,12 +1,13 @@
 """SAM 2.1 with 1.5 million random weights: the real code in milliseconds."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from transformers import Sam2VideoConfig, Sam2VideoModel
-from transformers.models.sam2_video.configuration_sam2_video import Sam2VideoMaskDecoderConfig
+
+if TYPE_CHECKING:  # takes seconds: each worker collects all tests, and one of them runs these
+    from transformers import Sam2VideoConfig
 
 SIZE = 64
 CERTAIN = 9.0
@@ -15,6 +16,8 @@ HEIGHT, WIDTH = 48, 80
 
 def save_tiny_sam2(folder: Path) -> Path:
     """Write a checkpoint that always finds something."""
+    from transformers import Sam2VideoModel
+
     torch.manual_seed(0)
     model = Sam2VideoModel(tiny_config())
     # The usual initial weights are so small, or zero, that neither image nor memory would matter.
@@ -26,8 +29,11 @@ def save_tiny_sam2(folder: Path) -> Path:
     return folder
 
 
-def tiny_config() -> Sam2VideoConfig:
+def tiny_config() -> "Sam2VideoConfig":
     """The architecture with few and narrow layers."""
+    from transformers import Sam2VideoConfig
+    from transformers.models.sam2_video.configuration_sam2_video import Sam2VideoMaskDecoderConfig
+
     hidden = 128
     backbone = {
         "model_type": "sam2_hiera_det_model",

@@ -127,7 +127,7 @@ def test_a_profile_is_armed_moves_all_joints_and_stops_for_a_second_program(cell
         def wave(time: float, begin: np.ndarray = begin, end: np.ndarray = end) -> np.ndarray:
             return begin + 0.5 * (1.0 - np.cos(np.pi * min(time / 0.75, 1.0))) * (end - begin)
 
-        command = cell.run(1.4, wave)
+        command = cell.run(1.1, wave)
         assert (command.mode, Fault(command.stopped_by)) == (Mode.RUN, Fault(0))
         assert cell.joint_pos == pytest.approx(end, abs=0.02)
     assert (cell.arm_driver.num_refused, cell.hand.num_refused) == (0, 0)

@@ -117,7 +117,7 @@ def test_a_motion_is_at_rest_in_its_poses_and_as_fast_as_permitted():
     assert speeds[np.searchsorted(times, PEAK**2)] == pytest.approx([0.0, 0.0], abs=1e-2)
 
 
-@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 40), ("two_ur5e_allegro", 10)])
+@pytest.mark.parametrize(("workcell", "number"), [("ur5e_allegro", 20), ("two_ur5e_allegro", 10)])
 def test_the_way_home_keeps_its_distances_or_is_refused(workcell: str, number: int):
     """Near its ends their own distances count; none is a contact. Some ways of two arms lead around."""
     profile = Profile.load("ur5e_allegro_v4" if workcell == WORKCELL.name else workcell)
