@@ -1,10 +1,13 @@
 """Durations of a deployment, against percentiles of NumPy."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from pixel2catch.cli.deploy import summary_lines
 from pixel2catch.deployment.statistics import BIN, LONGEST, PERCENTAGES, Histogram, RunStatistics
+from pixel2catch.servo.link import Command
 
 
 def test_percentiles_are_as_fine_as_the_bins_and_a_long_duration_is_counted():
@@ -33,6 +36,18 @@ def test_the_ages_of_an_image_at_each_stage_are_in_the_summary():
     assert {name: values["p50"] for name, values in stages.items()} == pytest.approx(
         {"received": 17.0, "begun": 18.0, "perceived": 24.0, "decided": 26.0}
     )
+
+
+def test_a_tick_is_late_after_two_periods_of_the_servo():
+    """3 ms between two commands: late at 1,000 Hz, not at 500 Hz."""
+    command: dict[str, Any] = {"joint_pos_command": np.zeros(1), "joint_pos": np.zeros(1)}
+    command |= dict.fromkeys(("target_stamp", "image_stamp", "duration"), 0.0)
+    command |= dict.fromkeys(("mode", "stopped_by", "found", "refused", "clamped"), 0)
+    for tick, num_late in ((0.001, 1), (0.002, 0)):
+        statistics = RunStatistics(tick=tick)
+        for time in (1.0, 1.003):
+            statistics.note_command(Command(time=time, **command))
+        assert statistics.num_late_ticks == num_late
 
 
 def test_a_summary_has_reasons_in_words_and_no_control_characters():

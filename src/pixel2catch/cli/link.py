@@ -125,7 +125,12 @@ class Link(Network):
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo, clock=clock, recording=recording, robot_words=words
+            transport=transport,
+            servo=servo,
+            clock=clock,
+            recording=recording,
+            tick=limits.dt,
+            robot_words=words,
         )
 
     def limits(self, profile: "Profile") -> "ServoLimits":

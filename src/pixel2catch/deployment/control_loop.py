@@ -46,6 +46,7 @@ class Connection:
     servo: LoopEnd  #: This end of the link to the servo process.
     clock: Clock
     recording: DeploymentRecorder | None
+    tick: float = ServoLimits.dt  #: Time between two commands of the servo [s].
     robot_words: str = ""  #: Robot, network and speeds, for the operator's page.
 
     def receive(self) -> Iterator[Command]:
@@ -177,7 +178,7 @@ class ControlLoop:
         The executor has one thread for perception. In stepped time `perception_time` draws how long
         perception takes for an image [s].
         """
-        self.statistics = RunStatistics()
+        self.statistics = RunStatistics(tick=connection.tick)
         self._pipeline, self._connection = pipeline, connection
         self._clock, self._recording = connection.clock, connection.recording
         self._images = ImageSubscriber(
@@ -330,7 +331,9 @@ class SteppedServo:
         self._ends = loop_end, servo_end = link()
         node, loop_node = nodes
         self._servo = Servo(servo_end, node, setup, clock)
-        self.connection = Connection(transport=loop_node, servo=loop_end, clock=clock, recording=recording)
+        self.connection = Connection(
+            transport=loop_node, servo=loop_end, clock=clock, recording=recording, tick=setup.limits.dt
+        )
 
     def tick(self) -> None:
         """Tick once; raise unexpected errors of the servo."""

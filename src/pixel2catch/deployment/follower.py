@@ -53,7 +53,7 @@ def follow(
     the motion that was sent. Returns whether the motion was followed to its end, not ended by `is_over`.
     Raises DeploymentError if there is no such motion, or servo or robot have stopped.
     """
-    statistics, clock = RunStatistics(), connection.clock
+    statistics, clock = RunStatistics(tick=connection.tick), connection.clock
     publisher = connection.transport.publisher(topic)
     motion, targets, start, joint_pos = None, None, np.array(inf), np.array(np.nan)
     armed_at, share, due, announced = inf, 0.0, clock.now(), ""

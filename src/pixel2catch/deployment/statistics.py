@@ -50,6 +50,7 @@ class Histogram:
 class RunStatistics:
     """Statistics of a deployment so far."""
 
+    tick: float = ServoLimits.dt  #: Time between two commands of the servo [s].
     num_steps: int = 0  #: Control steps in which the robot was armed or moved; only these count.
     num_missed: int = 0  #: Control steps without a new image that was processed in time.
     num_overruns: int = 0  #: Control steps in which perception and policy took longer than a step.
@@ -101,7 +102,7 @@ class RunStatistics:
             self.refusals[", ".join(flag_names(Fault, command.refused))] += 1
         if last is None:
             return
-        self.num_late_ticks += command.time - last.time > 2.0 * ServoLimits.dt + 1e-4
+        self.num_late_ticks += command.time - last.time > 2.0 * self.tick + 1e-4
         if command.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
             self.stops[", ".join(flag_names(Fault, command.stopped_by))] += 1
         if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
