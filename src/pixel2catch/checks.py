@@ -122,7 +122,7 @@ Count = Annotated[int, Within(1, 10_000_000)]  #: How many of something.
 Seed = Annotated[int, Within(0, 2**32 - 1)]  #: Seed of a random generator.
 Share = Annotated[float, Within(0.0, 1.0)]  #: A part of something.
 Positive = Annotated[float, Within(0.0, is_open=True)]
-AtMostFull = Annotated[float, Within(0.0, 1.0, is_open=True)]  #: A factor on a speed that may be lowered.
+Fraction = Annotated[float, Within(0.0, 1.0, is_open=True)]  #: A factor that lowers a speed.
 NotNegative = Annotated[float, Within(0.0)]
 Range = Annotated[tuple[float, float], IN_ORDER]  #: Smallest and largest number of a uniform draw.
 Amount = float | Range  #: A number, or the range from which every episode draws its own, uniformly.

@@ -17,7 +17,7 @@ from pixel2catch.cli.console import prepare
 from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.cli.reproduce import METHODS
-from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.evaluation.loading import load_policy, sha256
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -102,6 +102,7 @@ def test_evaluate_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureF
     assert metrics["policy"] == str(tmp_path)
     for name, file in files.items():
         assert metrics[f"{name}_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert sha256(Path("people")) == "people"  # a camera without a file
     assert metrics.keys() >= {"success_rate_interval", "verified_hold_rate", "failures"}
 
 

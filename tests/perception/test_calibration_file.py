@@ -45,6 +45,13 @@ def test_a_camera_that_is_known_is_drawn_as_it_is():
     torch.testing.assert_close(pixels, project(RGB_CAMERA, POINTS)[0].expand(3, -1, -1))
 
 
+def test_a_seed_draws_such_a_camera():
+    for seed in range(3):
+        pixels, depth = FILE.sample(1, torch.Generator().manual_seed(seed)).pixels(POINTS)
+        torch.testing.assert_close(project(FILE.drawn(seed), POINTS), (pixels, depth))
+    assert CameraFile(camera=RGB_CAMERA).drawn(0) == RGB_CAMERA
+
+
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [

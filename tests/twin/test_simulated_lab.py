@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 import torch
 
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.pinhole import project
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.scene.constants import OBJECT_POS, RGB_CAMERA
 from pixel2catch.scene.objects import SEEN
 from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.twin import TaskArgs
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
 DECIMATION = 4
@@ -68,6 +72,25 @@ def test_a_throw_goes_and_is_judged_as_in_the_environment(seed: int, is_caught: 
     assert lab.truth()["is_success"] == is_caught
     env.close()
     lab.close()
+
+
+def test_the_camera_is_drawn_within_its_uncertainty_and_assumed_as_calibrated(tmp_path: Path):
+    variances = tuple(tuple(4e-4 * (i == j) for j in range(6)) for i in range(6))
+    file = CameraFile(camera=RGB_CAMERA, pose_covariance=variances, focal_std=0.01)
+    file.save(tmp_path / "camera.json")
+    policy, _ = load_policy(Path("catch_alone+anycamera"))
+    tasks = [TaskArgs(camera=tmp_path / "camera.json").make(policy, seed) for seed in (0, 0, 1)]
+    true, again, other = (task.scene.camera for task in tasks)
+    assert true == again != other
+    assert tasks[0].sensing.camera == file
+    with closing(SimulatedLab(tasks[0], seed=0)) as lab:
+        assert lab.camera == RGB_CAMERA
+        lab.prepare(0)
+        hold_until(lab, Phase.HELD)
+        place = torch.tensor(lab.exposure().moment.qpos[None, OBJECT_POS])
+        center = np.reshape(lab.truth()["box"], (2, 2)).mean(axis=0)
+    shown, assumed = (project(each, place)[0][0].numpy() for each in (true, RGB_CAMERA))
+    assert np.abs(center - shown).max() < 3.0 < 10.0 < np.linalg.norm(center - assumed)
 
 
 def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: SimulatedLab):

@@ -14,20 +14,21 @@ import pytest
 import torch
 
 from paths import BUDGETS, FileCounter
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import GRACE, SHIFT, ControlLoop, StepClock, SteppedServo
 from pixel2catch.deployment.recorder import TARGETS
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.loading import task_of
+from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import Command, JointTargets, Mode
 from pixel2catch.shipped import policy_folder
-from pixel2catch.twin import RehearsalCfg
+from pixel2catch.twin import RehearsalCfg, TaskArgs
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_throws, run_trial
 from pixel2catch.twin.simulated_lab import Phase
@@ -127,6 +128,24 @@ def test_another_work_cell_is_rehearsed():
     (throw,) = report["throws"]
     assert (throw["problem"], throw["object"] is not None) == ("", True)
     assert report["deploy"]["num_steps"] > 30
+
+
+def test_a_policy_for_any_camera_is_rehearsed_before_another_one():
+    policy, _ = load_policy(Path("catch_alone+anycamera"))
+    task = TaskArgs(camera=Path("people")).make(policy, 0)
+    task = replace(task, scene=replace(task.scene, physics_hz=120.0))
+    (throw,) = rehearsed(replace(ONE, seed=151502), policy, task)["throws"]
+    assert (throw["problem"], throw["is_success"]) == ("", True)
+
+
+def test_nothing_is_thrown_that_the_camera_does_not_see(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A camera that looks away is also outside the region of the policy's training."""
+    CameraFile(camera=replace(RGB_CAMERA, pos=(5.0, 0.0, 1.5))).save(tmp_path / "camera.json")
+    args = shlex.split("rehearse catch_alone+anycamera --lockstep --plain --throws 1 --camera")
+    assert main([*args, str(tmp_path / "camera.json"), "--out", str(tmp_path / "report")]) == 0
+    said = capsys.readouterr().err
+    assert "outside the region of the policy's training: x is 5.00 m" in said
+    assert "not thrown; the camera does not see the object" in said
 
 
 def test_what_was_recorded_is_decided_once_more(out: Path):

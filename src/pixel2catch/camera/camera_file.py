@@ -1,6 +1,6 @@
 """The camera file, which a calibration writes and training, evaluation and perception read."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from math import sqrt
 from pathlib import Path
@@ -16,6 +16,7 @@ from pixel2catch.checks import Share, Within, require_valid
 from pixel2catch.devices import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, take_version, write_atomically
+from pixel2catch.robots.poses import quaternion
 from pixel2catch.scene.constants import CAMERAS, CameraSpec
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
@@ -62,6 +63,17 @@ class CameraFile:
         factor = 1.0 + (self.focal_std or 0.0) * draws[:, 6]
         nominal = nominal_projection(self.camera, draws)
         return nominal.zoomed(factor, self.camera).turned(pose[:, 3:]).moved(pose[:, :3])
+
+    def drawn(self, seed: int) -> CameraSpec:
+        """Return the camera that a seed draws within the uncertainty of this one."""
+        if self.is_exact:
+            return self.camera
+        spec, drawn = self.camera, self.sample(1, torch.Generator().manual_seed(seed))
+        u, v, forward = drawn.matrix[0].double().numpy()
+        axes = np.stack((u - spec.cx * forward, v - spec.cy * forward, forward), axis=1)
+        fx, fy, _ = sizes = np.linalg.norm(axes, axis=0).tolist()
+        pos, quat = drawn.center[0].tolist(), quaternion(axes / sizes).tolist()
+        return replace(spec, fx=fx, fy=fy, pos=tuple(pos), quat=tuple(quat))
 
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from pixel2catch.checks import AtMostFull, CameraPath
+from pixel2catch.checks import CameraPath, Fraction
 from pixel2catch.cli.console import results_console
 from pixel2catch.files import json_text, printable
 from pixel2catch.installation import (
@@ -125,7 +125,7 @@ class Doctor:
     #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin, for
     #: which real-time settings are not needed.
     network: NetworkName = LOOPBACK
-    clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
+    clock: Fraction = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
     json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import AtMostFull, DynamicsPath, NewFolder, OutputFile, Positive, Seed, Within
+from pixel2catch.checks import DynamicsPath, Fraction, NewFolder, OutputFile, Positive, Seed, Within
 from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.cli.identify import print_checks
 from pixel2catch.files import require_free_file
@@ -31,7 +31,7 @@ class Excite:
     seconds: Positive = 40.0  #: Duration of a trajectory [s].
     #: Factor on speeds, accelerations and jumps: begin small on a real robot. Full speed, 1, has jumps like a
     #: policy's, which show the inertia of the arm's drives.
-    speed: AtMostFull = 0.2
+    speed: Fraction = 0.2
     seed: Seed = 0  #: Seed of the first trajectory; each further one has the next.
     #: Number of trajectories; a fit needs two at least, one to be held out.
     recordings: Annotated[int, Within(1, 1000)] = 1

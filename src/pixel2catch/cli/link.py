@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pixel2catch.checks import AtMostFull, DynamicsPath
+from pixel2catch.checks import DynamicsPath, Fraction
 from pixel2catch.cli.console import say
 from pixel2catch.files import write_atomically
 from pixel2catch.ros2.transport import ANY, LOOPBACK, ROS, NetworkName, RealClock, make_transport
@@ -60,7 +60,7 @@ class Network:
     #: Network of the robot: an interface of this machine, such as eth0; any for CYCLONEDDS_URI or the choice
     #: of DDS; or ros for the rclpy of a sourced ROS 2. lo is the digital twin on this machine.
     network: NetworkName = LOOPBACK
-    clock: AtMostFull = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
+    clock: Fraction = 1.0  #: Clock seconds in a real second: 1, or the --clock of a digital twin.
 
     def in_words(self, profile: "Profile") -> str:
         """Return robot, profile, network and clock, as commands and pages begin."""
@@ -89,7 +89,7 @@ class Network:
 class Link(Network):
     """The network of a robot, and the limits of its motion."""
 
-    speed: AtMostFull = 1.0  #: Share of the full speed, up to 1.
+    speed: Fraction = 1.0  #: Share of the full speed, up to 1.
     #: Dynamics file of this robot, as `identify` writes it. Without one, commands to a robot are no faster
     #: than its joints, whatever their lag, and no policy catches at full speed; the twin needs none.
     dynamics: DynamicsPath | None = None

@@ -40,7 +40,7 @@ class Rehearse:
     out: NewFolder = field(default_factory=partial(free_folder, "rehearsal"))
 
     def run(self) -> None:
-        from pixel2catch.evaluation.loading import load_policy
+        from pixel2catch.evaluation.loading import load_policy, region_remark
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.workcells import find_workcell
 
@@ -56,20 +56,23 @@ class Rehearse:
             raise InvalidValueError("--clock is for real time: leave out --clock or --lockstep")
         if not cfg.plain:
             find_gl_backend()
-        self.out.mkdir(parents=True, exist_ok=True)
 
         def show(outcome: "Outcome") -> None:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
-        policy, _ = load_policy(self.policy)
+        policy, method = load_policy(self.policy)
+        task = cfg.task.make(policy, cfg.seed)
+        for remark in region_remark(method, task.sensing.camera.camera):
+            say(remark)
         if cfg.lockstep:
             from pixel2catch.twin.stepped import rehearse_stepped
 
             prepare("cpu")
-            report = rehearse_stepped(cfg, cfg.task.make(policy), policy, show)
+            report = rehearse_stepped(cfg, task, policy, show)
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             profile = twin_profile(find_workcell(policy.contract.workcell))
+            self.out.mkdir(parents=True, exist_ok=True)
             report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
         report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
         print("\n".join(_lines(report)), flush=True)

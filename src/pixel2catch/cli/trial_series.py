@@ -20,7 +20,7 @@ import numpy as np
 from pixel2catch.camera.image import Pixels
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import prepare, say, saying_changes
-from pixel2catch.cli.deploy import Deploy, make_pipeline
+from pixel2catch.cli.deploy import make_pipeline
 from pixel2catch.cli.main import parse_options
 from pixel2catch.cli.rehearse import Rehearse
 from pixel2catch.deployment.operator import ANSWERS, NOTHING, newest
@@ -59,13 +59,18 @@ class TrialSeries:
 
     def __init__(self, cfg: Mapping[str, Any]) -> None:
         """Read the fields of `Trials`; refuse invalid options, and a policy that does not fit the robot."""
-        self._cfg, options = cfg, shlex.split(cfg["deploy"])
-        self._deploy: Deploy = parse_options("deploy", options)
-        rehearse: Rehearse = parse_options("rehearse", shlex.split(cfg["rehearse"]))
+        try:
+            options, rehearsed = shlex.split(cfg["deploy"]), shlex.split(cfg["rehearse"])
+        except ValueError as error:
+            raise InvalidValueError(f"--deploy or --rehearse: {error}; correct its quotes.") from error
+        self._cfg, self._deploy = cfg, parse_options("deploy", options)
+        rehearse: Rehearse = parse_options("rehearse", rehearsed)
         for each in (self._deploy, rehearse):
             require_valid(each)
         self._rehearsal = rehearse.rehearsal
         self._profile, self._camera = self._deploy.link.robot.load(), self._deploy.perception.camera_spec([])
+        if rehearsed and self._rehearsal.task.camera != self._deploy.perception.camera:
+            raise InvalidValueError("give --deploy and --rehearse the same --camera.")
         places = self._profile.places
         self._place = self._deploy.after_catch or (next(iter(places)) if len(places) == 1 else "")
         if self._place not in places:
@@ -103,7 +108,7 @@ class TrialSeries:
         seed = self._cfg["seed"] + throw["block"]
         cfg = replace(self._rehearsal, after_catch=self._place, record=recording, seed=seed)
         policy, _ = load_policy(Path(throw["policy"]))
-        task = replace(cfg.task, objects=(throw["object"],)).make(policy)
+        task = replace(cfg.task, objects=(throw["object"],)).make(policy, seed)
         with in_step(cfg, task, policy) as (twin, _):
             outcome = run_trial(twin.operator, seed, cfg.held_seconds, is_cycle=True)
         if outcome.problem:

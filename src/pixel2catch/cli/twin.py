@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pixel2catch.checks import AtMostFull, Seed
+from pixel2catch.checks import Fraction, Seed
 from pixel2catch.cli.console import prepare, say, saying_changes
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -28,7 +28,7 @@ class Twin:
     #: Policy with the robot and camera to simulate. Default: catch_alone+fit.
     policy: PolicyPath | None = None
     task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
-    clock: AtMostFull = 1.0  #: Seconds of the twin in a real second, at most 1; `deploy` must have the same.
+    clock: Fraction = 1.0  #: Seconds of the twin in a real second, at most 1; `deploy` must have the same.
     seed: Seed = 0  #: Seed of the room and of all noise; each throw has a seed of its own.
     web: bool = False  #: Serve a page that shows the twin and has buttons to throw.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
@@ -41,7 +41,7 @@ class Twin:
             from pixel2catch.twin.lab_node import serve, twin_profile
         prepare("cpu")
         policy, _ = load_policy(self.policy)
-        task = self.task.make(policy)
+        task = self.task.make(policy, self.seed)
         say_change = saying_changes()
 
         def on_cycle(node: "LabNode") -> bool:

@@ -53,8 +53,8 @@ def fingerprint(folder: Path | None) -> str:
 
 
 def sha256(file: Path) -> str:
-    """Return the SHA-256 of a file."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    """Return the SHA-256 of a file, or the name of a camera that has none."""
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.exists() else str(file)
 
 
 def task_of(

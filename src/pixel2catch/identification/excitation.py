@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
-from pixel2catch.checks import AtMostFull, Seed, Within, require_valid
+from pixel2catch.checks import Fraction, Seed, Within, require_valid
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.recording import (
     MOTION_RANGES,
@@ -60,7 +60,7 @@ class ExcitationCfg:
     robot: str | None = None  #: part that moves; None moves all joints
     seconds: Annotated[float, Within(0.0, MAX_SECONDS, is_open=True)] = 40.0  #: duration, rest included [s]
     seed: Seed = 0  #: seed of everything that is drawn
-    speed: AtMostFull = 1.0  #: factor on speed, acceleration and jumps; 1 is full
+    speed: Fraction = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         joints_of(self.workcell, self.robot)

@@ -7,7 +7,7 @@ A rehearsal runs a deployment on it: `rehearsal` as processes in real time, `ste
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import AtMostFull, Count, DynamicsPath, NewFolder, NotNegative, Seed, Within
+from pixel2catch.checks import CameraPath, Count, DynamicsPath, Fraction, NewFolder, NotNegative, Seed, Within
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
@@ -19,15 +19,20 @@ class TaskArgs:
     """What is thrown at which robot."""
 
     dynamics: DynamicsPath | None = None  #: Dynamics file of the simulated robot. Default: the nominal robot.
+    #: Camera file of the camera, as `calibrate` writes it. The seed draws the simulated camera within its
+    #: uncertainty. Default: the camera that the policy was trained for, known exactly.
+    camera: CameraPath | None = None
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
 
-    def make(self, policy: "Policy") -> "CatchEnvCfg":
-        """Return the task of a policy with this robot and these objects."""
+    def make(self, policy: "Policy", seed: int) -> "CatchEnvCfg":
+        """Return the task of a policy; its scene has the true camera, its sensing the calibrated one."""
         from pixel2catch.evaluation.loading import task_of
         from pixel2catch.scene.objects import select_objects
 
-        return replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
+        task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
+        scene = replace(task.scene, camera=task.sensing.camera.drawn(seed))
+        return replace(task, scene=scene, objects=select_objects(self.objects))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +42,7 @@ class RehearsalCfg:
     throws: Count = 10  #: Number of throws.
     task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
     seed: Seed = 0  #: Seed of the room and of the first throw; the next throw has the next seed.
-    clock: AtMostFull = 1.0  #: Seconds of twin and deployment in a real second, at most 1.
+    clock: Fraction = 1.0  #: Seconds of twin and deployment in a real second, at most 1.
     lockstep: bool = False  #: One process with simulated time, instead of several in real time.
     perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
     perception_jitter_ms: NotNegative = 0.0  #: With --lockstep: largest random time on top, for each image.

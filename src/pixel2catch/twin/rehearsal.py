@@ -142,7 +142,9 @@ def _start_in_cycle(operator: RehearsalOperator, seed: int) -> None:
 def _prepare(operator: RehearsalOperator, **request: Any) -> None:
     operator.request(**request)
     operator.wait_until(lambda: operator.phase == "empty", "the empty room")
-    operator.wait_until(lambda: operator.phase == "held" and operator.truth["box"], "the object")
+    operator.wait_until(lambda: operator.phase == "held", "the object")
+    if not operator.truth["box"]:
+        raise DeploymentError("the camera does not see the object before the throw: place it elsewhere")
 
 
 def _arm(operator: RehearsalOperator) -> None:
@@ -196,8 +198,9 @@ def rehearse(
         raise DeploymentError(f"no profile is shipped for '{profile.workcell}': rehearse it with --lockstep.")
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     clock, begin = RealClock(cfg.clock), time.perf_counter()
-    twin = _options(clock=cfg.clock, seed=cfg.seed, policy=policy, dynamics=cfg.task.dynamics)
-    deploy = _options(profile=profile.name, clock=cfg.clock, after_catch=cfg.after_catch, record=cfg.record)
+    both = {"clock": cfg.clock, "camera": cfg.task.camera}
+    twin = _options(**both, seed=cfg.seed, policy=policy, dynamics=cfg.task.dynamics)
+    deploy = _options(**both, profile=profile.name, after_catch=cfg.after_catch, record=cfg.record)
     with ExitStack() as stack:
         processes = [
             stack.enter_context(_running_command(logs, "twin", *twin, "--objects", *cfg.task.objects)),

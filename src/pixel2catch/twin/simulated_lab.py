@@ -77,7 +77,7 @@ class SimulatedLab:
         self.workcell = workcell = find_workcell(task.scene.workcell)
         self._robot = slice(len(workcell.joints))
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
-        self.camera: CameraSpec = self._task.scene.camera  #: Lens and pose of the camera.
+        self.camera: CameraSpec = task.sensing.camera.camera  #: Calibrated lens and pose of the camera.
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu", limits_commands=False)
         names = self._world.objects.names
@@ -229,8 +229,7 @@ class SimulatedLab:
     def _visible_box(self) -> list[float] | None:
         if self.phase is Phase.EMPTY:
             return None
-        sensing = self._task.sensing
-        projection = nominal_projection(sensing.camera.camera, self.record.hold_speed)
+        projection = nominal_projection(self._task.scene.camera, self.record.hold_speed)
         points, is_visible = self._world.surface_points(projection.center)
-        box, is_seen = detect(points, is_visible, sensing.least_visible, projection)
+        box, is_seen = detect(points, is_visible, self._task.sensing.least_visible, projection)
         return box[0].tolist() if is_seen else None

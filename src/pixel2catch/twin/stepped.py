@@ -128,23 +128,23 @@ def in_step(
     Images and perception are those of `pixel2catch twin` and `pixel2catch deploy`. Plain images show a red
     box instead, which perception finds by its colour.
     """
-    scene, workcell = task.scene, find_workcell(task.scene.workcell)
+    camera, workcell = task.sensing.camera.camera, find_workcell(task.scene.workcell)
     with ExitStack() as stack:
         if cfg.plain:
             draw, segmenter, robot = plain_image, ColorThreshold(RED_HUES), None
         else:
-            camera = stack.enter_context(RoomCamera(scene, cfg.seed))
-            draw, segmenter = (lambda _, exposure: camera.image(exposure)), BackgroundSubtraction()
-            robot = RobotMask(workcell, scene.camera)
-        controller = PolicyController(policy, workcell, scene.camera)
-        pipeline = PolicyPipeline(controller, segmenter, Prompter(), scene.camera, robot)
+            room = stack.enter_context(RoomCamera(task.scene, cfg.seed))
+            draw, segmenter = (lambda _, exposure: room.image(exposure)), BackgroundSubtraction()
+            robot = RobotMask(workcell, camera)
+        controller = PolicyController(policy, workcell, camera)
+        pipeline = PolicyPipeline(controller, segmenter, Prompter(), camera, robot)
         twin = stack.enter_context(SteppedTwin(cfg, task, draw))
         least, jitter = 1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms
         cycle, times = None, partial(Random(cfg.seed).uniform, least, least + jitter)
         if cfg.after_catch:
             place, limits = cfg.after_catch, twin.limits
-            cycle = ThrowCycle(pipeline, twin.profile, limits, scene.camera, place, is_stepped=True)
-        deployment = pipeline, scene.camera, twin.servo.connection, twin.profile
+            cycle = ThrowCycle(pipeline, twin.profile, limits, camera, place, is_stepped=True)
+        deployment = pipeline, camera, twin.servo.connection, twin.profile
         loop = ControlLoop(*deployment, perception_time=times, cycle=cycle)
         twin.followers = (twin.servo.tick, loop.poll)
         yield twin, loop.statistics
