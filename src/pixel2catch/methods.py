@@ -137,7 +137,7 @@ def remembering(method: Method, memory: str) -> Method:
     """
     found = re.fullmatch(r"([a-z_]*)([1-9]\d?)?", memory)
     if not found or found[1] not in MEMORIES:
-        valid = [*MEMORIES, "the same with a number of boxes, such as boxes5"]
+        valid = [*MEMORIES, "the same with a number of boxes up to 99, such as boxes5"]
         raise UnknownNameError("memory", memory, valid)
     num_boxes, terms = MEMORIES[found[1] if method.pixel_features else "age"]
     num_boxes = int(found[2]) if found[2] and method.pixel_features else num_boxes

@@ -38,20 +38,16 @@ def take_option(args: Sequence[str]) -> list[str]:
         if name != OPTION:
             rest.append(argument)
         elif file := value or next(remaining, ""):
-            announce(file)
+            files = dict.fromkeys([*announced(), str(Path(file).absolute())])
+            os.environ[VARIABLE] = os.pathsep.join(files)  # for child processes, too
         else:
             raise InvalidValueError(f"{OPTION} needs a Python file behind it, such as {OPTION} mine.py.")
     return rest
 
 
-def announce(file: str) -> None:
-    """Add a file to those that `import_files` imports, in this process and in child processes."""
-    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*_announced(), str(Path(file).absolute())]))
-
-
 def import_files() -> None:
     """Import all announced files, each once; raise as `import_file` does."""
-    for name in _announced():
+    for name in announced():
         import_file(name)
 
 
@@ -138,5 +134,6 @@ def computed(
     return value
 
 
-def _announced() -> list[str]:
+def announced() -> list[str]:
+    """Return the files that `import_files` imports."""
     return [file for file in os.environ.get(VARIABLE, "").split(os.pathsep) if file]

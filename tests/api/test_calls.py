@@ -49,6 +49,15 @@ WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.Policy.load(5), "folder is 5; it must be a text or a path"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.Renderer(None), "model is None; it must be MjModel"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make().step({"arm": torch.zeros(1, 6)}), r"action of agent 'hand' is None; .* \(1, 13\)"),
+    (
+        lambda: p2c.make("catch_alone").step({"robot": torch.zeros(1, 19), "leg": torch.zeros(1, 6)}),
+        "there is no agent 'leg'; give an action for robot",
+    ),
+    (lambda: p2c.Level(label="5", change=None, source="ours"), "change is None; it must be a function"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.RewardTerm(function=5, weight=1.0), "function is 5; it must be a function"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.Axis(name="own", unit="", levels=("5",)), "levels is '5'; it must be Level"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.make(objects=3), "name is 3; it must be a text or"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.EvaluationCfg(objects=()), "objects is empty; give at least one value"),
 )
 
 

@@ -47,6 +47,7 @@ BAD = [
     (f"{EVALUATE} --env.scene.workcell ur5e_leap", "of work cell 'ur5e_leap' are not the policy's"),
     # options that contradict each other, or would be ignored
     ("train --physics-stages 60 --env.scene.physics-hz 60", "not both"),
+    ("train --workcell ur5e_leap --env.scene.workcell fr3_allegro", "or --env.scene.workcell, not both"),
     ("play --web --out film.mp4", "leave out --out, or --web"),
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
     ("operate", "--web"),
@@ -54,6 +55,7 @@ BAD = [
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
     ("rehearse --plain --out {new}", "--plain needs --lockstep"),
     ("rehearse --lockstep --clock 0.5 --out {new}", "--clock is for real time"),
+    ("rehearse --lockstep --plain --out {new} --camera people", "camera.fx: policy 618.163, here 417.03"),
     ("track {text} --topic /images --out {new}", "--topic needs a rosbag"),
     ("operate /dev/null --keys 35 35 1", "give three different ones"),
     ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
@@ -77,6 +79,10 @@ BAD = [
     ("reproduce --out {new} --slurm timeout", "it must be NAME=VALUE"),
     ("train --out {new} --slurm", "slurm is empty"),
     ("deploy --checkpoint sam2", "add --segmenter sam2"),
+    ("deploy --compile", "add --segmenter sam2"),
+    ("deploy ur5e_leap", "give one with the values here, or train it:"),
+    ('trials --policies proposed --out {new} --deploy="', "No closing quotation; correct its quotes"),
+    ("trials --policies proposed --out {new} --rehearse=--camera=people", "the same --camera"),
     ("release nowhere", "unknown place 'nowhere'"),
     # places
     ("stress --out {broken}/x", "nothing can be written in"),

@@ -115,7 +115,8 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
     Path("my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
         assert run("train", name, "--import", "my_methods.py", *TRAINING, "--out", name) == 0
-    capsys.readouterr()
+    file = tmp_path / "my_methods.py"
+    assert f"next: pixel2catch --import {file} evaluate with_height" in capsys.readouterr().err
     results = []
     for more in ((), ("--import", "my_methods.py")):
         assert run("evaluate", "size_alone", *THROWS, "--json", *more) == 0

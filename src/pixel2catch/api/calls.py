@@ -69,8 +69,7 @@ def make(
 
 def load_policy(name: str | Path | None = None, device: Device = "cpu") -> Policy:
     """Read a policy: a shipped one by name (default: catch_alone+fit), or from its folder or its run's."""
-    if device.startswith("cuda"):
-        require_cuda(device)
+    require_cuda(device)
     return loading.load_policy(None if name is None else Path(name), device)[0]
 
 
@@ -102,8 +101,7 @@ def evaluate(
     let_torch_sleep()
     if policy is None or isinstance(policy, str | Path):
         policy = load_policy(policy)
-    if device.startswith("cuda"):
-        require_cuda(device)
+    require_cuda(device)
     policy = copy.deepcopy(policy).to(device)
     cfg = EvaluationCfg(
         objects=_selected(objects),
@@ -161,7 +159,7 @@ def train(
         name = name or "cpu"
         experiment = preset_of(name, "nominal" if task is None else task, workcell=cell, **files, **options)
     experiment = replace(experiment, train=experiment.train.changed(options))
-    training = prepared(experiment, _method(method, experiment.env), resume=resume)
+    training = prepared(experiment, method, resume=resume)
     return run(training, Path(out), resume=resume, preset=name)
 
 
@@ -174,14 +172,14 @@ class Prepared(NamedTuple):
     teacher: Method | None
 
 
-def prepared(experiment: Experiment, method: Method, *, resume: bool = False) -> Prepared:
+def prepared(experiment: Experiment, method: str | Method, *, resume: bool = False) -> Prepared:
     """Return a training with the names in it resolved; raise what is wrong with it, before any work."""
     require_valid(experiment)
     cfg, env = experiment.train, experiment.env
     env = replace(env, objects=select_objects(env.objects))
     workcell = find_workcell(env.scene.workcell)
     env = env.for_workcell(workcell)
-    method = method.with_weights(cfg.rewards)
+    method = _method(method, env).with_weights(cfg.rewards)
     if cfg.start and not resume:
         policy_folder(cfg.start)  # before anything is built
     if cfg.wandb:
@@ -227,8 +225,8 @@ def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
 
 
 def _selected(objects: Objects) -> tuple[str, ...]:
-    several = objects.split(",") if isinstance(objects, str) else objects
-    several = [several] if isinstance(several, ObjectSpec) else several
+    objects = objects.split(",") if isinstance(objects, str) else objects
+    several = objects if isinstance(objects, Sequence) else [objects]
     return select_objects([_known(each.strip() if isinstance(each, str) else each) for each in several])
 
 

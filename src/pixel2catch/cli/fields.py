@@ -204,8 +204,11 @@ class SimulatedTask:
 
     def beneath(self, setting: "Setting") -> "Setting":
         """Return a setting that disturbs the changed task."""
-        change = partial(_disturbed, self, setting.level.change)
+        change = partial(self._disturbed, setting.level.change)
         return replace(setting, level=replace(setting.level, change=change))
+
+    def _disturbed(self, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
+        return then(self.change(task))
 
     def make(self, policy: "Policy") -> "CatchEnvCfg":
         """Return the task in which a policy acts; print what its camera means."""
@@ -215,10 +218,6 @@ class SimulatedTask:
         for remark in camera_remark(policy, task):
             say(remark)
         return task
-
-
-def _disturbed(options: SimulatedTask, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
-    return then(options.change(task))
 
 
 def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:

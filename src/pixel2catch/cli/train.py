@@ -34,7 +34,7 @@ class Train:
     #: What to train, named first: proposed, without_pf, only_wh, only_center, single_agent,
     #: proposed_local_critic, single_agent_local_critic, object_position, object_extent, shared_reward,
     #: agent_per_robot, journal, catch, catch_alone, catch_teacher, or one of your own, with --import FILE.py;
-    #: with a memory METHOD+age, +boxes, +boxes5 (any number), +fit or +anycamera.
+    #: with a memory METHOD+age, +boxes, +boxes5 (1 to 99), +fit or +anycamera.
     method: Positional[str] = METHOD
     #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
     #: CUDA, large on several GPUs by torchrun, else cpu.
@@ -99,9 +99,10 @@ class Train:
                 **start,
                 **files,
             )
+        for one, other in (("workcell", "scene.workcell"), ("physics_stages", "scene.physics_hz")):
+            if other in given_fields(args) and getattr(given, one) is not None:
+                raise InvalidValueError(f"give --{one} or --env.{other}, not both.".replace("_", "-"))
         if "scene.physics_hz" in given_fields(args):  # one rate throughout
-            if given.physics_stages is not None:
-                raise InvalidValueError("give --physics-stages or --env.scene.physics-hz, not both.")
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
         resumed = folder if given.resume else None
         method, train, env = method or METHOD, experiment.train, experiment.env
@@ -111,11 +112,8 @@ class Train:
         """Return what the training needs; raise what is wrong with the options."""
         from pixel2catch.api.calls import prepared
         from pixel2catch.learning.experiment import Experiment
-        from pixel2catch.methods import find_method
-        from pixel2catch.workcells import find_workcell
 
-        method = find_method(self.method, find_workcell(self.env.scene.workcell))
-        return prepared(Experiment(env=self.env, train=self.train), method, resume=self.resume)
+        return prepared(Experiment(env=self.env, train=self.train), self.method, resume=self.resume)
 
     def run(self) -> None:
         from pixel2catch.api.calls import run

@@ -51,7 +51,7 @@ class PolicyController:
         self.history: History | None = None  #: Measurements of this throw; None before its first step.
         self._action: Batch = torch.zeros(1, len(self.joints))
         self._target: Batch | None = None
-        if unmeasured := unmeasured_terms(self.method, workcell):
+        if unmeasured := dict.fromkeys(unmeasured_terms(self.method, workcell)):
             raise PolicyMismatchError(
                 f"a policy of method '{self.method.name}' reads {', '.join(unmeasured)}, which one camera "
                 "does not measure; deploy a policy that reads pixel features, such as 'proposed'."

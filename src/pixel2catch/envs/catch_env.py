@@ -24,6 +24,7 @@ from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, assign, clone, require_shapes, select, write
 from pixel2catch.mdp.terminations import is_ended
 from pixel2catch.methods import Method, require_terms
+from pixel2catch.scene.objects import select_objects
 from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
 
@@ -106,8 +107,8 @@ class CatchEnv:
         self.world = CatchWorld(cfg.scene, cfg.dynamics, num_envs=num_envs, device=device)
         self.device = self.world.device
         self._generator = torch.Generator(self.device).manual_seed(seed)
-        names = self.world.objects.names
-        self._object_ids = torch.tensor([names.index(name) for name in cfg.objects], device=self.device)
+        names, objects = self.world.objects.names, select_objects(cfg.objects)
+        self._object_ids = torch.tensor([names.index(name) for name in objects], device=self.device)
         self._action_map = ActionMap.of(commands_of(self.workcell), self.device)
         noise = by_joint(self.workcell, "action_noise", self.device)
         self._action_noise = cfg.randomization.action_noise * noise

@@ -16,7 +16,7 @@ Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic pol
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
-from typing import Protocol, final, runtime_checkable
+from typing import Annotated, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.batches import Counts, Flags, Joints
-from pixel2catch.checks import Count, Device, Seed, require_valid
+from pixel2catch.checks import NOT_EMPTY, Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, LiveState, Observation, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.evaluation.reach import is_reachable
@@ -73,16 +73,14 @@ OUTCOMES = {
 class EvaluationCfg:
     """The throws of an evaluation."""
 
-    objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
+    objects: Annotated[tuple[str, ...], NOT_EMPTY]  #: Names of the objects; each throw draws one.
     num_envs: Count = 100  #: Throws in a round. Source: paper.
     trials: Count = 10  #: Rounds. Source: paper.
     seed: Seed = 0  #: Seed of everything that is drawn.
     device: Device = "cpu"  #: "cpu" or a CUDA device.
     #: The task, with all its noise; objects and endings are set here.
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
-
-    def __post_init__(self) -> None:
-        require_valid(self)
+    __post_init__ = require_valid
 
     def make_env(self, method: Method) -> CatchEnv:
         """Return environments whose episodes end only when the object is lost or robots hit each other."""

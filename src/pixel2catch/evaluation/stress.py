@@ -11,6 +11,7 @@ from math import radians
 from typing import Any
 
 from pixel2catch.camera import region
+from pixel2catch.checks import require_valid
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import LIGHT, OUTSIDE_CAMERA, PEOPLE_ROBOT, PEOPLE_THROWS
 from pixel2catch.errors import UnknownNameError
@@ -104,6 +105,7 @@ class Level:
     label: str  #: Its name in tables, without the unit.
     change: Change  #: Its change of the task.
     source: str  #: Source of the number.
+    __post_init__ = require_valid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +115,7 @@ class Axis:
     name: str
     unit: str
     levels: tuple[Level, ...]
+    __post_init__ = require_valid
 
     @property
     def settings(self) -> "tuple[Setting, ...]":

@@ -32,11 +32,7 @@ class TrainingLog:
         """Start after some transitions, with a run of Weights & Biases; a quiet console writes nothing."""
         self._console = console
         self._bar = ProgressBar(
-            "training",
-            cfg.transitions,
-            done=transitions,
-            console=self._console,
-            line_seconds=cfg.report_seconds,
+            "training", cfg.transitions, done=transitions, console=console, line_seconds=cfg.report_seconds
         )
         self._sinks: dict[str, Callable[[Row], object]] = {}
         self._closing: dict[str, Callable[[], None]] = {}
@@ -124,7 +120,7 @@ def start_wandb(project: str, folder: Path, config: Mapping[str, Any]) -> Any:
 
 
 class CsvLog:
-    """A CSV file with a row for each update, written with every checkpoint."""
+    """A CSV file with a row for each update, written with every checkpoint: `--resume` goes on from there."""
 
     def __init__(self, path: Path, transitions: int = 0) -> None:
         """Keep the rows of the file up to `transitions`; later ones are repeated."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Features, Flags, Scalars
+from pixel2catch.checks import require_valid
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import (
     SURFACE_REACH,
@@ -33,6 +34,7 @@ class RewardTerm:
 
     function: Callable[..., Scalars]  #: (transition, part) -> (num_envs,).
     weight: float  #: Factor, with the sign.
+    __post_init__ = require_valid
 
     @property
     def name(self) -> str:

@@ -92,7 +92,7 @@ class DelayLine(Generic[T]):
 
 
 def require_shapes(kind: str, values: Any, shapes: Mapping[str, tuple[int | None, int]]) -> None:
-    """Raise InvalidValueError unless each agent has a tensor of its shape, where None is any size."""
+    """Raise InvalidValueError unless these agents have tensors of these shapes, where None is any size."""
     given = values if isinstance(values, Mapping) else {}
     for agent, (rows, size) in shapes.items():
         found = tuple(value.shape) if isinstance(value := given.get(agent), Tensor) else ()
@@ -100,3 +100,5 @@ def require_shapes(kind: str, values: Any, shapes: Mapping[str, tuple[int | None
             shown = f"of shape {found}" if found else f"{value!r:.200}"
             fix = f"give a tensor of shape ({rows or 'num_envs'}, {size})"
             raise InvalidValueError(f"the {kind} of agent '{agent}' is {shown}; {fix}.")
+    if unknown := [name for name in given if name not in shapes]:
+        raise InvalidValueError(f"there is no agent '{unknown[0]}'; give an {kind} for {', '.join(shapes)}.")

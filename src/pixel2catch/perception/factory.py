@@ -72,8 +72,8 @@ class PerceptionArgs:
         from pixel2catch.perception.background import BackgroundSubtraction
         from pixel2catch.perception.segmenter import ColorThreshold
 
-        if self.checkpoint and self.segmenter != "sam2":
-            raise InvalidValueError("--checkpoint is for SAM 2: add --segmenter sam2, or leave it out.")
+        if (self.checkpoint or self.image_size or self.compile) and self.segmenter != "sam2":
+            raise InvalidValueError("--checkpoint, --image-size, --compile need SAM 2: add --segmenter sam2.")
         if self.segmenter == "background":
             return BackgroundSubtraction()
         if self.segmenter == "color":

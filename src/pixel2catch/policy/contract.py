@@ -95,7 +95,8 @@ class PolicyContract:
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
             lines = (f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields)
-            raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines)[:LONGEST_MESSAGE])
+            fix = "the policy does not fit; give one with the values here, or train it:\n"
+            raise PolicyMismatchError(fix + "\n".join(lines)[:LONGEST_MESSAGE])
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

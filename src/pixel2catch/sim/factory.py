@@ -51,9 +51,9 @@ def require_engine(engine: str) -> Any:
 
 
 def require_cuda(device: str) -> None:
-    """Raise if PyTorch does not find a CUDA device."""
+    """Raise if a device is of CUDA and PyTorch does not find it."""
     count = torch.cuda.device_count()
-    if (torch.device(device).index or 0) >= count:
+    if device != "cpu" and (torch.device(device).index or 0) >= count:
         fix = "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports."
         fix = f"use cuda:0 to cuda:{count - 1}." if count else fix
         raise DeviceUnavailableError(
