@@ -13,6 +13,7 @@ import pytest
 
 from pixel2catch import own_files
 from pixel2catch.cli.main import main
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.own_files import VARIABLE, take_option
@@ -112,6 +113,7 @@ def test_a_value_of_the_package_is_not_replaced():
 def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     """Without the file where all terms are the package's; child processes import it, too."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(CatchEnvCfg, "trial_steps", 20)
     Path("my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
         assert run("train", name, "--import", "my_methods.py", *TRAINING, "--out", name) == 0
@@ -136,6 +138,7 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
 
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(CatchEnvCfg, "trial_steps", 20)
     Path("my_cell.py").write_text(CELL)
     mine = ("--import", "my_cell.py")
     assert run("train", "proposed", "--workcell", "nearer", *TRAINING, *mine, "--out", "run") == 0

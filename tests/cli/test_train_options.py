@@ -72,6 +72,7 @@ def test_a_run_goes_on_with_its_own_configuration(run: Path, refusal: Any):
     assert after == before
 
 
+@pytest.mark.usefixtures("small_cells")
 def test_a_policy_is_of_its_task_and_is_evaluated_in_the_papers(run: Path, capsys):
     policy, _ = load_policy(run)
     assert (policy.contract.task, policy.contract.object_radius) == ("wide", OBJECT_RADIUS)

@@ -14,7 +14,7 @@ from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, PerceptionError
-from pixel2catch.perception import factory, sam2
+from pixel2catch.perception import factory, sam2, self_test
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation
@@ -111,8 +111,9 @@ def test_the_time_is_printed_and_too_slow_for_a_camera_is_refused(folder: Path, 
         args.make_segmenter(is_live=True)
 
 
-def test_random_weights_do_not_pass_the_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_random_weights_do_not_pass_the_self_test(folder: Path, capsys, monkeypatch) -> None:
     """Background subtraction, which stands beside, would."""
+    monkeypatch.setattr(self_test, "NUM_EMPTY", 15)
     assert main(["track", "self-test", "--segmenter", "sam2", "--checkpoint", str(folder)]) == 2
     printed = capsys.readouterr()
     for kind, line in zip(KINDS, printed.out.splitlines(), strict=True):
