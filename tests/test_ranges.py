@@ -20,6 +20,7 @@ from pixel2catch.evaluation.stress import select_settings
 from pixel2catch.learning.config import PRESETS, TrainCfg
 from pixel2catch.learning.experiment import Experiment
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.workcells import workcells
 
 COUPLED = (
     *("scene.physics_hz", "variants.share", "quat", "width", "height", "distortion", "pose_covariance"),
@@ -217,9 +218,9 @@ def test_an_evaluation_refuses_bad_values_of_its_task():
         EvaluationCfg(objects=("cube_s",), task=replace(NOMINAL, throws=replace(NOMINAL.throws, spin=-1.0)))
 
 
-def test_tasks_disturbances_and_presets_are_valid():
-    for task in TASKS.values():
-        require_valid(task)
+def test_tasks_work_cells_disturbances_and_presets_are_valid():
+    for declared in (*TASKS.values(), *workcells().values()):
+        require_valid(declared)
     for setting in select_settings(()):
         require_valid(setting.level.change(TASKS["nominal"]))
     for experiment in PRESETS.values():

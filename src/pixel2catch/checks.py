@@ -159,7 +159,8 @@ def require(kind: Any, name: str, value: Any) -> None:
     kind, requirements = _parts(kind)
     if not _fits(kind, value):
         raise InvalidValueError(f"{name} is {value!r:.200}; it must be {_in_words(kind)}.")
-    if isinstance(value, float) and not math.isfinite(value):
+    bounds = [each.high for each in requirements if isinstance(each, Within)]
+    if isinstance(value, float) and not math.isfinite(value) and value not in bounds:
         raise InvalidValueError(f"{name} is {value}; it must be a finite number.")
     if isinstance(value, int) and abs(value) >= 2**63:  # readers use 64 bits
         raise InvalidValueError(f"{name} is {_shown(value)}; it must be smaller.")

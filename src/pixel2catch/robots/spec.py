@@ -9,7 +9,9 @@ Lengths in metres, angles in radians, quaternions (w, x, y, z).
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pixel2catch.checks import Within
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -33,7 +35,7 @@ class JointSpec:
     effort_limit: float  #: Largest torque of the whole servo [N·m].
     velocity_limit: float  #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
     #: Largest acceleration of a command [rad/s²]; simulated commands keep it as the servo does.
-    acceleration_limit: float = inf
+    acceleration_limit: Annotated[float, Within(0.0, inf, is_open=True)] = inf
 
 
 def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:
