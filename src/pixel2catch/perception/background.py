@@ -128,7 +128,7 @@ class BackgroundSubtraction(Segmenter):
             self._learn(motion, inside, maybe)
         things = regions(motion.moving)
         self._track = self._track.behind(things, inf if self._size is None else float(self._size[2]))
-        blobs, blob = self._object(motion, self._track, maybe)
+        blobs, blob = self._object(motion, self._track, things, maybe)
         u, v = self._track.center
         self._track, segmentation = self._track.advanced(blobs, blob, things)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
@@ -149,7 +149,7 @@ class BackgroundSubtraction(Segmenter):
         return segmentation
 
     def _object(
-        self, motion: ImageMotion, track: ImageTrack, within: Mask | None
+        self, motion: ImageMotion, track: ImageTrack, things: list[Blob], within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
         """Return the regions of the image, and the one that is the object; None if none is.
 
@@ -159,8 +159,9 @@ class BackgroundSubtraction(Segmenter):
         """
         resting: tuple[list[Blob], Blob] | None = None
         blobs: list[Blob] = []
+        things = things if within is None else regions(motion.moving & within)
         for is_turned in (False, True):
-            for found in self._found(motion, track, within, is_turned=is_turned):
+            for found in self._found(motion, track, things, within, is_turned=is_turned):
                 blobs, best = found
                 if best is None:
                     continue
@@ -172,7 +173,13 @@ class BackgroundSubtraction(Segmenter):
         return (blobs := regions(within)), next(iter(blobs), None)
 
     def _found(
-        self, motion: ImageMotion, track: ImageTrack, within: Mask | None, *, is_turned: bool
+        self,
+        motion: ImageMotion,
+        track: ImageTrack,
+        things: list[Blob],
+        within: Mask | None,
+        *,
+        is_turned: bool,
     ) -> Iterator[tuple[list[Blob], Blob | None]]:
         """Regions of the image, and one of them that can be the object, the likeliest first.
 
@@ -187,23 +194,23 @@ class BackgroundSubtraction(Segmenter):
         right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
         near = slice(top, bottom), slice(left, right)
         window = grown_window(window_of(motion.moving[near] | motion.unknown[near], near), len(GAP) // 2 + 1)
-        resembling = self._resembling(motion, window)
-        everywhere = slice(0, shape[0]), slice(0, shape[1])
-        choices = (resembling, window), ([motion.moving], everywhere)
+        masks = self._resembling(motion, window)
+        masks = masks if within is None else [mask & within[window] for mask in masks]
+        resembling = [regions(mask, window, shape) for mask in masks]
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
         error = BOX_ERROR if track.num_seen == 1 else 0.0
-        for least, (masks, place) in product(leasts, choices):
+        for least, choices in product(leasts, (resembling, [things])):
             found = []
-            for number, mask in enumerate(masks):
-                blobs = regions(mask if within is None else mask & within[place], place, shape)
+            for number, blobs in enumerate(choices):
                 candidates = [blob for blob in track.candidates(blobs) if is_turned or track.passes(blob)]
                 fitting = [blob for blob in candidates if self._fits(blob, motion, least, error)]
-                if blob := self._first(track, fitting, is_alike=place is window, is_turned=is_turned):
+                is_alike = choices is resembling
+                if blob := self._first(track, fitting, is_alike=is_alike, is_turned=is_turned):
                     cost = self._cost(track, blob, is_clear=number >= NUM_SURE)
                     found += [(cost, (blobs, blob))] if cost[1] < inf else []
             if found:
                 yield min(found, key=itemgetter(0))[1]
-        yield (regions(resembling[2], window, shape), None)
+        yield (resembling[2], None)
 
     def _first(self, track: ImageTrack, blobs: list[Blob], *, is_alike: bool, is_turned: bool) -> Blob | None:
         """The likeliest of the regions that have the object's size.
@@ -374,6 +381,8 @@ def _touches(blob: Blob, mask: Mask) -> bool:
 
 def _extended(mask: Mask, more: Mask) -> Mask:
     """The connected regions of a mask and of more, as far as a sufficient share of each is in the mask."""
+    if not mask.any():
+        return mask
     _, labels = cv2.connectedComponents((mask | more).view(np.uint8))
     own = np.bincount(labels[mask], minlength=labels.max() + 1)
     is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())

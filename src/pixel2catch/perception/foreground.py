@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
-from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, closed, grown, opened, regions, window_of
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, closed, find_blobs, grown, opened, window_of
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
@@ -125,7 +125,7 @@ class Foreground:
         _replace(self._background, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
         difference = _difference(smooth, self._background)
-        noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
+        noise = DEVIATIONS * _percentile(difference[::SAMPLING, ::SAMPLING].ravel(), 50.0)
         least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
         differs = (difference > self._tolerance) & (difference > least)
         moving = opened(differs) & known
@@ -176,7 +176,7 @@ class Foreground:
         usable = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
         usable &= (counted[every] * self._num_seen[every]).view(bool)[..., None]
         ratios = now[usable] / before[usable]
-        gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
+        gain = _percentile(ratios, 50.0) if len(ratios) >= LEAST_SAMPLES else 1.0
         self._light.append(log(gain))
         return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
 
@@ -188,7 +188,7 @@ class Foreground:
         if differs[part].size:
             same = steady(image[part], self._last[part]) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
-            _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
+            _replace(self._mean[part], image[part], free[part] * (num_still[part] >= LEARNING_IMAGES))
             busy = free[part] * differs[part]
             cv2.accumulateWeighted(difference[part], self._usual[part], BUSY_WEIGHT, mask=busy)
         self._num_still = num_still
@@ -221,12 +221,12 @@ def shaded(motion: ImageMotion, window: Window) -> Mask:
 
 def sharpened(motion: ImageMotion, window: Window) -> Mask:
     """Return what moves in a part of the image, without the dim rims of things."""
-    moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
-    for blob in regions(moving):
-        inside, difference = blob.pixels(blob.place), motion.difference[window][blob.place]
+    moving = motion.moving[window]
+    sharp = closed(moving)
+    for blob in find_blobs(sharp):
         if min(blob.width, blob.height) >= LEAST_WITH_RIM:
-            inside &= difference >= EDGE * _percentile(difference[inside], BRIGHT)
-        sharp[blob.place] |= inside
+            inside, difference = blob.pixels(blob.place), motion.difference[window][blob.place]
+            sharp[blob.place] &= ~(inside & (difference < EDGE * _percentile(difference[inside], BRIGHT)))
     return closed(sharp)
 
 
@@ -283,7 +283,7 @@ def shift_between(image: Pixels, before: Pixels, known: Mask) -> Shift:
         du, dv = whole = np.clip(np.rint(shift), -LARGEST_SHIFT, LARGEST_SHIFT).astype(int)
         difference = image[rows + dv, columns + du, 1] - there
         left = np.abs(difference - (whole - shift) @ slopes)
-        medians.append(float(np.median(left)))
+        medians.append(_percentile(left, 50.0))
         fits = left <= LARGEST_RESIDUAL * medians[-1] + 1.0
         used = slopes[:, fits]
         change = whole - shift - np.linalg.solve(used @ used.T + np.eye(2), used @ difference[fits])
@@ -327,4 +327,4 @@ def _replace(image: np.ndarray, other: Pixels, mask: np.ndarray) -> None:
 def _difference(image: Pixels, other: Pixels) -> UInt8[np.ndarray, "height width"]:
     """Absolute difference of two images, in the channel where it is largest."""
     red, green, blue = cv2.split(cv2.absdiff(image, other))
-    return cv2.max(cv2.max(red, green), blue)
+    return cv2.max(cv2.max(red, green, dst=red), blue, dst=red)

@@ -149,7 +149,9 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
     if not mask[part].size:
         return []
     pixels = mask[part].view(np.uint8)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=NUM_NEIGHBORS)
+    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
+        pixels, NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT
+    )
     window = window_of(mask, window)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}

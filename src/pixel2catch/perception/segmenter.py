@@ -161,7 +161,9 @@ class ImageTrack:
         """
         if blob is None:
             known = (
-                each.center for each in blobs if any(self._is_near(each, other) for other in self.others)
+                each.center
+                for each in blobs
+                if any(each.distance(other) <= self._step for other in self.others)
             )
             return replace(self, others=tuple(known)), NOT_FOUND
         (u, v), span = blob.center, self.age or 1.0
@@ -197,7 +199,12 @@ class ImageTrack:
         They have an object's size and are where it can be. Regions that continue another thing of the last
         image are left out.
         """
-        sized = [blob for blob in blobs if blob.is_plausible(self.limits) and not self._is_other(blob, blobs)]
+        are_others = self._are_others(blobs)
+        sized = [
+            blob
+            for blob, is_other in zip(blobs, are_others, strict=True)
+            if not is_other and blob.is_plausible(self.limits)
+        ]
         near = (blob for blob in sized if blob.distance(self.center) <= self.reach and self._reappears(blob))
         return sorted(near, key=lambda blob: (not self.passes(blob), blob.distance(self.expected)))
 
@@ -221,17 +228,22 @@ class ImageTrack:
         """Whether a region is beside the thing that hides the object, if one does."""
         return self.cover is None or blob.meets(_grown(self.cover, REACH * max(self.interval, 1.0)))
 
-    def _is_near(self, blob: Blob, place: tuple[float, float]) -> bool:
-        return blob.distance(place) <= LONGEST_STEP * max(self.interval, 1.0)
+    def _are_others(self, blobs: list[Blob]) -> list[bool]:
+        """Whether each region is the nearest one to another thing's last place, and not at the object's."""
+        boxes = np.array([(*blob.center, 0.5 * blob.width, 0.5 * blob.height) for blob in blobs])
+        if not (blobs and self.others):
+            return [False] * len(blobs)
+        centers, halves = boxes[:, :2], boxes[:, 2:]
+        away = centers - self.expected
+        gaps = np.linalg.norm(centers[:, None] - self.others, axis=2)
+        is_near = (gaps <= self._step) & (gaps < np.linalg.norm(away, axis=1)[:, None])
+        is_nearest = is_near & (gaps <= gaps.min(axis=0))
+        return (is_nearest.any(axis=1) & (np.abs(away) > halves).any(axis=1)).tolist()
 
-    def _is_other(self, blob: Blob, blobs: list[Blob]) -> bool:
-        """Whether a region without the object's expected place is the nearest one to another thing's last."""
-        (u, v), (end_u, end_v) = blob.center, self.expected
-        if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
-            return False
-        reach = blob.distance(self.expected)
-        near = (other for other in self.others if self._is_near(blob, other) and blob.distance(other) < reach)
-        return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)
+    @property
+    def _step(self) -> float:
+        """Largest motion of another thing between the newest two images [px]."""
+        return LONGEST_STEP * max(self.interval, 1.0)
 
 
 def largest_change(interval: float, before: float) -> float:
