@@ -21,7 +21,17 @@ from pixel2catch.perception.foreground import (
     steady,
     trimmed,
 )
-from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
+from pixel2catch.perception.regions import (
+    GAP,
+    SPECK,
+    Blob,
+    Window,
+    grown,
+    grown_window,
+    labelled,
+    regions,
+    window_of,
+)
 from pixel2catch.perception.segmenter import (
     LARGEST_GROWTH,
     NOT_FOUND,
@@ -383,8 +393,8 @@ def _extended(mask: Mask, more: Mask) -> Mask:
     """The connected regions of a mask and of more, as far as a sufficient share of each is in the mask."""
     if not mask.any():
         return mask
-    _, labels = cv2.connectedComponents((mask | more).view(np.uint8))
-    own = np.bincount(labels[mask], minlength=labels.max() + 1)
-    is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
+    labels, stats = labelled(mask | more)
+    own = np.bincount(labels[mask], minlength=len(stats))
+    is_own = own >= LEAST_KNOWN * stats[:, cv2.CC_STAT_AREA]
     is_own[0] = False
-    return is_own[labels.astype(np.intp)]
+    return np.take(is_own, labels)

@@ -11,7 +11,17 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
-from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, closed, find_blobs, grown, opened, window_of
+from pixel2catch.perception.regions import (
+    GAP,
+    SPECK,
+    Blob,
+    Window,
+    closed,
+    find_blobs,
+    grown,
+    opened,
+    window_of,
+)
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
@@ -208,8 +218,9 @@ def shaded(motion: ImageMotion, window: Window) -> Mask:
     """
     moving = motion.moving[window]
     is_shaded = np.zeros_like(moving)
-    images = (each[window][moving] for each in (motion.image, motion.background))
-    now, before = (np.ascontiguousarray(pixels.T, dtype=np.float32) for pixels in images)
+    places, images = np.flatnonzero(moving), (motion.image[window], motion.background[window])
+    pixels = (np.take(each.reshape(-1, 3), places, axis=0) for each in images)
+    now, before = (np.ascontiguousarray(each.T, dtype=np.float32) for each in pixels)
     lost, total = before - now, np.maximum(before.sum(axis=0), 1.0)
     share = lost.sum(axis=0) / total
     alike, equal = share * before, share * total / 3.0
@@ -320,8 +331,9 @@ def _percentile(values: np.ndarray, percent: float) -> float:
 
 def _replace(image: np.ndarray, other: Pixels, mask: np.ndarray) -> None:
     """Copy the masked pixels of another image."""
-    if mask.any():
-        cv2.copyTo(other.astype(image.dtype), mask, image)
+    part = window_of(mask)
+    if mask[part].size:
+        cv2.copyTo(other[part].astype(image.dtype), mask[part], image[part])
 
 
 def _difference(image: Pixels, other: Pixels) -> UInt8[np.ndarray, "height width"]:

@@ -1,6 +1,7 @@
 """Parts of an image: connected regions of a mask, the size limits of objects, and the robots' pixels."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import hypot
 
 import cv2
@@ -92,7 +93,7 @@ class Blob:
         """Return whether it has the size of an object."""
         return self.area >= cfg.least_area and max(self.width, self.height) <= cfg.largest_side
 
-    @property
+    @cached_property
     def box(self) -> Edges:
         """The smallest box around its pixels, outer ones included [px]."""
         (u, v), x, y = self.center, 0.5 * self.width, 0.5 * self.height
@@ -109,7 +110,7 @@ class Blob:
         """Whether it touches the edge of the image."""
         return not all(self.is_whole)
 
-    @property
+    @cached_property
     def place(self) -> Window:
         """Rows and columns of its box."""
         xmin, ymin, xmax, ymax = map(int, self.box)
@@ -148,10 +149,7 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
     part = window_of(mask)
     if not mask[part].size:
         return []
-    pixels = mask[part].view(np.uint8)
-    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
-        pixels, NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT
-    )
+    labels, stats = labelled(mask[part])
     window = window_of(mask, window)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
@@ -160,6 +158,12 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
         center = (left + x + 0.5 * w, top + y + 0.5 * h)
         blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
     return sorted(blobs, key=lambda blob: -blob.area)
+
+
+def labelled(mask: Mask) -> tuple[Int32[np.ndarray, "height width"], Int32[np.ndarray, "num_regions 5"]]:
+    """Return the number of each pixel's region, and left, top, width, height [px] and area of the regions."""
+    way = NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT  # this algorithm takes a third of the default's time
+    return cv2.connectedComponentsWithStatsWithAlgorithm(mask.view(np.uint8), *way)[1:3]
 
 
 def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
