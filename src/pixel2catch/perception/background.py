@@ -21,17 +21,7 @@ from pixel2catch.perception.foreground import (
     steady,
     trimmed,
 )
-from pixel2catch.perception.regions import (
-    GAP,
-    SPECK,
-    Blob,
-    Window,
-    grown,
-    grown_window,
-    labelled,
-    regions,
-    window_of,
-)
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
     LARGEST_GROWTH,
     NOT_FOUND,
@@ -136,11 +126,10 @@ class BackgroundSubtraction(Segmenter):
                 width, height = max(xmax - xmin, 1.0), max(ymax - ymin, 1.0)
                 self._size = np.array((width, height, 0.25 * pi * width * height))
             self._learn(motion, inside, maybe)
-        things = regions(motion.moving)
-        self._track = self._track.behind(things, inf if self._size is None else float(self._size[2]))
-        blobs, blob = self._object(motion, self._track, things, maybe)
+        self._track = self._track.behind(motion.things, inf if self._size is None else float(self._size[2]))
+        blobs, blob = self._object(motion, self._track, maybe)
         u, v = self._track.center
-        self._track, segmentation = self._track.advanced(blobs, blob, things)
+        self._track, segmentation = self._track.advanced(blobs, blob, motion.things)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
         seen = self._seen if self._num_still < NUM_FRESH else None
@@ -159,7 +148,7 @@ class BackgroundSubtraction(Segmenter):
         return segmentation
 
     def _object(
-        self, motion: ImageMotion, track: ImageTrack, things: list[Blob], within: Mask | None
+        self, motion: ImageMotion, track: ImageTrack, within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
         """Return the regions of the image, and the one that is the object; None if none is.
 
@@ -169,13 +158,13 @@ class BackgroundSubtraction(Segmenter):
         """
         resting: tuple[list[Blob], Blob] | None = None
         blobs: list[Blob] = []
-        things = things if within is None else regions(motion.moving & within)
         for is_turned in (False, True):
-            for found in self._found(motion, track, things, within, is_turned=is_turned):
+            for found in self._found(motion, track, within, is_turned=is_turned):
                 blobs, best = found
                 if best is None:
                     continue
-                if not self._rests(track, best, motion.image):
+                has_moved = hypot(*track.velocity) * track.age >= 0.5 * min(best.width, best.height)
+                if not (has_moved and self._still(motion.image, best) >= LEAST_STILL):
                     return blobs, best
                 resting = resting or (blobs, best)
         if resting or within is None:
@@ -183,13 +172,7 @@ class BackgroundSubtraction(Segmenter):
         return (blobs := regions(within)), next(iter(blobs), None)
 
     def _found(
-        self,
-        motion: ImageMotion,
-        track: ImageTrack,
-        things: list[Blob],
-        within: Mask | None,
-        *,
-        is_turned: bool,
+        self, motion: ImageMotion, track: ImageTrack, within: Mask | None, *, is_turned: bool
     ) -> Iterator[tuple[list[Blob], Blob | None]]:
         """Regions of the image, and one of them that can be the object, the likeliest first.
 
@@ -204,9 +187,9 @@ class BackgroundSubtraction(Segmenter):
         right, bottom = (places.max(0) + reach + 1.0).astype(int).tolist()
         near = slice(top, bottom), slice(left, right)
         window = grown_window(window_of(motion.moving[near] | motion.unknown[near], near), len(GAP) // 2 + 1)
-        masks = self._resembling(motion, window)
-        masks = masks if within is None else [mask & within[window] for mask in masks]
-        resembling = [regions(mask, window, shape) for mask in masks]
+        inside = True if within is None else within[window]
+        resembling = [regions(mask & inside, window, shape) for mask in self._resembling(motion, window)]
+        things = motion.things if within is None else regions(motion.moving & within)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
         error = BOX_ERROR if track.num_seen == 1 else 0.0
         for least, choices in product(leasts, (resembling, [things])):
@@ -238,11 +221,6 @@ class BackgroundSubtraction(Segmenter):
         is_whole = blob.area >= least * area or blob.is_cut or _touches(blob, motion.unknown)
         largest = LARGEST_GROWTH * area * (1.0 + 2.0 * error / width) * (1.0 + 2.0 * error / height)
         return blob.area <= largest and is_whole and self._still(motion.image, blob, apart=True) < LEAST_STILL
-
-    def _rests(self, track: ImageTrack, blob: Blob, image: Pixels) -> bool:
-        """Whether a region stands still where the object was seen in flight."""
-        way = hypot(*track.velocity) * track.age
-        return way >= 0.5 * min(blob.width, blob.height) and self._still(image, blob) >= LEAST_STILL
 
     def _still(self, image: Pixels, blob: Blob, *, apart: bool = False) -> float:
         """Share of a region that is unchanged since the object was last seen, there or apart from there."""
@@ -391,10 +369,8 @@ def _touches(blob: Blob, mask: Mask) -> bool:
 
 def _extended(mask: Mask, more: Mask) -> Mask:
     """The connected regions of a mask and of more, as far as a sufficient share of each is in the mask."""
-    if not mask.any():
-        return mask
-    labels, stats = labelled(mask | more)
-    own = np.bincount(labels[mask], minlength=len(stats))
-    is_own = own >= LEAST_KNOWN * stats[:, cv2.CC_STAT_AREA]
+    num, labels = cv2.connectedComponents((mask | more).view(np.uint8))
+    own = np.bincount(labels[mask], minlength=num)
+    is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
     is_own[0] = False
-    return np.take(is_own, labels)
+    return np.take(is_own, labels.astype(np.intp))

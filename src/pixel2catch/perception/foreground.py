@@ -8,20 +8,9 @@ from math import log
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
-from pixel2catch.perception.regions import (
-    GAP,
-    SPECK,
-    Blob,
-    Window,
-    closed,
-    find_blobs,
-    grown,
-    opened,
-    window_of,
-)
+from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, closed, grown, opened, regions, window_of
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 MEMORY = 100  #: Images in the mean of the background. Source: ours: 3 s at 30 Hz.
@@ -134,15 +123,16 @@ class Foreground:
         _replace(self._mean, smooth, first)
         _replace(self._background, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        difference = _difference(smooth, self._background)
+        red, green, blue = cv2.split(cv2.absdiff(smooth, self._background))
+        difference = cv2.max(cv2.max(red, green, dst=red), blue, dst=red)
         noise = DEVIATIONS * _percentile(difference[::SAMPLING, ::SAMPLING].ravel(), 50.0)
         least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
         differs = (difference > self._tolerance) & (difference > least)
         moving = opened(differs) & known
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
-        arrays = {"image": smooth, "difference": difference, "moving": moving, "unknown": unknown}
-        arrays["background"] = self._background
+        arrays = {"image": smooth, "background": self._background, "difference": difference}
+        arrays |= {"moving": moving, "unknown": unknown}
         arrays = {name: shifted(each, self._shift) for name, each in arrays.items()}
         return ImageMotion(**arrays, ignored=ignored, doubt=self.weakness or "")
 
@@ -232,9 +222,8 @@ def shaded(motion: ImageMotion, window: Window) -> Mask:
 
 def sharpened(motion: ImageMotion, window: Window) -> Mask:
     """Return what moves in a part of the image, without the dim rims of things."""
-    moving = motion.moving[window]
-    sharp = closed(moving)
-    for blob in find_blobs(sharp):
+    sharp = closed(motion.moving[window])
+    for blob in regions(sharp):
         if min(blob.width, blob.height) >= LEAST_WITH_RIM:
             inside, difference = blob.pixels(blob.place), motion.difference[window][blob.place]
             sharp[blob.place] &= ~(inside & (difference < EDGE * _percentile(difference[inside], BRIGHT)))
@@ -331,12 +320,6 @@ def _percentile(values: np.ndarray, percent: float) -> float:
 
 def _replace(image: np.ndarray, other: Pixels, mask: np.ndarray) -> None:
     """Copy the masked pixels of another image."""
-    part = window_of(mask)
+    part = window_of(mask.view(bool))
     if mask[part].size:
         cv2.copyTo(other[part].astype(image.dtype), mask[part], image[part])
-
-
-def _difference(image: Pixels, other: Pixels) -> UInt8[np.ndarray, "height width"]:
-    """Absolute difference of two images, in the channel where it is largest."""
-    red, green, blue = cv2.split(cv2.absdiff(image, other))
-    return cv2.max(cv2.max(red, green, dst=red), blue, dst=red)

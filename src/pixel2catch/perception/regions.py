@@ -149,7 +149,8 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
     part = window_of(mask)
     if not mask[part].size:
         return []
-    labels, stats = labelled(mask[part])
+    way = NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT  # a third of the time of the usual algorithm
+    labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask[part].view(np.uint8), *way)[1:]
     window = window_of(mask, window)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
@@ -158,12 +159,6 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
         center = (left + x + 0.5 * w, top + y + 0.5 * h)
         blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
     return sorted(blobs, key=lambda blob: -blob.area)
-
-
-def labelled(mask: Mask) -> tuple[Int32[np.ndarray, "height width"], Int32[np.ndarray, "num_regions 5"]]:
-    """Return the number of each pixel's region, and left, top, width, height [px] and area of the regions."""
-    way = NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT  # this algorithm takes a third of the default's time
-    return cv2.connectedComponentsWithStatsWithAlgorithm(mask.view(np.uint8), *way)[1:3]
 
 
 def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:

@@ -3,16 +3,18 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
 from math import hypot, sqrt
 from typing import ClassVar
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from pixel2catch.camera.image import Edges, Mask, Pixels
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, find_blobs, opened
+from pixel2catch.perception.regions import USUAL, Blob, PlausibilityCfg, find_blobs, opened, regions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,6 +28,11 @@ class ImageMotion:
     unknown: Mask  #: Pixels without a known background, except the smoothed rim of `ignored`.
     ignored: Mask | None = None  #: Pixels whose motion has no meaning, such as those of the robot.
     doubt: str = ""  #: Why it is less reliable than usual; empty without a reason.
+
+    @cached_property
+    def things(self) -> list[Blob]:
+        """The regions that move."""
+        return regions(self.moving)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,12 +167,8 @@ class ImageTrack:
         region's share of its box. An object of about the size of a moving thing is a thing of its own.
         """
         if blob is None:
-            known = (
-                each.center
-                for each in blobs
-                if any(each.distance(other) <= self._step for other in self.others)
-            )
-            return replace(self, others=tuple(known)), NOT_FOUND
+            known = self._gaps(blobs).min(axis=1, initial=np.inf) < np.inf
+            return replace(self, others=tuple(each.center for each in compress(blobs, known))), NOT_FOUND
         (u, v), span = blob.center, self.age or 1.0
         fresh = min(span, 1.0) if self.num_seen > 1 else float(self.num_seen)  # fast images are averaged
         moved = (u - self.center[0]) / span, (v - self.center[1]) / span
@@ -199,13 +202,11 @@ class ImageTrack:
         They have an object's size and are where it can be. Regions that continue another thing of the last
         image are left out.
         """
-        are_others = self._are_others(blobs)
-        sized = [
-            blob
-            for blob, is_other in zip(blobs, are_others, strict=True)
-            if not is_other and blob.is_plausible(self.limits)
-        ]
-        near = (blob for blob in sized if blob.distance(self.center) <= self.reach and self._reappears(blob))
+        sized = (blob for blob in compress(blobs, ~self._are_others(blobs)) if blob.is_plausible(self.limits))
+        near = (blob for blob in sized if blob.distance(self.center) <= self.reach)
+        if self.cover is not None:  # it reappears beside the thing that hides it
+            beside = _grown(self.cover, REACH * max(self.interval, 1.0))
+            near = (blob for blob in near if blob.meets(beside))
         return sorted(near, key=lambda blob: (not self.passes(blob), blob.distance(self.expected)))
 
     def leads_to(self, blob: Blob) -> bool:
@@ -224,26 +225,18 @@ class ImageTrack:
         """Return whether a region is farther from the expected place than a release moves the object."""
         return blob.distance(self.expected) > REACH * max(self.interval, 1.0)
 
-    def _reappears(self, blob: Blob) -> bool:
-        """Whether a region is beside the thing that hides the object, if one does."""
-        return self.cover is None or blob.meets(_grown(self.cover, REACH * max(self.interval, 1.0)))
-
-    def _are_others(self, blobs: list[Blob]) -> list[bool]:
+    def _are_others(self, blobs: list[Blob]) -> Bool[np.ndarray, " num_blobs"]:
         """Whether each region is the nearest one to another thing's last place, and not at the object's."""
-        boxes = np.array([(*blob.center, 0.5 * blob.width, 0.5 * blob.height) for blob in blobs])
-        if not (blobs and self.others):
-            return [False] * len(blobs)
-        centers, halves = boxes[:, :2], boxes[:, 2:]
-        away = centers - self.expected
-        gaps = np.linalg.norm(centers[:, None] - self.others, axis=2)
-        is_near = (gaps <= self._step) & (gaps < np.linalg.norm(away, axis=1)[:, None])
-        is_nearest = is_near & (gaps <= gaps.min(axis=0))
-        return (is_nearest.any(axis=1) & (np.abs(away) > halves).any(axis=1)).tolist()
+        gaps, boxes = self._gaps(blobs), np.array([blob.box for blob in blobs]).reshape(-1, 4)
+        reach = np.array([blob.distance(self.expected) for blob in blobs])[:, None]
+        is_apart = ((boxes[:, :2] > self.expected) | (boxes[:, 2:] < self.expected)).any(axis=1)
+        return is_apart & ((gaps < reach) & (gaps <= gaps.min(axis=0, initial=np.inf))).any(axis=1)
 
-    @property
-    def _step(self) -> float:
-        """Largest motion of another thing between the newest two images [px]."""
-        return LONGEST_STEP * max(self.interval, 1.0)
+    def _gaps(self, blobs: list[Blob]) -> Float[np.ndarray, "num_blobs num_others"]:
+        """Distances of regions from the last places of the other things [px]; infinite beyond a step."""
+        centers = np.array([blob.center for blob in blobs]).reshape(-1, 1, 2)
+        gaps = np.linalg.norm(centers - np.array(self.others).reshape(1, -1, 2), axis=2)
+        return np.where(gaps <= LONGEST_STEP * max(self.interval, 1.0), gaps, np.inf)
 
 
 def largest_change(interval: float, before: float) -> float:

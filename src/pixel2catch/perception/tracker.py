@@ -82,7 +82,8 @@ class Prompter:
     def _flying(self, motion: ImageMotion | None, interval: float) -> BoxPrompt | None:
         if motion is None or motion.doubt == Weakness.FEW_IMAGES:
             return None
-        things = self._sized(closed(motion.moving))
+        things = [blob for blob in motion.things if blob.is_plausible(self.limits)]
+        things = self._sized(closed(motion.moving)) if self._region else things
         self._recent.appendleft((interval, things if len(things) <= MOST_CANDIDATES else []))
         num_images = _num_images(list(self._recent), motion.moving.size)
         if num_images is None:
