@@ -88,6 +88,20 @@ def test_the_edge_of_a_thing_is_where_its_difference_falls():
     assert np.abs(filmed.box_of(sharpened(motion, whole)) - filmed.box_of(disc.mask(0))).max() <= 1
 
 
+def test_a_thing_is_seen_where_something_has_moved_for_long():
+    """A textured arm never stands still before a wall, for 200 images; then a bright thing is there."""
+    rng, foreground = np.random.default_rng(4), Foreground()
+    moving: Mask = np.zeros(0, dtype=bool)
+    for step in range(230):
+        image = np.full((60, 80, 3), 100, dtype=np.uint8)
+        if step >= 30:
+            image[10:50, 10:50] = np.kron(rng.choice((30, 170), (10, 10, 1)), np.ones((4, 4, 1)))
+        if step == 229:
+            image[25:35, 25:35] = 255
+        moving = foreground.step(image, None).moving
+    assert moving[26:34, 26:34].mean() > 0.9
+
+
 def test_the_place_that_a_robot_leaves_is_no_object():
     num_steps, first_step = NUM_EMPTY + 10, NUM_EMPTY
     robot = in_the_middle(np.arange(num_steps) < first_step, 30.0, ROBOT_COLOR)

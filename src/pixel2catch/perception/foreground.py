@@ -29,6 +29,8 @@ USUAL_WEIGHT, BUSY_WEIGHT = 0.05, 0.003
 """Weight of a new image in the usual difference of a pixel that does not differ, and of one that does.
 Source: ours: 20 images, and 10 s: a place that always moves is ignored, one where a thing passes is not."""
 
+LARGEST_TOLERANCE = 130.0  #: Of a place where something often moves [levels]. Source: ours: half of all.
+
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
 """Levels of the pixels that measure the gain of the light, and how many are needed. Source: ours: above the
 noise, and not saturated with a sixth more light."""
@@ -198,6 +200,7 @@ class Foreground:
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
         self._last = image
         cv2.convertScaleAbs(self._mean, dst=self._background)
+        cv2.threshold(self._usual, LARGEST_TOLERANCE / DEVIATIONS, 0.0, cv2.THRESH_TRUNC, dst=self._usual)
         cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
