@@ -169,6 +169,10 @@ def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:
 def test_impossible_configurations() -> None:
     with pytest.raises(InvalidValueError, match="9 transitions cannot be split into 8"):
         TrainCfg(num_envs=3, rollout_steps=3)
+    unused = {"teacher_share": 0.3, "final_teacher_weight": 0.1, "start_transitions": 9, "kl_target": 0.1}
+    for name, value in unused.items():
+        with pytest.raises(InvalidValueError, match=f"{name} is {value}, and without"):
+            TrainCfg(**{name: value})
 
 
 def test_networks_have_the_sizes_of_the_policy_to_start_from() -> None:

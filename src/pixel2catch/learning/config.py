@@ -112,6 +112,17 @@ class TrainCfg:
                 f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
             )
+        for name, needed, is_there in (
+            ("start_transitions", "start", self.start is not None),
+            ("teacher_share", "teacher", self.teacher is not None),
+            ("final_teacher_weight", "teacher", self.teacher is not None),
+            ("kl_target", "schedule kl", self.schedule == "kl"),
+        ):
+            value, default = getattr(self, name), self.__dataclass_fields__[name].default
+            if value != default and not is_there:
+                raise InvalidValueError(
+                    f"{name} is {value}, and without {needed} it does nothing; give {needed} or leave it out."
+                )
 
     def changed(self, options: Mapping[str, Any]) -> "TrainCfg":
         """Return the configuration with other values of fields; raise UnknownNameError for an unknown one."""
