@@ -127,11 +127,11 @@ def update(folder: Path, device: str) -> None:
     with start_workers(device) as workers:
         check_halves_learn_as_the_whole(workers)
         check_networks_stay_the_same(workers)
-        (folder / f"checked{workers.rank}").touch()
     algorithm.shuffled = shuffled
     # A thread of the group that outlives it may end the process with "terminate called".
     threads = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
     assert not [name for name in threads if "gloo" in name], threads
+    (folder / f"checked{workers.rank}").touch()
 
 
 WHAT = {"update": update, "fail": fail_in_the_second, "endless": train_endlessly}
