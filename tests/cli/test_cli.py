@@ -13,7 +13,7 @@ import torch
 import training_costs
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.cli.console import prepare
+from pixel2catch.cli.console import TABLE_WIDTH, prepare, results_console
 from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.cli.reproduce import METHODS
@@ -157,3 +157,8 @@ def test_what_is_not_given_to_train_is_of_the_preset():
     ):
         command = parse(["train", "--device", "cpu", *args])
         assert (command.train, command.env) == (expected.train, expected.env)
+
+
+def test_a_terminal_without_a_width_gets_whole_tables(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "0")
+    assert results_console().width == TABLE_WIDTH

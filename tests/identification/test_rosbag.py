@@ -175,6 +175,10 @@ SWAPPED = [*measured(short())[:4], *measured(short(), order=[0, 1, 2, 3, 4, 5])[
 SENT = commands(short(), TRAJECTORY)
 PLAN = [("/command", nanoseconds(0.6), trajectory(nanoseconds(0.6), ARM, np.ones(6), np.ones(6)))]
 WIDE = [("/command", nanoseconds(0.1), array(np.zeros(13)))]
+TWICE = [
+    ("/joint_states", at, joint_state(at, [*NAMES[:6], ARM[0]], message.position))
+    for _, at, message in measured(short())
+]
 UNNAMED = [
     ("/joint_states", at, joint_state(at, (), message.position[:6])) for _, at, message in measured(short())
 ]
@@ -187,6 +191,7 @@ UNNAMED = [
         (SWAPPED + SENT, "message 4: joints .* two publishers share"),
         (measured(short()) + SENT + PLAN, "message 5: a trajectory of 2 po"),
         (one_state(NAMES, np.ones(5)) + SENT, "message 2: 5 positions for 7"),
+        (TWICE + SENT, "/joint_states: shoulder_pan_joint is twice in a message; name each joint once"),
         (UNNAMED + SENT, "a joint state without names of joints.* fill in 'name'"),
         (measured(short()) + WIDE, "topic /command, message 0: 13 positions for 6 joints"),
     ],

@@ -39,7 +39,7 @@ def test_what_is_no_source_is_refused(tmp_path: Path):
     for name, words in (
         ("nothing.mp4", "/dev/videoN"),
         ("notes.txt", "cannot be read as a video"),
-        ("folder", "not a readable rosbag2"),
+        ("folder", r"folder has no images \(\.png, .*\) and is no rosbag2 \(metadata\.yaml\)"),
         ("/dev/video99", "gives no image: plug it in"),
     ):
         with pytest.raises(PerceptionError, match=words):
@@ -159,6 +159,13 @@ def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Pa
     assert notes[0].startswith("damaged images, passed over: 2; the last of 0 bytes at")
 
 
+@pytest.mark.parametrize("kind", ["16UC1; png compressed ", "bayer_rggb8; jpeg compressed bayer_rggb8"])
+def test_compressed_images_without_colours_of_8_bits_are_refused(kind: str, tmp_path: Path):
+    path = save_bag(tmp_path / "bag", [compressed(0, jpeg(PICTURE), kind)])
+    with pytest.raises(PerceptionError, match="is not read; record jpeg or png of rgb8 or bgr8"):
+        read(path)
+
+
 def test_one_of_several_topics_is_chosen_by_name(tmp_path: Path):
     path = save_bag(tmp_path / "bag", [raw(0, PICTURE), compressed(0, jpeg(PICTURE))])
     for topic in (None, "/wrist"):
@@ -212,6 +219,9 @@ def test_a_folder_of_images_is_a_video_in_the_order_of_their_numbers(tmp_path: P
     assert notes == ["files of images have no times: 30 images a second are assumed."]
     with pytest.raises(PerceptionError, match="a single image; give the folder"):
         read(tmp_path / "frame9.png")
+    cv2.imwrite(str(tmp_path / "frame11.png"), np.full((48, 64), 30_000, np.uint16))
+    with pytest.raises(PerceptionError, match=r"frame11\.png': not a readable image of 8 bits"):
+        read(tmp_path)
 
 
 def test_depth_is_refused(tmp_path: Path):

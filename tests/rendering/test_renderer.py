@@ -132,6 +132,17 @@ def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyP
         find_gl_backend.cache_clear()
 
 
+def test_a_platform_of_opengl_that_needs_a_display_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
+    monkeypatch.setattr(module, "_draws", lambda *_: True)
+    find_gl_backend.cache_clear()
+    try:
+        with pytest.raises(DeviceUnavailableError, match=r"PYOPENGL_PLATFORM is 'glx', .* unset it"):
+            find_gl_backend()
+    finally:
+        find_gl_backend.cache_clear()
+
+
 def test_an_odd_picture_is_refused(tmp_path: Path):
     with pytest.raises(InvalidValueError, match="even width and height, not 63 x 48"):
         write_video(tmp_path / "odd.mp4", [np.zeros((48, 63, 3), dtype=np.uint8)])

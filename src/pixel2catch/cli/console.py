@@ -18,7 +18,7 @@ TABLE_WIDTH = 100  #: Width of tables where there is no terminal [characters].
 def results_console() -> Console:
     """Return the console for tables: as wide as the terminal or COLUMNS, else wide enough for every table."""
     console = Console(highlight=False)
-    is_told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    is_told = console.is_terminal or os.environ.get("COLUMNS", "").lstrip("0").isdigit()
     return console if is_told else Console(highlight=False, width=TABLE_WIDTH)
 
 

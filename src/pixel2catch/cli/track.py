@@ -79,7 +79,8 @@ class Track:
         found = self._sightings(camera, notes, labels, scores)
         first = next(found, None)
         if first is None:
-            raise PerceptionError(f"{self.source} has no images; name another video, rosbag2 or camera.")
+            problem = f"{self.source} has no images; name another video, rosbag2 or camera."
+            raise PerceptionError(" ".join((problem, *notes)))
         end = inf if self.seconds is None else self.seconds
         with StopRequest() as stop:
             rows = self._write(

@@ -186,6 +186,8 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     for i, (names, numbers) in enumerate(zip(names_of, rows, strict=True)):
         _require_same_order(f"{source}, message {i}", names, names_of[0], len(numbers), len(recorded))
     joints = tuple(joint for joint in bag.joints if joint in recorded)
+    if twice := [joint for joint in joints if recorded.count(joint) > 1]:
+        raise RecordingError(f"{source}: {', '.join(twice)} is twice in a message; name each joint once.")
     order = [recorded.index(joint) for joint in joints]
     positions = np.stack(rows)[:, order]
     stamps = [message.stamp for message in received]

@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from pixel2catch.camera.image import Edges, Image, Pixels
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.files import read_bytes, reading
-from pixel2catch.ros2.bags import BagMessage, decoded, is_bag, opened_bag
+from pixel2catch.ros2.bags import METADATA, BagMessage, decoded, is_bag, opened_bag
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, IMAGE, MOST_PIXELS, pixels_of, unpacked_image
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
@@ -109,12 +109,13 @@ def images_of(source: str, notes: list[str], topic: str | None = None) -> Iterat
         raise PerceptionError(f"there is no file '{path}'; a source is {kinds}.")
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise PerceptionError(f"{path} is a single image; give the folder of all images, or a video.")
-    if path.is_dir() and not is_bag(path) and (files := image_files(path)):
+    if path.is_dir() and not is_bag(path):
+        if not (files := image_files(path)):
+            endings = ", ".join(IMAGE_SUFFIXES)
+            raise PerceptionError(f"{path} has no images ({endings}) and is no rosbag2 ({METADATA}).")
         notes.append("files of images have no times: 30 images a second are assumed.")
         return (Image(pixels=read_image(file), stamp=i * CONTROL_DT) for i, file in enumerate(files))
-    if path.is_dir() or is_bag(path):
-        return bag_images(path, notes, topic)
-    return video_images(path, notes)
+    return bag_images(path, notes, topic) if is_bag(path) else video_images(path, notes)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -128,7 +129,7 @@ def read_image(path: Path) -> Pixels:
     with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
         pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
         if pixels is None:
-            raise PerceptionError(f"not a readable image of {MOST_PIXELS:,} pixels at most")
+            raise PerceptionError(f"not a readable image of 8 bits and {MOST_PIXELS:,} pixels at most")
     return pixels
 
 
@@ -268,10 +269,9 @@ def _pixels(message: BagMessage) -> Pixels | None:
     if message.type == COMPRESSED_IMAGE:
         name = content.format.lower()
         is_known = not name or any(known in name for known in ("jpeg", "jpg", "png"))
-        if not is_known or "depth" in name:
-            raise PerceptionError(
-                f"topic {message.topic}: format '{content.format}' is not read; record jpeg or png."
-            )
+        if not is_known or any(other in name for other in ("depth", "16", "bayer")):
+            problem = f"topic {message.topic}: format '{content.format}' is not read"
+            raise PerceptionError(f"{problem}; record jpeg or png of rgb8 or bgr8.")
         return unpacked_image(bytes(content.data))
     try:
         return pixels_of(content)

@@ -69,9 +69,8 @@ def find_gl_backend() -> str:
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     preferred = bound or os.environ.get(GL_VARIABLE, os.environ.get("MUJOCO_GL", "")).lower()
-    candidates = sorted(GL_BACKENDS, key=lambda name: name != preferred)
-    for name in candidates[:1] if bound in GL_BACKENDS else candidates:
-        if _draws(name):
+    for name in sorted(GL_BACKENDS, key=lambda name: name != preferred):
+        if bound in ("", name) and _draws(name):
             return name
     for variable in (EGL_DEVICE, "PYOPENGL_PLATFORM"):
         value = os.environ.get(variable)

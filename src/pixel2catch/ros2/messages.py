@@ -290,13 +290,13 @@ def compress(data: bytes) -> bytes:
 
 
 def unpacked_image(data: bytes) -> Pixels | None:
-    """Decode a JPEG, PNG, BMP or TIFF; return None if it is damaged, or has more than `MOST_PIXELS`."""
+    """Decode a JPEG, PNG, BMP or TIFF of 8 bits; return None if it is damaged or exceeds `MOST_PIXELS`."""
     from PIL import Image, ImageOps
 
     try:
         with Image.open(BytesIO(data), formats=("JPEG", "PNG", "BMP", "TIFF")) as file:
-            is_small = file.width * file.height <= MOST_PIXELS
-            return np.asarray(ImageOps.exif_transpose(file).convert("RGB")) if is_small else None
+            is_read = file.width * file.height <= MOST_PIXELS and file.mode[0] not in "IF"  # of 16 or 32 bits
+            return np.asarray(ImageOps.exif_transpose(file).convert("RGB")) if is_read else None
     except Exception:  # each format has errors of its own
         return None
 
