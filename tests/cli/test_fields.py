@@ -126,11 +126,12 @@ def test_weights_and_biases_gets_configuration_and_curves(tmp_path: Path, monkey
     assert all(name in written for name in wanted)
 
 
-def test_without_a_key_of_weights_and_biases_nothing_is_left(tmp_path: Path):
+@pytest.mark.parametrize("settings", [{}, {"WANDB_MODE": "nonsense"}])
+def test_without_a_key_or_mode_of_weights_and_biases_nothing_is_left(settings: dict, tmp_path: Path):
     """In a process of its own, because the package keeps the mode of earlier runs."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
     command = [sys.executable, "-m", "pixel2catch", *TRAIN, "--wandb", "catching", "--out", "new/run"]
-    environment["HOME"] = str(tmp_path)
+    environment |= {"HOME": str(tmp_path), **settings}
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2
     assert "WANDB_MODE=offline" in done.stderr

@@ -107,7 +107,7 @@ def start_wandb(project: str, folder: Path, config: Mapping[str, Any]) -> Any:
     named = {"project": project, "name": folder.name, "dir": folder, "config": as_json(config), "id": number}
     try:
         run = wandb.init(**named, resume="allow")
-    except wandb.Error as error:
+    except (wandb.Error, ValueError) as error:  # the latter for a setting in the environment
         if not number:
             shutil.rmtree(folder / "wandb", ignore_errors=True)
         raise InvalidValueError(
