@@ -73,9 +73,14 @@ def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path,
 
 
 def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """At 300 dots an inch; the board is found on the page itself, which is not overwritten."""
-    path = tmp_path / "board.png"
-    assert main(["calibrate", "--print-marker", str(path)]) == 0
+    """At 300 dots an inch; the board is found on the page itself, which is not overwritten.
+
+    A camera file that is there is not in the way.
+    """
+    path, camera = tmp_path / "board.png", tmp_path / "camera.json"
+    camera.touch()
+    assert main(["calibrate", "--print-marker", str(path), "--out", str(camera)]) == 0
+    camera.unlink()
     view = CharucoBoard().find(read_image(path))
     assert view is not None
     edge = 1e-3 * 25.4 / 300 * np.linalg.norm(view.pixels[1] - view.pixels[0])

@@ -146,6 +146,11 @@ def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
     [
         ("header: 1\nk: [1.0]\n", "cannot read the file of camera_calibration .* It needs image_width"),
         (YAML.replace("618.1", "0.0"), "not calibrated yet"),
+        (YAML.replace("618.1", "0.6"), r"0.6 x 618.4 px .* are not of images of 640 x 480"),
+        (YAML.replace("327.9", "3279."), r"optical axis at \(3279, 246\) px are not"),
+        (YAML.replace("[618.1, 0.,", "[618.1, 2.,"), "the skew 2"),
+        (YAML + "roi: {x_offset: 300, y_offset: 0, width: 400, height: 400}", "is not within its image"),
+        (YAML + "roi: {x_offset: -8, y_offset: 0, width: 400, height: 400}", "is not within its image"),
         (YAML.replace("plumb_bob", "equidistant"), "'equidistant'.*--rectified"),
     ],
 )

@@ -18,7 +18,7 @@ from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive
 from pixel2catch.cli.console import results_console, say, saying_changes, suggest
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import free_folder, write_atomically
+from pixel2catch.files import free_folder, require_free_file, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.reports import terminal_table
@@ -58,7 +58,7 @@ class Calibrate:
     #: a folder with 10 or more images of the printed board. Default with --live: the images that are taken.
     intrinsics: Path | None = None
     #: New file for the camera.
-    out: Annotated[Path, OutputFile(is_new=True)] = Path("camera.json")
+    out: Annotated[Path, OutputFile()] = Path("camera.json")
     live: bool = False  #: Take the images first, from the camera of --profile; Ctrl-C ends this part.
     #: With --live: new folder for images and views.csv.
     capture: NewFolder = field(default_factory=partial(free_folder, "views"))
@@ -84,6 +84,7 @@ class Calibrate:
         if self.timing:
             self._measure_timing()
             return
+        require_free_file(self.out)
         table = self.capture / "views.csv" if self.live else self.views
         if table is None or not (self.live or self.intrinsics):
             raise InvalidValueError(

@@ -1,8 +1,8 @@
 """Which throws an arm can reach that knows the throw from its release on.
 
 A throw is reachable if, at some time of its flight, a palm can be within `NEAR` of the object and face it,
-with every joint of its arm driven at its largest speed since the release, before the object has passed the
-robot. Hand, sight and policy do not count.
+with every joint of its arm driven within its speed and acceleration since the release, before the object
+has passed the robot. Hand, sight and policy do not count.
 """
 
 from functools import cache

@@ -201,12 +201,31 @@ def delivered(info: Any, matrix: np.ndarray) -> tuple[int, int, Float[np.ndarray
     return int(size[0]), int(size[1]), matrix
 
 
+def lens_fault(info: Any, matrix: np.ndarray) -> str:
+    """Return what is impossible in a CameraInfo with this lens matrix of the whole sensor, or nothing."""
+    (fx, skew, cx), (_, fy, cy), last = matrix.reshape(3, -1)[:, :3].tolist()
+    region, width, height = info.roi, info.width, info.height
+    if not (np.isfinite(matrix).all() and min(fx, fy) > 0.0 and min(width, height) > 0):
+        return "no focal length or image size; the camera is not calibrated yet."
+    if skew or last != [0.0, 0.0, 1.0]:
+        return f"a lens matrix with the skew {skew:g} and the last row {last}, which no camera here has."
+    right, bottom = region.x_offset + region.width, region.y_offset + region.height
+    least = min(region.x_offset, region.y_offset, region.width, region.height, info.binning_x, info.binning_y)
+    if least < 0 or right > width or bottom > height:
+        return f"its region of interest is not within its image of {width} x {height} px."
+    is_near = 0.0 <= cx <= width and 0.0 <= cy <= height
+    if not (is_near and all(0.1 < each / width < 100.0 for each in (fx, fy))):  # 157 to 0.6° wide
+        place = f"a focal length of {fx:g} x {fy:g} px and an optical axis at ({cx:g}, {cy:g}) px"
+        return f"{place} are not of images of {width} x {height} px."
+    return ""
+
+
 def read_camera_info(data: bytes) -> CameraSpec:
     """Decode size and lens of a camera in its own frame, without distortion; refuse one that has no lens."""
     message = decode(data, CAMERA_INFO)
+    if fault := lens_fault(message, message.k):
+        raise DeploymentError(f"the camera's CameraInfo: {fault} Calibrate it (camera_calibration).")
     width, height, ((fx, _, cx), (_, fy, cy), _) = delivered(message, message.k)
-    if not (fx > 0.0 and fy > 0.0):
-        raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
     lens = {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
     return CameraSpec(width=width, height=height, **lens, pos=(0.0, 0.0, 0.0), quat=IDENTITY)
 

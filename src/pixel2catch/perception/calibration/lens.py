@@ -21,7 +21,7 @@ from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading
 from pixel2catch.perception.sources import connections_of, image_files, read_image
 from pixel2catch.ros2.bags import decoded as bag_messages
 from pixel2catch.ros2.bags import is_bag, opened_bag
-from pixel2catch.ros2.messages import CAMERA_INFO, delivered
+from pixel2catch.ros2.messages import CAMERA_INFO, delivered, lens_fault
 from pixel2catch.scene.constants import PIXEL_CENTER, RGB_CAMERA
 
 MIN_CORNERS = 5  #: Fewest for the board's pose: of five, four have no three in a line.
@@ -206,9 +206,9 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
         )
     flat, count = (info.p, 12) if is_rectified else (info.k, 9)
     flat = np.array(flat if len(flat) == count else np.zeros(count), dtype=np.float64)
+    if fault := lens_fault(info, flat):
+        raise PerceptionError(f"{path}: {fault}")
     width, height, matrix = delivered(info, flat)
-    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(width, height) <= 0:
-        raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
     return _lens((width, height), matrix, () if is_rectified else info.d)
 
 
