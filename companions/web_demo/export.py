@@ -7,6 +7,7 @@ the JavaScript reads, taken from where the Python code declares it.
 import argparse
 import dataclasses
 import json
+import math
 import shutil
 import sys
 from collections.abc import Iterable
@@ -75,6 +76,11 @@ def _require_runnable(policy: p2c.Policy, workcell: p2c.WorkcellSpec) -> None:
         raise ValueError(
             f"the work cell '{workcell.name}' has {len(workcell.palms)} palms, and the page runs robots with "
             "one; export a policy of a single robot."
+        )
+    if any(math.isfinite(joint.acceleration_limit) for joint in workcell.joints):
+        raise ValueError(
+            f"the joints of '{workcell.name}' have limits of acceleration, which the page does not keep; "
+            "export a policy of another robot."
         )
     full = {"box_fit": len(p2c.observations.BOX_FIT_FEATURES)}
     for agent in contract.agents.values():
@@ -170,7 +176,7 @@ def _joints(task: p2c.CatchEnvCfg, workcell: p2c.WorkcellSpec) -> list[dict[str,
     groups = [group for group in workcell.groups for _ in group.joints]
     ranges = zip(gains.stiffness_scale, gains.damping_scale, strict=True)
     return [
-        dataclasses.asdict(joint)
+        {name: value for name, value in vars(joint).items() if name != "acceleration_limit"}
         | {"stiffness_scale": stiffness, "damping_scale": damping}
         | {"action_noise": task.randomization.action_noise * group.action_noise}
         | {"action_bias": task.randomization.action_bias * group.action_bias}

@@ -103,6 +103,7 @@ def test_only_packages_of_the_pinned_versions_are_bundled(tmp_path: Path):
         ("proposed", "two_ur5e_allegro", "2 palms"),
         ("catch_teacher+age", "ur5e_allegro", "object_position"),
         ("only_center+fit", "ur5e_allegro", "box_fit"),
+        ("proposed", "fr3_allegro", "limits of acceleration"),
     ],
 )
 def test_what_the_page_cannot_run_is_refused(tmp_path: Path, method: str, workcell: str, message: str):

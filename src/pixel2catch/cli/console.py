@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from rich.console import Console
 
 from pixel2catch.files import printable
-from pixel2catch.own_files import OPTION, announced
+from pixel2catch.own_files import OPTION, VARIABLE
 from pixel2catch.progress import ProgressBar
 
 TABLE_WIDTH = 100  #: Width of tables where there is no terminal [characters].
@@ -29,7 +29,8 @@ def say(text: str) -> None:
 
 def suggest(*words: object) -> None:
     """Print the command that one usually gives next."""
-    imports = (word for file in announced() for word in (OPTION, file))
+    files = filter(None, os.environ.get(VARIABLE, "").split(os.pathsep))
+    imports = (word for file in files for word in (OPTION, file))
     say(f"next: pixel2catch {shlex.join(map(str, (*imports, *words)))}")
 
 
