@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from pixel2catch.camera import region
-from pixel2catch.camera.level import LEVEL_CAMERA, level_boxes
-from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.camera.level import LEAST_DEPTH, LEVEL_CAMERA, level_boxes, level_sight
+from pixel2catch.camera.pinhole import Projection, nominal_projection, project
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA
 
 NUM = 500
@@ -73,3 +73,17 @@ def quaternion(turn: Tensor) -> tuple[float, float, float, float]:
     w = 0.5 * float(1.0 + turn.trace()) ** 0.5
     x, y, z = (float(turn[i, j] - turn[j, i]) / (4.0 * w) for i, j in ((2, 1), (0, 2), (1, 0)))
     return w, x, y, z
+
+
+def test_a_palm_beside_or_behind_the_camera_has_bounded_coordinates():
+    offsets = torch.linspace(-1.0, 1.0, 20_001)
+    palms = torch.stack((offsets, torch.full_like(offsets, 0.8), torch.zeros_like(offsets)), dim=-1)
+    for palm in (palms, torch.zeros(1, 3)):
+        sight = level_sight(palm[:, None], torch.zeros(len(palm), 3))
+        assert sight.isfinite().all()
+        assert sight.abs().max() <= 1.3 / LEAST_DEPTH
+    ahead = palms[15_000:, None]
+    pixels, depth = project(LEVEL_CAMERA, ahead)
+    axis, focal = torch.tensor(((RGB_CAMERA.cx, RGB_CAMERA.cy), (RGB_CAMERA.fx, RGB_CAMERA.fy)))
+    expected = torch.cat(((pixels - axis) / focal, 1.0 / depth[..., None]), dim=-1)
+    assert torch.equal(level_sight(ahead, torch.zeros(len(ahead), 3)), expected)

@@ -11,7 +11,7 @@ from reaching import CONTRACT, SMALL, ReachingEnv, TaughtEnv, roll_out
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.experiment import preset
-from pixel2catch.learning.gradient_step import shuffled
+from pixel2catch.learning.gradient_step import NUM_FREE, Standardizer, shuffled
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.mdp.tensors import assign
 from pixel2catch.methods import METHODS
@@ -194,3 +194,23 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted(mappo: Mappo) 
     other.adopt(policy)
     for name, tensor in other.export().state_dict().items():
         torch.testing.assert_close(tensor, policy.state_dict()[name])
+
+
+def test_one_outlier_does_not_change_the_standardisation_of_inputs() -> None:
+    """A single value of 1e5 among 2e8 made a standard deviation tenfold, and a trained policy failed."""
+    scale = Standardizer(1)
+    scale.learn(torch.tensor([320.0]), torch.tensor([400.0]), NUM_FREE)
+    assert (scale.mean.item(), scale.std.item()) == pytest.approx((320.0, 20.0), abs=0.2)
+    values = torch.full((8192, 1), 320.0)
+    values[0] = 1e5
+    scale.learn(values.mean(dim=0), values.var(dim=0), 8192)
+    assert (scale.mean.item(), scale.std.item()) == pytest.approx((320.0, 26.8), abs=0.4)
+
+
+def test_a_lasting_change_is_learnt() -> None:
+    scale = Standardizer(1)
+    scale.learn(torch.tensor([0.0]), torch.tensor([1e-6]), NUM_FREE)
+    for _ in range(2000):
+        scale.learn(torch.tensor([5.0]), torch.tensor([1.0]), 8192)
+    assert scale.mean.item() == pytest.approx(5.0, abs=0.5)
+    assert scale.std.item() == pytest.approx(1.0, abs=0.7)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Points, Vectors
-from pixel2catch.camera.pinhole import Projection, center_and_size, nominal_projection, project
+from pixel2catch.camera.pinhole import Projection, center_and_size, nominal_projection
 from pixel2catch.devices import constant
 from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
 
@@ -55,6 +55,8 @@ def level_sight(points: Points, camera_pos: Vectors) -> Points:
 
     That is across and down from its axis, as shares of the depth, and 1 over the depth [1/m].
     """
-    pixels, depth = project(LEVEL_CAMERA, points - camera_pos[:, None])
+    found = nominal_projection(LEVEL_CAMERA, points).homogeneous(points - camera_pos[:, None])
     axis, focal = constant(((RGB_CAMERA.cx, RGB_CAMERA.cy), (RGB_CAMERA.fx, RGB_CAMERA.fy)), points.device)
-    return torch.cat(((pixels - axis) / focal, 1.0 / depth.clamp(min=LEAST_DEPTH)[..., None]), dim=-1)
+    depth = found[..., 2:].clamp(min=LEAST_DEPTH)
+    pixels = found[..., :2] / depth - axis * (found[..., 2:] / depth)
+    return torch.cat((pixels / focal, 1.0 / depth), dim=-1)

@@ -21,14 +21,17 @@ class Projection:
     matrix: Float[Tensor, "*turns 3 3"]  #: K Rᵀ: (u z, v z, z) = matrix (p - center), p at depth z.
     center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
-    def pixels(self, points: Points) -> tuple[ImagePoints, PointScalars]:
-        """Return pixels (u, v) [px] and depths [m] of world points: see `project`."""
+    def homogeneous(self, points: Points) -> Points:
+        """Return (u z, v z, z) of world points [m] at depth z, with pixels (u, v)."""
         # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
         x, y, z = (points - self.center.unsqueeze(-2)).split(1, dim=-1)
         right, down, forward = self.matrix.unsqueeze(-3).unbind(-1)
-        homogeneous = x * right + y * down + z * forward
-        depth = homogeneous[..., 2]
-        return homogeneous[..., :2] / depth.unsqueeze(-1), depth
+        return x * right + y * down + z * forward
+
+    def pixels(self, points: Points) -> tuple[ImagePoints, PointScalars]:
+        """Return pixels (u, v) [px] and depths [m] of world points: see `project`."""
+        found = self.homogeneous(points)
+        return found[..., :2] / found[..., 2:], found[..., 2]
 
     @property
     def inverse(self) -> Float[Tensor, "*turns 3 3"]:

@@ -15,6 +15,8 @@ from pixel2catch.policy.policy import INPUT_CLIP
 
 EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: release (skrl).
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
+NUM_FREE = 1_000_000  #: Number of values up to which statistics change freely. Source: ours.
+LARGEST_CHANGE = 10.0  #: Limit of a later mean's change and of later values' deviation [deviations] (ours).
 
 
 class Standardizer(nn.Module):
@@ -40,9 +42,12 @@ class Standardizer(nn.Module):
     def learn(self, mean: Tensor, variance: Tensor, num: int) -> None:
         """Update the statistics by `num` values with this mean and unbiased variance.
 
-        Source: parallel variance (Chan et al. 1979).
+        Outliers are limited to `LARGEST_CHANGE`, or one could change all later inputs of a policy.
+        Source: parallel variance (Chan et al. 1979); the limit is ours.
         """
-        total, delta = self.count + num, mean - self.mean
+        limit = torch.where(self.count < NUM_FREE, torch.inf, LARGEST_CHANGE * self.variance.sqrt())
+        total, delta = self.count + num, (mean - self.mean).clamp(-limit, limit)
+        variance = torch.minimum(variance, limit**2)
         squares = self.variance * self.count + variance * num + delta**2 * self.count * num / total
         self.mean.copy_(self.mean + delta * num / total)
         self.variance.copy_(squares / total)
