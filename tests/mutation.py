@@ -21,8 +21,6 @@ HOSTILE: tuple[Any, ...] = (None, True, *NUMBERS, *TEXTS, *LISTS)
 LARGE = (b"\xff" * 4, b"\xff" * 8, b"\0\0\0\x80", b"\x7f\xff\xff\xff")
 WORDS = (*LARGE, b"\0" * 4, b"\0\0\0\0\0\0\xf8\x7f", b"\x01\0\0\0")
 """Lengths, offsets and numbers that stand anywhere in a binary file."""
-
-
 SHAPES = ("(1000000000000000,)", "(-1,)", "(0, 0)", "()", "(3, 6", "(2147483648, 2147483648)", "(7, 2)")
 TYPES = ("|O", "<c16", "<U4000000", "<f2", "|b1", "<M8[s]", "|V8", "<i8", "f8,i4", "|U0")
 

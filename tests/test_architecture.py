@@ -13,7 +13,6 @@ from pixel2catch.mdp.observations import pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
 ROOT = Path(__file__).parents[1]
-SOURCE = ROOT / "src" / "pixel2catch"
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 

@@ -32,8 +32,6 @@ OWN = p2c.CatchEnvCfg(
     scene=SceneCfg(physics_hz=60.0, cone="elliptic", multiccd=True),
     sensing=SensingCfg(latency_steps=(3, 4)),
 )
-
-
 WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.make(None), "method is None; it must be a text or Method"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make(task=replace(OWN, throws=replace(OWN.throws, spin=-1.0))), "task.throws.spin is -1"),

@@ -31,17 +31,12 @@ BAD = [
     # numbers
     ("evaluate --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
     ("evaluate --num-envs 9999999", "num_envs is 9,999,999; at most"),
-    ("excite --recordings 100000", "recordings is 100,000; it must be from 1 to 1000"),
-    ("evaluate --seed -1", "seed is -1; it must be from 0 to 4,294,967,295"),
     ("train --seed 1" + 400 * "0", "seed is huge"),
     ("excite --seconds inf", "seconds is inf; it must be a finite number"),
     ("evaluate --env.scene.physics-hz 100", "physics_hz is 100; it must be a multiple"),
-    ("train --learning-rate nan", "learning_rate is nan"),
-    ("train --rewards arm.success nan", "rewards.arm.success is nan"),
     ("evaluate --device gpu", "device is 'gpu'; it must be cpu, cuda, or cuda:1"),
     ("reproduce --evaluation-device cpu gpu", "evaluation_device is 'gpu'"),
     ("twin --web --address localhost:99999", "address is 'localhost:99999'; give HOST:PORT"),
-    ("twin --clock 2", "clock is 2; it must be greater than 0, and at most 1"),
     # fields of the task
     (f"{EVALUATE} --env.throws.peak-z 1.9 1.5", "env.throws.peak_z is 1.9 1.5; give the smaller number"),
     (f"{EVALUATE} --env.scene.workcell ur5e_leap", "of work cell 'ur5e_leap' are not the policy's"),
@@ -51,6 +46,7 @@ BAD = [
     ("play --web --out film.mp4", "leave out --out, or --web"),
     ("play --web --env.throws.peak-z 1.5 1.9", "leave out --env, or --web"),
     ("operate", "--web"),
+    ("doctor --lens people", "give --robot as well"),
     ("deploy --network eth99", "network 'eth99'"),
     ("rehearse --perception-ms 20 --out {new}", "needs --lockstep"),
     ("rehearse --plain --out {new}", "--plain needs --lockstep"),
@@ -61,7 +57,6 @@ BAD = [
     ("operate /dev/null --keys 57 30 31", "space (57) and escape (1) stop"),
     ("stress --restitution 0", "--engines"),
     ("stress proposed --engines bullet", "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
-    ("stress proposed --engines mujoco --restitution 1.5", "restitution is 1.5"),
     # studies
     ("reproduce --out {new} --methods propose", "proposed"),
     ("reproduce --out {new} --training seed=4", "'seed'"),
@@ -82,6 +77,10 @@ BAD = [
     ("deploy --compile", "add --segmenter sam2"),
     ("deploy ur5e_leap", "give one with the values here, or train it:"),
     ('trials --policies proposed --out {new} --deploy="', "No closing quotation; correct its quotes"),
+    ("trials --policies proposed --out {new} --objects cubee", "unknown object 'cubee'"),
+    ("trials --policies proposed proposed --out {new}", "has one twice"),
+    ("trials --policies fr3_allegro --out {new}", "here"),
+    ("trials --policies proposed --out {new} --deploy=--profile=ur5e_leap", "a place of the profile"),
     ("trials --policies proposed --out {new} --rehearse=--camera=people", "the same --camera"),
     ("release nowhere", "unknown place 'nowhere'"),
     # places
@@ -202,8 +201,7 @@ def test_what_is_terminated_says_so(tmp_path: Path):
 @pytest.mark.parametrize(
     ("line", "status", "words"),
     [
-        ("scene scene.xml >/dev/full", 2, "pixel2catch: error: No space left on device"),
-        ("scene scene.xml", 0, "wrote scene.xml"),  # without OpenGL
+        ("scene scene.xml >/dev/full", 2, "pixel2catch: error: No space left on device"),  # without OpenGL
         ("evaluate >&-", 2, "standard output is closed"),  # before work
         ("stress --help", 0, "--axes"),  # in a narrow terminal without Unicode
         ("play --throws 1", 2, "unset it"),

@@ -96,7 +96,7 @@ def test_evaluate_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureF
     assert "trained for another camera" in output.err
     assert f"next: pixel2catch play {tmp_path}" in output.err
     metrics = json.loads(output.out)
-    assert metrics["trials"] == 4
+    assert (metrics["trials"], metrics["physics_hz"]) == (4, 60.0)
     assert metrics["objects_thrown"] == ["cube_s", "cone_l"]
     assert set(metrics["objects"]) <= {"cube_s", "cone_l"}
     assert metrics["policy"] == str(tmp_path)

@@ -33,11 +33,6 @@ def test_a_machine_that_runs_these_tests_is_well(capsys: pytest.CaptureFixture[s
     assert checks["GPU"]["state"] == ("good" if torch.cuda.is_available() else "absent")
 
 
-def test_a_lens_without_a_robot_is_refused(capsys: pytest.CaptureFixture[str]):
-    assert main(["doctor", "--lens", "people"]) != 0
-    assert "give --robot as well" in capsys.readouterr().err
-
-
 def test_what_is_missing_or_out_of_range_is_named(monkeypatch, capsys):
     """Without the packages of an extra, all that is needed is still there."""
     ranges = {"numpy": SpecifierSet("<2"), "torch": SpecifierSet(">=2.11"), "no-such-thing": SpecifierSet()}

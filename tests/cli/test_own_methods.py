@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from paper_robot import OWN_CELL
 from pixel2catch import own_files
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -42,16 +43,6 @@ with_height = replace(PROPOSED, name="with_height", agents=seeing)
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
 THROWS = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s")
-
-
-CELL = """
-from dataclasses import replace
-
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-(robot,) = UR5E_ALLEGRO.robots
-WORKCELLS = (replace(UR5E_ALLEGRO, name="nearer", robots=(replace(robot, pos=(0.1, 0.0, 0.821)),)),)
-"""
 
 
 @contextmanager
@@ -139,10 +130,10 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(CatchEnvCfg, "trial_steps", 20)
-    Path("my_cell.py").write_text(CELL)
+    Path("my_cell.py").write_text(OWN_CELL)
     mine = ("--import", "my_cell.py")
-    assert run("train", "proposed", "--workcell", "nearer", *TRAINING, *mine, "--out", "run") == 0
+    assert run("train", "proposed", "--workcell", "mine", *TRAINING, *mine, "--out", "run") == 0
     assert run("evaluate", "run", *THROWS) == 2
-    assert re.search(r"unknown work cell 'nearer'.*--import FILE\.py", capsys.readouterr().err)
+    assert re.search(r"unknown work cell 'mine'.*--import FILE\.py", capsys.readouterr().err)
     assert run("evaluate", "run", *THROWS, "--json", "--import", "my_cell.py") == 0
     assert json.loads(capsys.readouterr().out)["method"] == "proposed"

@@ -42,16 +42,6 @@ def test_a_given_physics_rate_holds_throughout():
     assert len(parse(TRAIN).train.physics_stages) == 6
 
 
-def test_contacts_of_training_are_those_of_the_preset():
-    def contacts(*args: str) -> tuple[str, bool]:
-        scene = parse(["train", "--device", "cpu", *args]).env.scene
-        return scene.cone, scene.multiccd
-
-    assert contacts("--preset", "fast") == ("pyramidal", False)
-    assert contacts("--preset", "paper") == ("elliptic", True)
-    assert contacts("--env.scene.cone", "elliptic") == ("elliptic", False)
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run for the wide task, with a latency and weights of its own."""

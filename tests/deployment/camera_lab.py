@@ -79,15 +79,13 @@ class SteppedBench(AbstractContextManager["SteppedBench"]):
         self.servo = SteppedServo(setup, nodes, self.clock, recording)
         connection, pipeline = self.servo.connection, pipeline or new_pipeline(EverythingRed(RED))
         self.loop = ControlLoop(pipeline, RGB_CAMERA, connection, PROFILE, perception_time=lambda: 0.01)
-        self.does_policy_hang = False
 
     def wait_until(self, moment: float) -> None:
         while self.clock.time < moment - 1e-9:
             self.clock.time += LIMITS.dt
             self.lab.step()
             self.servo.tick()
-            if not self.does_policy_hang:
-                self.loop.poll()
+            self.loop.poll()
             for message in self._statuses.take():
                 self.status = json.loads(messages.read_text(message.data))
             self.commands += [

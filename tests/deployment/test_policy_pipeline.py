@@ -48,6 +48,7 @@ def pointed(pipeline: PolicyPipeline) -> PolicyPipeline:
 def test_there_are_no_targets_before_the_prompt_and_without_all_joints():
     pipeline = new_pipeline()
     assert see(pipeline, image(1.0), 1.01).verdict is Verdict.NO_PROMPT
+    assert pipeline.sight.at(99.0) == "never seen"
     assert pipeline.decide(HOME, 1.01) is None
     pipeline.point(PROMPT)
     for step, bad in enumerate((np.nan, -np.inf)):

@@ -22,8 +22,8 @@ YES, NO = np.array([True]), np.array([False])
 
 
 def test_modes_follow_each_other_in_order():
-    """An armed servo waits for images."""
-    lab, stale = Lab(), given(image_stamp=np.array([0.0]))
+    """An armed servo waits for images, and for an object that was never seen."""
+    lab, stale = Lab(), given(image_stamp=np.array([0.0]), box_stamp=np.array([-np.inf]))
     assert np.isnan(lab.tick()["sent"]).all()
     assert lab.arm()["mode"] == Mode.ARMED
     assert lab.run(0.2, stale)["mode"] == Mode.ARMED

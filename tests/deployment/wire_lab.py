@@ -133,6 +133,10 @@ class Stage:
         self.lab.request_arm()
         assert self.wait(num_ticks) in (Mode.ARMED, Mode.RAMP, Mode.RUN)
 
+    def wait_until_stopped(self, most_ticks: int) -> None:
+        while most_ticks and self.wait(1) != Mode.STOPPED:
+            most_ticks -= 1
+
     @property
     def modes(self) -> list[int]:
         return [mode for mode, _ in groupby(command.mode for command in self.lab.ticks)]

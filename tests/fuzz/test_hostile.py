@@ -15,7 +15,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode
 from valid import ARM, KINDS, PIXELS, checkpoint, untrained
 
 from pixel2catch.arrays import read_arrays
@@ -31,8 +31,8 @@ from pixel2catch.policy.contract import method_of
 from pixel2catch.policy.onnx_policy import to_onnx
 from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import bags, messages
-from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.profile import Profile
+from ros_bags import TYPES, save_bag
 
 COMMANDS = {
     "evaluate --dynamics {}": ".json",
@@ -48,8 +48,6 @@ COMMANDS = {
     "--import {} evaluate": ".py",
 }
 """Commands that read a file, and how its name ends."""
-
-
 PLACES: dict[str, Callable[[Path], object]] = {
     "words": lambda file: file.write_text("hello\nworld"),
     "folder": lambda file: file.mkdir(),
@@ -142,11 +140,7 @@ def test_a_video_names_no_other_file(text: str, tmp_path: Path):
 
 def packed_bag(path: Path, size: int, mode: CompressionMode = CompressionMode.STORAGE) -> Path:
     """Write a bag with one message of zeros, compressed."""
-    bag = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    bag.set_compression(mode, CompressionFormat.ZSTD)
-    with bag:
-        connection = bag.add_connection("/command", messages.FLOAT_ARRAY, typestore=STORE)
-        bag.write(connection, 0, bytes(size))
+    save_bag(path, [("/text", 0, TYPES[messages.TEXT]("\0" * size))], mode=mode)
     return next(path.glob("bag.mcap*"))
 
 

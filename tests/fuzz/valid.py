@@ -7,14 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import torch
-from rosbags.rosbag2 import StoragePlugin, Writer
 
 from mutation import changed_bytes, changed_json, changed_npz, changed_yaml
 from pixel2catch.arrays import read_table
+from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison import ComparisonFolder
 from pixel2catch.evaluation.loading import load_policy
@@ -31,18 +30,18 @@ from pixel2catch.perception.labels import Label, Labels
 from pixel2catch.perception.sources import images_of
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import to_onnx
+from pixel2catch.rendering.video import write_video
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import read_mjcf
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.profile import PROFILES, Profile
+from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.meshes import _read as read_mesh
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = joints_of(UR5E_ALLEGRO, "ur5e")
 HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints[:6]])
-EPOCH = 1_790_000_000 * 10**9
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 
 
@@ -115,25 +114,17 @@ def _recording(folder: Path) -> Path:
 
 
 def _bag(folder: Path) -> Path:
-    path = folder / "bag"
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-        topics = {
-            "/joint_states": messages.JOINT_STATE,
-            "/command": messages.FLOAT_ARRAY,
-            "/image": messages.IMAGE,
-            "/info": messages.CAMERA_INFO,
-        }
-        connections = {name: bag.add_connection(name, kind, typestore=STORE) for name, kind in topics.items()}
+    with BagRecorder(folder / "bag") as bag:
         for i in range(10):
             now = 1_790_000_000 + 0.1 * i
-            for name, data in {
-                "/joint_states": messages.joint_state(ARM, HOME + 0.001 * i, now),
-                "/command": messages.float_array(HOME),
-                "/image": messages.image(PIXELS[:12, :16], now),
-                "/info": messages.camera_info(RGB_CAMERA, now),
-            }.items():
-                bag.write(connections[name], EPOCH + i * 10**8, data)
-    return next(path.glob("bag.*"))
+            for name, kind, data in (
+                ("/joint_states", messages.JOINT_STATE, messages.joint_state(ARM, HOME + 0.001 * i, now)),
+                ("/command", messages.FLOAT_ARRAY, messages.float_array(HOME)),
+                ("/image", messages.IMAGE, messages.image(PIXELS[:12, :16], now)),
+                ("/info", messages.CAMERA_INFO, messages.camera_info(RGB_CAMERA, now)),
+            ):
+                bag.record(Topic(name=name, type=kind), data, now)
+    return next((folder / "bag").glob("bag.*"))
 
 
 def _read_bag(file: Path) -> None:
@@ -160,12 +151,7 @@ def _png(folder: Path) -> Path:
 
 
 def _mp4(folder: Path) -> Path:
-    with av.open(folder / "video.mp4", "w") as container:
-        stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"  # type: ignore[attr-defined]
-        for _ in range(4):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(PIXELS, format="rgb24")))  # type: ignore
-        container.mux(stream.encode())  # type: ignore[attr-defined]
+    write_video(folder / "video.mp4", [PIXELS] * 4)
     return folder / "video.mp4"
 
 

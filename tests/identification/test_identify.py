@@ -143,7 +143,7 @@ def test_what_is_not_known_is_named_with_its_remedy():
 
 
 PAPER = GainRanges().of(UR5E_ALLEGRO)
-ELBOW, WRIST, INDEX = 2, 5, 6
+ELBOW, WRIST = 2, 5
 GAINS = ("stiffness", "damping", "armature")
 
 

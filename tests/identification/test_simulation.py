@@ -19,7 +19,6 @@ from pixel2catch.workcells.ur5e_allegro import TWO_UR5E_ALLEGRO, UR5E_ALLEGRO
 
 DT = 1.0 / 240.0
 ALL = ROBOTS["ur5e_allegro"]
-HOME = np.array([JOINT_SPECS[name].home for name in ALL])
 
 
 def held_steps(joints: tuple[str, ...], seconds: float = 0.8, size: float = 0.07) -> Recording:

@@ -2,13 +2,7 @@
 
 import torch
 
-from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.mdp.control_step import ActionMap, JointCommand
-
-NUM_ARM = len(ARM_JOINTS)
-HOME = torch.tensor([[joint.home for joint in JOINTS]])
-LOWER = torch.tensor([joint.lower for joint in JOINTS])
-UPPER = torch.tensor([joint.upper for joint in JOINTS])
 
 
 def test_affine_map_by_hand():

@@ -12,7 +12,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile, GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-ELBOW, INDEX = 2, 6
+ELBOW = 2
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
 DYNAMICS = JointDynamics.nominal().select(ELBOW_AND_INDEX)
 DYNAMICS = DYNAMICS.with_values(

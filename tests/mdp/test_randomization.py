@@ -19,8 +19,6 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_ARM = 6
 OBJECT_IDS = torch.tensor([2, 5, 11])
-
-
 BIAS = by_joint(UR5E_ALLEGRO, "action_bias", torch.device("cpu"))
 
 

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from itertools import count, islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,12 +53,7 @@ def read_rows(folder: Path) -> list[list]:
     return [[str(folder / name), *map(float, positions)] for name, *positions in rows]
 
 
-def error_of(capsys: pytest.CaptureFixture[str], *args: str | Path) -> str:
-    assert main(["calibrate", *map(str, args)]) == 2
-    return capsys.readouterr().err
-
-
-def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path, capsys):
+def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path, capsys, refusal: Any):
     out = tmp_path / "new" / "camera.json"
     args = [laboratory / "views.csv", "--intrinsics", laboratory / "lens.json", "--out", out]
     assert main(["calibrate", *map(str, args)]) == 0
@@ -68,11 +64,11 @@ def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path,
     found = CameraFile.load(out)
     assert np.linalg.norm(np.subtract(found.camera.pos, RGB_CAMERA.pos)) < 5e-3
     assert max(found.pose_std[:3]) < 5e-3
-    assert "exists" in error_of(capsys, *args)
+    assert "exists" in refusal("calibrate", *args)
     assert CameraFile.load(out) == found
 
 
-def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_printed_squares_have_their_size(tmp_path: Path, refusal: Any):
     """At 300 dots an inch; the board is found on the page itself, which is not overwritten.
 
     A camera file that is there is not in the way.
@@ -85,12 +81,12 @@ def test_the_printed_squares_have_their_size(tmp_path: Path, capsys: pytest.Capt
     assert view is not None
     edge = 1e-3 * 25.4 / 300 * np.linalg.norm(view.pixels[1] - view.pixels[0])
     assert edge == pytest.approx(SQUARE, rel=2e-3)
-    assert "exists" in error_of(capsys, "--print-marker", path)
-    assert "end the file's name in .png or .pdf" in error_of(capsys, "--print-marker", tmp_path / "board.jpg")
-    assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")  # nothing to do
+    for name, words in (("board.png", "exists"), ("board.jpg", "end the file's name in .png or .pdf")):
+        assert words in refusal("calibrate", "--print-marker", tmp_path / name)
+    assert "--print-marker" in refusal("calibrate", "--out", tmp_path / "camera.json")  # nothing to do
 
 
-def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path: Path, capsys):
+def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path: Path, refusal: Any):
     rows = read_rows(laboratory)
     lens = ("--intrinsics", laboratory / "lens.json", "--out", tmp_path / "camera.json")
     degrees = [[name, *np.degrees(positions)] for name, *positions in rows]
@@ -107,12 +103,12 @@ def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path
         "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows],),
     }
     for words, table in cases.items():
-        assert words in error_of(capsys, write_table(tmp_path / "views.csv", *table), *lens)
+        assert words in refusal("calibrate", write_table(tmp_path / "views.csv", *table), *lens)
     names = find_workcell("fr3_allegro").joint_names[:7]
     other = write_table(tmp_path / "views.csv", [["nowhere.png", *[0.0] * 7]] * 6, ["image", *names])
-    assert "nowhere.png" in error_of(capsys, other, "--workcell", "fr3_allegro", *lens)
+    assert "nowhere.png" in refusal("calibrate", other, "--workcell", "fr3_allegro", *lens)
     lens = ("--intrinsics", wide, "--out", tmp_path / "camera.json")
-    assert "set the camera to that resolution" in error_of(capsys, laboratory / "views.csv", *lens)
+    assert "set the camera to that resolution" in refusal("calibrate", laboratory / "views.csv", *lens)
     assert not (tmp_path / "camera.json").exists()
 
 
@@ -178,7 +174,7 @@ def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, sprea
     assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
 
 
-def test_a_camera_is_calibrated_as_the_arm_moves(tmp_path: Path, monkeypatch, capsys):
+def test_a_camera_is_calibrated_as_the_arm_moves(tmp_path: Path, monkeypatch, capsys, refusal: Any):
     """The arm holds a pose until its image is there, then the next; after 8 there is nothing more to take."""
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
     shown = [(joint_pos, image_of(joint_pos, i)) for i, joint_pos in enumerate(poses(8, seed=2))]
@@ -192,4 +188,4 @@ def test_a_camera_is_calibrated_as_the_arm_moves(tmp_path: Path, monkeypatch, ca
     found = CameraFile.load(tmp_path / "camera.json")
     error = np.abs(np.subtract(found.camera.pos, RGB_CAMERA.pos))
     assert (error < 3.0 * np.array(found.pose_std[:3])).all()
-    assert "views' is not an empty folder" in error_of(capsys, *args, "--out", tmp_path / "other.json")
+    assert "views' is not an empty folder" in refusal("calibrate", *args, "--out", tmp_path / "other.json")

@@ -22,8 +22,6 @@ ROBOT_GROUPS = (2, 3)
 """What is only seen, the pedestal below the table among it, and the robot."""
 
 ROWS, COLUMNS = np.mgrid[: RGB_CAMERA.height : STRIDE, : RGB_CAMERA.width : STRIDE]
-
-
 IS_ARM = np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints)
 
 

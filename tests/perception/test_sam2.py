@@ -226,6 +226,8 @@ def test_what_cannot_be_is_refused_before_anything_is_loaded(tmp_path: Path, mon
     monkeypatch.setenv("PATH", "")
     with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
         Sam2Segmenter(tmp_path, "cpu", is_compiled=True)
+    with pytest.raises(PerceptionError, match="no SAM 2 checkpoint in nowhere"):
+        Sam2Segmenter(Path("nowhere"), "cpu")
     with pytest.raises(InvalidValueError, match="multiple of 32, not 100"):
         Sam2Segmenter(tmp_path, "cpu", image_size=100)
     if not torch.cuda.is_available():

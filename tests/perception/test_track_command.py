@@ -78,28 +78,6 @@ def test_the_object_is_followed(source: str, options: list[str], files: Path, tm
     assert pictures[0].shape == (HEADER + CAMERA.height, CAMERA.width, 3)
 
 
-@pytest.mark.parametrize(
-    ("args", "words"),
-    [
-        (["throw.mp4", "--truth", "nowhere.json"], "nowhere.json"),
-        (["nothing.mp4"], "there is no file '"),
-        (["bag", "--topic", "/wrist"], "is on /camera/image_raw/compressed; "),
-        (["throw.mp4", "--segmenter", "sam2", "--checkpoint", "nowhere"], "no SAM 2 checkpoint in nowhere"),
-        (["throw.mp4", "--region", "0", "0", "999", "10"], "is not on the image"),
-        (["throw.mp4", "--camera", "nowhere.json"], "camera is 'nowhere.json', which is not there"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(
-    args: list[str], words: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    source, *options = args
-    assert main(["track", str(files / source), *options, "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert words in error
-    assert not (tmp_path / "out").exists()
-
-
 def interrupt_once_there(file: Path) -> None:
     """Do what Ctrl-C does, a moment after a file has come into being."""
     end = time.monotonic() + PATIENCE

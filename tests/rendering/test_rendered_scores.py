@@ -25,8 +25,6 @@ def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
 
 SHOTS = [*map(shot, (-0.1, 0.0, 0.1, 0.2)), shot(0.3, num_pixels=0), shot(0.4, 0.2), shot(0.5, 0.9)]
 SEEN = [*map(seen, (1.0, 3.0, -5.0)), seen(9.0, Verdict.NOT_FOUND), *map(seen, (2.0, 6.0, 4.0))]
-
-
 SCORES = [
     score_box(truth, box.edges, is_seen=box.verdict is Verdict.SEEN)
     for truth, box in zip(truths(SHOTS), SEEN, strict=True)

@@ -122,25 +122,17 @@ def test_what_collides_is_not_drawn_of_a_body_that_has_looks():
         assert groups[table] in DRAWN_GROUPS
 
 
-def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "_draws", lambda *_: False)
-    find_gl_backend.cache_clear()
-    try:
-        with pytest.raises(DeviceUnavailableError, match="apt-get install libegl1 libgl1"):
-            find_gl_backend()
-    finally:
-        find_gl_backend.cache_clear()
-
-
-def test_a_platform_of_opengl_that_needs_a_display_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
-    monkeypatch.setattr(module, "_draws", lambda *_: True)
-    find_gl_backend.cache_clear()
-    try:
-        with pytest.raises(DeviceUnavailableError, match=r"PYOPENGL_PLATFORM is 'glx', .* unset it"):
-            find_gl_backend()
-    finally:
-        find_gl_backend.cache_clear()
+@pytest.mark.parametrize(
+    ("platform", "draws", "words"),
+    [("", False, "apt-get install libegl1 libgl1"), ("glx", True, "PYOPENGL_PLATFORM is 'glx', .* unset it")],
+)
+def test_missing_packages_and_a_platform_that_needs_a_display_are_named(
+    platform: str, draws: bool, words: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", platform)
+    monkeypatch.setattr(module, "_draws", lambda *_: draws)
+    with pytest.raises(DeviceUnavailableError, match=words):
+        find_gl_backend.__wrapped__()
 
 
 def test_an_odd_picture_is_refused(tmp_path: Path):

@@ -10,6 +10,7 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
+from paper_robot import OWN_CELL
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError, UnknownNameError
@@ -25,15 +26,6 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell, workcells
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-OWN = """
-from dataclasses import replace
-
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-
-(robot,) = UR5E_ALLEGRO.robots
-WORKCELLS = (replace(UR5E_ALLEGRO, name="mine", robots=(replace(robot, pos=(0.1, 0.0, 0.821)),)),)
-"""
 
 
 @pytest.fixture(params=sorted(workcells()))
@@ -207,7 +199,7 @@ def test_depth_in_the_table_is_of_the_arm_that_is_in_it():
 
 def test_a_work_cell_of_ones_own(tmp_path: Path):
     file = tmp_path / "mine.py"
-    file.write_text(OWN)
+    file.write_text(OWN_CELL)
     import_file(str(file))
     mine = find_workcell("mine")
     moved = WorkcellGeometry(mine).palm_poses(torch.zeros(1, 19))[0]

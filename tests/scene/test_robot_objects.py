@@ -13,9 +13,6 @@ from pixel2catch.scene.meshes import OUTLINE_POINTS, mesh_object
 from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN, make_object, select_objects, surface_points
 from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 
-M = 0.03
-
-
 SOME = ("sphere_l", "cone_s", "capsule_s", "l_block", "triangular_prism", "box_28")  #: One of each kind.
 
 

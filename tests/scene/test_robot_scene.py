@@ -13,7 +13,7 @@ from pixel2catch.scene.scene import SceneCfg, build_model, export
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FINGERS = ("index", "middle", "ring", "thumb")
-LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in UR5E_ALLEGRO.joints]).T
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
 
 
 def found(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:

@@ -166,6 +166,15 @@ def test_a_command_of_a_wrong_length_is_no_command(bench: Bench):
     assert (state["ignored"], state["halted"]) == (2, False)  # no command was taken, so nobody is silent
 
 
+def test_play_after_a_protective_stop_moves_nothing(bench: Bench):
+    """An arm that was displaced meanwhile stays where it is. The servo sends nothing: `test_servo_faults`."""
+    bench.ask(100, do="protective_stop")
+    bench.lab._qpos[ARM.ids] += 0.03
+    displaced = bench.lab.joints.position
+    bench.ask(500, do="resume")
+    assert bench.lab.joints.position == pytest.approx(displaced, abs=2e-3)
+
+
 def test_a_request_that_cannot_be_met_is_refused_with_the_reason(bench: Bench):
     for request in ({"do": "dance"}, {"do": "prepare", "seed": 2**63}, {"do": "throw"}):
         assert bench.ask(**request)["refused"] != "", request

@@ -87,21 +87,6 @@ def test_a_finished_series_is_reported_again_and_another_one_is_refused(series: 
     assert (series / "plan.json").read_bytes() == before
 
 
-BAD = {
-    "proposed --objects cubee": "unknown object 'cubee'",
-    "proposed proposed": "has one twice",
-    "fr3_allegro": "here",
-    "proposed --throws 0": "must be from 1",
-    "proposed --deploy=--profile=ur5e_leap": "a place of the profile",
-}
-
-
-@pytest.mark.parametrize("args", BAD)
-def test_bad_input_is_refused_at_once(args: str, tmp_path: Path, refusal: Any):
-    assert BAD[args] in refusal("trials", "--policies", *args.split(), "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 DEPLOY = """
 import json, os, shutil, sys, time
 shutil.copytree(os.environ["TAPE"], sys.argv[-1])

@@ -26,8 +26,6 @@ from pixel2catch.viewer.visitors import HeldButton
 PROFILE = Profile.load("ur5e_allegro_v4")
 OPERATOR = PROFILE.operator
 WAITS = {"mode": "idle", "stopped_by": [], "refused": [], "found": ["dead man"], "message": ""}
-
-
 WORDS = "robot ur5e_allegro, profile ur5e_allegro_v4, network lo, clock 1"
 
 

@@ -7,6 +7,7 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -25,16 +26,8 @@ PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 @pytest.fixture(scope="module")
 def own() -> Iterator[PageServer]:
-    server = open_server(PageCfg(address=f"127.0.0.1:{free_port()}"), "own")
-    yield server
-    server.close()
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[PageServer]:
-    server = open_server(PageCfg(address=f"0.0.0.0:{free_port()}"), "shared")
-    yield server
-    server.close()
+    with closing(open_server(PageCfg(address=f"127.0.0.1:{free_port()}"), "own")) as server:
+        yield server
 
 
 def status(address: str, **headers: str) -> int:
@@ -104,6 +97,12 @@ def test_the_operators_page_is_as_closed_as_the_other():
     with connect(f"{root.replace('http', 'ws')}/link", origin=Origin(root), open_timeout=PATIENCE) as ours:
         assert ours.recv(PATIENCE) == "hello"
     server.close()
+
+
+@pytest.fixture
+def shared() -> Iterator[PageServer]:
+    with closing(open_server(PageCfg(address=f"0.0.0.0:{free_port()}"), "shared")) as server:
+        yield server
 
 
 def test_others_need_the_token_of_its_address(shared: PageServer):
