@@ -137,15 +137,22 @@ def film(bench: LoopBench, num_images: int) -> Iterator[float]:
         yield around.clock.now()
 
 
-def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings):
-    """However long perception takes, and whenever the policy decides."""
-    bench = LoopBench(around, lambda: 0.025, remembering())
-    newest, ages = 0.0, list[float]()
-    for now in film(bench, 25):
+@pytest.mark.parametrize(("took", "missed"), [(0.025, 0.0), (0.06, 0.5)])
+def test_the_servo_gets_the_stamp_of_an_image_at_once(around: Surroundings, took: float, missed: float):
+    """However long perception takes. The policy decides at 30 Hz, also if every second image is skipped."""
+    bench = LoopBench(around, lambda: took, remembering())
+    newest, ages, made = 0.0, list[float](), list[float]()
+    for now in film(bench, 50):
         for targets in around.servo.receive():
             newest = targets.image_stamp
+            made.append(targets.target_stamp)
         ages.append(now - newest)
     assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
+    gaps = np.diff(np.unique(made)[10:])
+    assert gaps.mean() == pytest.approx(CONTROL_DT, rel=0.01)
+    assert np.abs(gaps - CONTROL_DT).max() <= GRACE + SHIFT + 0.003
+    statistics = bench.loop.statistics
+    assert statistics.num_missed / statistics.num_steps == pytest.approx(missed, abs=0.1)
 
 
 def test_images_are_processed_while_a_path_is_searched(around: Surroundings, monkeypatch: pytest.MonkeyPatch):
