@@ -102,7 +102,9 @@ def test_two_arms_are_launched_under_one_controller_manager_with_the_names_of_th
     assert {*manager} - {"update_rate"} == {*started}
     watched = {topic.name.split("/")[1] for topic in vars(profile.status).values()}
     assert watched < {*active}
-    for stopper in launch("two_ur5e").findall("node[@exec='controller_stopper_node']"):
+    stoppers = launch("two_ur5e").findall("node[@exec='controller_stopper_node']")
+    assert len(stoppers) == 2
+    for stopper in stoppers:
         kept = file[f"/{stopper.attrib['name']}"]["ros__parameters"]["consistent_controllers"]
         assert {*kept} == {name for name in active if not name.endswith("trajectory_controller")} & {*started}
         (remap,) = stopper.findall("remap")

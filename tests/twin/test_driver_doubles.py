@@ -134,7 +134,7 @@ def test_a_profile_is_armed_moves_all_joints_and_stops_for_a_second_program(cell
     assert Fault(cell.run(0.3).stopped_by) & Fault.OTHER_SUBSCRIBER
 
 
-@of(*CELLS)
+@of(*(name for name in CELLS if name != "humble"))  # its drivers send what those of jazzy send
 def test_the_survey_finds_the_drivers_as_the_profile_says(cell: Cell):
     """Rate, names, stamps, images, and one program that receives the commands of each part."""
     survey = Survey(cell.broker.node(cell.clock), cell.profile, cell.clock)
