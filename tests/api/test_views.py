@@ -171,15 +171,6 @@ def test_it_is_the_same_environment():
         assert rewards["robot"] == step.rewards["robot"].item()
 
 
-def test_what_is_handed_out_does_not_change(env: p2c.CatchParallelEnv):
-    observations, _ = env.reset()
-    kept, state = {name: value.copy() for name, value in observations.items()}, env.state()
-    copied = state.copy()
-    env.step(still(env))
-    assert all(np.array_equal(observations[name], value) for name, value in kept.items())
-    assert np.array_equal(state, copied)
-
-
 def test_wrong_actions_are_named(env: p2c.CatchParallelEnv):
     env.reset()
     with pytest.raises(UnknownNameError, match=r"'leg'.*arm, hand"):
