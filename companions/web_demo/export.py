@@ -176,7 +176,7 @@ def _joints(task: p2c.CatchEnvCfg, workcell: p2c.WorkcellSpec) -> list[dict[str,
     groups = [group for group in workcell.groups for _ in group.joints]
     ranges = zip(gains.stiffness_scale, gains.damping_scale, strict=True)
     return [
-        {name: value for name, value in vars(joint).items() if name != "acceleration_limit"}
+        {name: value for name, value in vars(joint).items() if name not in ("acceleration_limit", "travel")}
         | {"stiffness_scale": stiffness, "damping_scale": damping}
         | {"action_noise": task.randomization.action_noise * group.action_noise}
         | {"action_bias": task.randomization.action_bias * group.action_bias}

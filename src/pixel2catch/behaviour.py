@@ -5,7 +5,7 @@ A hash is of compiled models, observations, and outcomes of throws by the first 
 """
 
 HASHES: dict[str, str] = {
-    "fr3_allegro": "f4abd9cb69ef",
+    "fr3_allegro": "d6bb0bc79d0f",
     "two_ur5e_allegro": "c3162662b229",
     "ur5e_allegro": "aad10338c068",
     "ur5e_allegro_release": "b32abda2e94e",

@@ -27,6 +27,7 @@ class Laws:
 
     def __init__(self, num_rows: int, limits: ServoLimits) -> None:
         self.limits, self.wider = limits, widened(limits.workspace)
+        self.travel = np.array([joint.travel for joint in limits.workspace.workcell.joints]).T
         self.mode = np.zeros(num_rows, dtype=np.int64)
         self.stopped_by = np.zeros(num_rows, dtype=np.int64)
         self.command: np.ndarray | None = None
@@ -116,13 +117,17 @@ class Laws:
         change = np.where(was_silent[:, None], 0.0, command - self.command)
         bend = change - np.where(was_silent[:, None], 0.0, self.change)
         kink = bend - np.where(was_silent[:, None], 0.0, self.bend)
+        begin, end, deceleration, offset = self.travel
+        left = np.maximum(np.where(change > 0.0, end - command, command - begin), 0.0)
+        near_end = np.maximum(np.sqrt(2.0 * deceleration * left) - offset, 0.0)
         for name, moved, most in (
-            ("speed", change, np.minimum(joints.speed * limits.dt, joints.step)),
+            ("speed", change, np.minimum(np.minimum(joints.speed, near_end) * limits.dt, joints.step)),
             ("acceleration", bend, joints.acceleration * limits.dt**2),
             ("jerk", kink, joints.jerk * limits.dt**3),
         ):
             assert (np.abs(moved) <= most + ROUNDING)[is_sent].all(), name
-            self.reached[name] = max(self.reached[name], np.abs(moved / most)[is_sent].max(initial=0.0))
+            share = np.abs(moved) / np.maximum(most, ROUNDING)
+            self.reached[name] = max(self.reached[name], share[is_sent].max(initial=0.0))
         is_over = (output["mode"] == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 

@@ -1,13 +1,18 @@
 """Motion of commands: exact braking, limits, and arrival without overshoot."""
 
+from dataclasses import replace
+from math import sqrt
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from paper_robot import JOINTS
+from pixel2catch.robots.spec import travel_columns
 from pixel2catch.servo.laws import (
     braked_position,
     braked_speed,
@@ -19,7 +24,8 @@ from pixel2catch.servo.laws import (
 from pixel2catch.servo.limits import motion_columns, records
 
 DT, ACCELERATION, JERK = 0.002, np.array([200.0, 50.0]), np.array([40e3, 20e3])
-MOTION = {"speed": [8.0, 2.0], **motion_columns(ACCELERATION, JERK, DT)}
+ENDLESS = travel_columns(JOINTS[:2], ACCELERATION, DT)
+MOTION = {"speed": [8.0, 2.0], **motion_columns(ACCELERATION, JERK, DT), **ENDLESS}
 LIMITS = records(lower=[-1.0, -0.5], upper=[1.0, 2.0], acceleration=ACCELERATION, jerk=JERK, **MOTION)
 FAST, SLOW = BOTH = LIMITS.view(np.recarray)
 
@@ -104,3 +110,28 @@ def test_a_motion_to_a_goal_is_time_optimal_up_to_two_ticks(distance: float, joi
     asked.max_jerk = [limits.jerk]
     ruckig.Ruckig(1).calculate(asked, trajectory)
     assert abs(ticks * DT - trajectory.duration) < 2.0 * DT
+
+
+@settings(max_examples=15)
+@given(
+    st.floats(0.5, 40.0), st.floats(0.02, 1.0), st.floats(2.0, 50.0), st.sampled_from([0.001, 0.002, 1 / 240])
+)
+def test_near_an_end_a_command_is_no_faster_than_the_interface_allows(deceleration, offset, acceleration, dt):
+    """And brakes within its own acceleration, though the interface may expect more."""
+    joint = replace(JOINTS[0], travel=(-0.3, 0.3, deceleration, offset))
+    columns = travel_columns([joint], np.array([acceleration]), dt)
+    limits = SimpleNamespace(**{name: float(each[0]) for name, each in columns.items()}, speed=3.0)
+    limits.change, limits.bend, limits.lower, limits.upper = (
+        acceleration * dt,
+        acceleration * dt**2,
+        -2.0,
+        2.0,
+    )
+    position, velocity = 0.0, 0.0
+    for side in (1.0, -1.0):
+        for _ in range(round(0.7 / dt)):
+            before, velocity = velocity, limited_speed(position, velocity, 9.0 * side, limits)
+            position += velocity * dt
+            allowed = sqrt(2.0 * deceleration * (0.3 - side * position)) - offset
+            assert side * velocity <= max(allowed, 0.0)
+            assert abs(velocity - before) <= acceleration * dt * (1.0 + 1e-9)

@@ -18,6 +18,7 @@ from pixel2catch.ros2.profile import MotionBudget, Profile
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.link import Clamp, Fault, Mode
 from pixel2catch.servo.tick import ServoCore, ServoState
+from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
@@ -88,10 +89,16 @@ def test_no_law_is_broken_in_a_hundred_thousand_ticks():
 
 
 def slow_limits(dt: float) -> ServoLimits:
-    """Limits of an arm with the acceleration and jerk of an FR3's interface."""
+    """Limits of an arm with an FR3's acceleration and jerk; some joints are near the ends of their travel."""
     budget = MotionBudget(acceleration=10.0, jerk=5000.0)
     arm = replace(Profile.load("ur5e_allegro_v4").robots[0], limits=budget)
-    return replace(LIMITS, joints=JointLimits.of(UR5E_ALLEGRO, parts=(arm,)), dt=dt)
+    workcell, near = replace(UR5E_ALLEGRO), UR5E_ALLEGRO.joint_names[1:4]
+    vars(workcell)["joints"] = tuple(
+        replace(each, travel=(each.home - 0.2, each.home + 0.2, 4.0, 0.3)) if each.name in near else each
+        for each in UR5E_ALLEGRO.joints
+    )
+    joints, workspace = JointLimits.of(workcell, parts=(arm,)), Workspace(workcell=workcell)
+    return replace(LIMITS, joints=joints, workspace=workspace, dt=dt)
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.002])

@@ -1,6 +1,7 @@
 """The joints' drives in simulation: what was identified is what a policy trains with, on both back ends."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,6 +32,7 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics, filter_step
+from pixel2catch.robots.spec import travel_columns
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.laws import limited_speed, speed_to
@@ -239,19 +241,24 @@ def test_step_response_of_the_filter_is_the_analytic_one():
     np.testing.assert_allclose(np.stack(path)[..., 1], speed, atol=1e-12)
 
 
-def test_simulated_commands_keep_the_acceleration_limit_as_the_servo_does():
-    """Equal to the servo's laws, to the stop at the goal; a joint without a limit follows at once."""
-    acceleration = torch.tensor([10.0, math.inf], dtype=torch.float64)
-    motion = CommandMotion(acceleration, torch.tensor([2.62, 2.62]).double(), DT, torch.zeros(1, 2).double())
-    change = 10.0 * DT
-    law = SimpleNamespace(change=change, bend=change * DT, lower=-9.0, upper=9.0, speed=2.62)
+def test_simulated_commands_keep_the_limits_as_the_servo_does():
+    """Equal to the servo's laws, near an end of the travel and to the stop at the goal.
+
+    A joint without a limit follows at once.
+    """
+    joint = replace(FR3.joints[3], travel=(-0.5, 2.5, 4.0, 0.3))
+    motion = CommandMotion((joint, FR3.joints[7]), DT, torch.zeros(1, 2).double())
+    columns = travel_columns([joint], np.array([10.0]), DT)
+    law = SimpleNamespace(**{name: float(each[0]) for name, each in columns.items()}, speed=2.62)
+    law.change, law.bend, law.lower, law.upper = 10.0 * DT, 10.0 * DT**2, -9.0, 9.0
     position, velocity = 0.0, 0.0
-    goals = np.concatenate((ramps(), np.full((240, 2), 0.4)))
+    goals = np.concatenate((np.full((240, 2), -0.6), ramps(), np.full((240, 2), 0.4)))
     for goal in goals:
         velocity = limited_speed(position, velocity, speed_to(position, goal[0], law), law)
         position += velocity * DT
         found = motion.advance(torch.tensor(goal)[None])[0].numpy()
         np.testing.assert_allclose(found, (position, goal[1]), atol=1e-12)
+        assert position > law.low_end
     assert (position, velocity) == pytest.approx((0.4, 0.0), abs=1e-9)
 
 

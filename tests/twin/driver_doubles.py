@@ -171,7 +171,7 @@ class Fr3(Double):
         (2.62, 0.20, 7.00, -2.9065, 2.9065),
         (2.62, 0.30, 8.00, -3.0481, -0.1458),
         (5.26, 0.35, 34.0, -2.8101, 2.8101),
-        (4.18, 0.35, 11.0, 0.5401, 4.5205),
+        (4.18, 0.35, 11.0, 0.54092, 4.5205),
         (5.26, 0.35, 34.0, -3.0196, 3.0196),
     )
     _last = (np.zeros(7),) * 3  #: Position, speed and acceleration of the last command.
@@ -185,7 +185,7 @@ class Fr3(Double):
         acceleration = (speed - self._last[1]) * 1e3
         jerk = (acceleration - self._last[2]) * 1e3
         most = [
-            min(fastest, sqrt(slope * max(end - pos if v > 0.0 else pos - begin, 0.0)) - offset)
+            max(min(fastest, sqrt(slope * max(end - pos if v > 0.0 else pos - begin, 0.0)) - offset), 1e-9)
             for v, pos, (fastest, offset, slope, begin, end) in zip(speed, given, self.LIMITS, strict=True)
         ]
         shares = [np.abs(speed) / most, np.abs(acceleration) / 10.0, np.abs(jerk) / 5000.0]

@@ -11,7 +11,7 @@ from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
 from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
-from pixel2catch.robots.spec import JointSpec
+from pixel2catch.robots.spec import JointSpec, speed_to_end, travel_columns
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -59,10 +59,8 @@ class JointActuators:
         )
         self._command, self._last_vel = torch.zeros_like(self._ctrl), torch.zeros_like(self._ctrl)
         self._path, self._dry_friction, self._implicit, dt = None, None, 1.0, simulation.model.opt.timestep
-        accelerations = torch.tensor([joint.acceleration_limit for joint in joints]).to(self._command)
-        self._motion = None
-        if limits_commands and accelerations.isfinite().any():
-            self._motion = CommandMotion(accelerations, self.limits.velocity_limit, dt, self._command)
+        is_limited = limits_commands and any(np.isfinite([joint.acceleration_limit for joint in joints]))
+        self._motion = CommandMotion(joints, dt, self._command) if is_limited else None
         if dynamics != nominal:
             self._path = CommandPath(dynamics, dt, self._command)
             friction, armature = (
@@ -178,31 +176,30 @@ class ActuatorLimits:
 
 
 class CommandMotion:
-    """Commands that keep limits of speed and acceleration, in memory that keeps its address.
+    """Commands that keep the limits of joints with a limit of acceleration, in memory that keeps its address.
 
-    The law is that of `servo.laws.speed_to`. Differs: the servo also limits the jerk, which delays commands
-    by a part of a physics step.
+    The laws are those of `servo.laws`. Differs: the servo also limits the jerk, which delays commands by a
+    part of a physics step.
     """
 
-    def __init__(
-        self,
-        acceleration: Float[Tensor, " num_joints"],
-        speed: Float[Tensor, " num_joints"],
-        dt: float,
-        command: Joints,
-    ) -> None:
-        self._is_limited, self._speed, self._dt = acceleration.isfinite(), speed, dt
-        self._change = torch.where(self._is_limited, acceleration, 1.0) * dt
+    def __init__(self, joints: tuple[JointSpec, ...], dt: float, command: Joints) -> None:
+        speed, acceleration = np.array([(each.velocity_limit, each.acceleration_limit) for each in joints]).T
+        is_limited, acceleration = np.isfinite(acceleration), np.nan_to_num(acceleration, posinf=1.0)
+        numbers = {"speed": speed, "change": acceleration * dt, **travel_columns(joints, acceleration, dt)}
+        self._limits = {name: torch.as_tensor(each).to(command) for name, each in numbers.items()}
+        self._is_limited, self._dt = torch.as_tensor(is_limited).to(command.device), dt
         self.command, self.velocity = command.clone(), torch.zeros_like(command)
 
     def advance(self, wanted: Joints) -> Joints:
         """Return the command after a physics step to the wanted one [rad]; the next step overwrites it."""
-        distance = wanted - self.command
-        share = distance.abs() / (self._change * self._dt)
+        limits, command, distance = self._limits, self.command, wanted - self.command
+        share = distance.abs() / (limits["change"] * self._dt)
         whole = torch.floor(torch.sqrt(2.0 * share + 0.25) - 0.5)
-        speed = torch.minimum((share / (whole + 1.0) + 0.5 * whole) * self._change, self._speed)
-        requested = torch.copysign(speed, distance)
-        low, high = self.velocity - self._change, self.velocity + self._change
+        speed = torch.minimum((share / (whole + 1.0) + 0.5 * whole) * limits["change"], limits["speed"])
+        left = torch.where(distance < 0.0, command - limits["low_end"], limits["high_end"] - command)
+        most = speed_to_end(left.clamp(min=0.0), limits["end_slope"], limits["end_base"])
+        requested = torch.copysign(torch.minimum(speed, most), distance)
+        low, high = self.velocity - limits["change"], self.velocity + limits["change"]
         self.velocity.copy_(torch.clamp(requested, low, high))
         moved = self.command + self.velocity * self._dt
         self.command.copy_(torch.where(self._is_limited, moved, wanted))

@@ -2,7 +2,7 @@
 
 A throw is reachable if, at some time of its flight, a palm can be within `NEAR` of the object and face it,
 with every joint of its arm driven within its speed and acceleration since the release, before the object
-has passed the robot. Hand, sight and policy do not count.
+has passed the robot. Hand, sight, policy, and lower speeds near the ends of a joint's travel do not count.
 """
 
 from functools import cache

@@ -6,10 +6,13 @@
 Lengths in metres, angles in radians, quaternions (w, x, y, z).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, no_type_check
+
+import numpy as np
 
 from pixel2catch.checks import Within
 
@@ -18,6 +21,7 @@ Quat = tuple[float, float, float, float]
 Range = tuple[float, float]
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+END_MARGIN = 1e-3  #: Distance of commands from where an interface allows no speed [rad]. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,32 @@ class JointSpec:
     velocity_limit: float  #: Largest speed [rad/s]. MuJoCo has no such limit; actions and servo keep it.
     #: Largest acceleration of a command [rad/s²]; simulated commands keep it as the servo does.
     acceleration_limit: Annotated[float, Within(0.0, inf, is_open=True)] = inf
+    #: Ends of the travel [rad], deceleration a [rad/s²], offset [rad/s]: at a distance d from an end, speeds
+    #: of commands towards it are at most √(2 a d) - offset. Simulated if there is an `acceleration_limit`.
+    travel: tuple[float, float, float, float] = (-inf, inf, 1.0, 0.0)
+
+
+@no_type_check  # a check in tests would wrap it, and the servo could not compile it
+def speed_to_end(distance: Any, slope: Any, base: Any) -> Any:
+    """Return the largest speed [rad/s] of a command's step dt towards an end of the travel.
+
+    The distance [rad] to where the interface allows no speed is 0 or more; numbers, arrays or tensors. With
+    the rest r after the step, speed = √(slope r + offset²) - offset. Commands along this curve brake by at
+    most slope / 2 · speed / (speed + offset), also in discrete time.
+    """
+    return (base * base + slope * distance) ** 0.5 - base
+
+
+def travel_columns(joints: Sequence[JointSpec], acceleration: np.ndarray, dt: float) -> dict[str, np.ndarray]:
+    """Return what `speed_to_end` needs of joints with these accelerations [rad/s²], in steps dt [s].
+
+    At `low_end` and `high_end`, the interface allows no speed [rad]. A slope is that of the acceleration
+    where the interface expects more deceleration: speeds are lower there than it allows.
+    """
+    lower, upper, deceleration, offset = np.array([joint.travel for joint in joints]).T
+    slope = 2.0 * np.minimum(deceleration, acceleration)
+    rest, base = offset**2 / slope + END_MARGIN, offset + 0.5 * slope * dt
+    return {"low_end": lower + rest, "high_end": upper - rest, "end_slope": slope, "end_base": base}
 
 
 def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:

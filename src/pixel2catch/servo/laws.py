@@ -27,6 +27,7 @@ from typing import Any, final
 
 import numpy as np
 
+from pixel2catch.robots.spec import speed_to_end
 from pixel2catch.servo.link import Fault, Mode
 
 Record = Any  #: An entry of a structured array; numba checks its fields when it compiles.
@@ -95,7 +96,7 @@ def _compile(function: FunctionType, arguments: tuple[object, ...]) -> Any:
             numba.extending.register_jitable(error_model="numpy", no_cfunc_wrapper=True)(law)
             _COMPILED.add(law)
     types = [tuple(numba.typeof(argument) for argument in arguments)]
-    if folder := _cache_folder(Path(function.__code__.co_filename)):
+    if folder := _cache_folder([Path(caller.__code__.co_filename) for caller in callers]):
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         lock = os.open(folder, os.O_RDONLY)
         try:
@@ -110,12 +111,12 @@ def _compile(function: FunctionType, arguments: tuple[object, ...]) -> Any:
     return numba.njit(types, error_model="numpy", nogil=True)(function)
 
 
-def _cache_folder(source: Path) -> Path | None:
-    """Return a writable folder for the code compiled from these sources; None if there is none."""
+def _cache_folder(sources: list[Path]) -> Path | None:
+    """Return a writable folder, near the first source, for the code compiled from these; None without one."""
     with suppress(OSError):
-        files = sorted({*Path(__file__).parent.glob("*.py"), *source.parent.glob("*.py")})
+        files = sorted({*Path(__file__).parent.glob("*.py"), *sources})
         name = f"servo-{sha256(b''.join(file.read_bytes() for file in files)).hexdigest()[:32]}"
-        for base in (source.parent / "__pycache__", USER_CACHE.expanduser()):
+        for base in (sources[0].parent / "__pycache__", USER_CACHE.expanduser()):
             with suppress(OSError):
                 (base / name).mkdir(parents=True, exist_ok=True)
                 if os.access(base / name, os.W_OK):
@@ -149,10 +150,16 @@ def speed_to(position: float, goal: float, limits: Record) -> float:
     return copysign(stopping_speed(abs(distance), limits), distance)
 
 
+def most_speed(to_limit: float, to_end: float, limits: Record) -> float:
+    """Return the largest speed [rad/s] towards a limit and an end of the travel, at distances [rad]."""
+    speed = np.minimum(stopping_speed(np.maximum(to_limit, 0.0), limits), limits.speed)
+    return np.minimum(speed, speed_to_end(np.maximum(to_end, 0.0), limits.end_slope, limits.end_base))
+
+
 def limited_speed(position: float, velocity: float, requested: float, limits: Record) -> float:
     """Return the speed nearest to the requested one that keeps all limits [rad, rad/s]."""
-    below = np.minimum(stopping_speed(np.maximum(position - limits.lower, 0.0), limits), limits.speed)
-    above = np.minimum(stopping_speed(np.maximum(limits.upper - position, 0.0), limits), limits.speed)
+    below = most_speed(position - limits.lower, position - limits.low_end, limits)
+    above = most_speed(limits.upper - position, limits.high_end - position, limits)
     slowest = np.maximum(velocity - limits.change, -below)
     return clipped(requested, slowest, np.minimum(velocity + limits.change, above))
 

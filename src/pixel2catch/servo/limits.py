@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.robots.spec import travel_columns
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.profile import MotionBudget, RobotPart
 from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
@@ -252,6 +253,7 @@ class ServoLimits:
         return records(
             **{**vars(joints), "speed": np.minimum(joints.speed, joints.step / self.dt)},
             **motion,
+            **travel_columns(self.workspace.workcell.joints, joints.acceleration, self.dt),
             ramp_time=self.ramp_time,
             control_dt=CONTROL_DT,
             is_first=np.diff(group, prepend=-1) > 0,  # of its arm or hand
