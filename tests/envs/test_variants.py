@@ -122,13 +122,18 @@ def test_drawn_parameters_by_hand():
     """Of a nominal episode after 9 steps: mass, restitution, friction, latency, delay, then how far it is."""
     episode = draw(PLAIN, 2)
     hover = torch.tensor([14, 5])
-    record = replace(episode.record, steps=torch.tensor([9, 9]), held_steps=torch.tensor([0, 5]))
+    record = replace(
+        episode.record,
+        steps=torch.tensor([9, 9]),
+        held_steps=torch.tensor([0, 5]),
+        rested_steps=torch.tensor([0, 15]),
+    )
     later = replace(episode, record=record, throw=replace(episode.throw, hover_steps=hover))
     told = later.drawn_parameters()
     drawn = episode.parameters
     for column, values in enumerate((drawn.mass_scale, drawn.restitution, drawn.friction, drawn.latency)):
         assert torch.equal(told[:, column], values)
-    torch.testing.assert_close(told[:, 5:8], torch.tensor([[0.1, 0.0, 0.25], [0.1, 0.25, 0.0]]))
+    torch.testing.assert_close(told[:, 5:9], torch.tensor([[0.1, 0.0, 0.0, 0.25], [0.1, 0.25, 0.75, 0.0]]))
     assert torch.equal(told[:, -3:], episode.throw.aim)
 
 
@@ -148,4 +153,4 @@ def test_value_networks_see_the_draws_where_the_task_says_so():
             told = env.episode.drawn_parameters() if value_sees_parameters else torch.zeros(3, 0)
             assert torch.equal(step.observation.state[:, 130:-21], told)
         sizes.append(env.state_size)
-    assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 69 + 4]
+    assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 70 + 4]

@@ -184,6 +184,7 @@ class Episode:
             self.command_delay,
             record.steps / 90.0,
             record.held_steps / 20.0,
+            record.rested_steps / 20.0,
             (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
             torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
         ]
