@@ -49,6 +49,17 @@ def test_a_training_goes_on_from_a_run_and_is_resumed(policy: Path, tmp_path: Pa
     assert result.transitions == cfg.transitions
 
 
+def test_the_adaptive_learning_rate_waits_for_the_policy(policy: Path) -> None:
+    """A frozen policy has no divergence, which would raise the rate to its bound."""
+    cfg = starting(policy, schedule="kl", kl_target=10.0, final_learning_rate=1e-5)
+    mappo, env = Mappo(cfg, ReachingEnv(cfg), CONTRACT), ReachingEnv(cfg)
+    rates = []
+    for progress in (0.0, 0.5):
+        roll_out(mappo, env)
+        rates.append(mappo.named(mappo.update(progress).tolist())["learning_rate/arm"])
+    assert rates == pytest.approx([RATE, RATE * 1.5**cfg.epochs])
+
+
 def test_what_does_not_fit_is_refused(policy: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"--hidden"):
         Mappo(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL), CONTRACT).adopt(

@@ -147,7 +147,8 @@ class GradientStep:
         self._losses_now = self.totals.clone()
         #: Weight of imitation, 0 to 1; changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
-        self._policy_weight, self._is_frozen = torch.ones((), device=cfg.device), False
+        self._policy_weight = torch.ones((), device=cfg.device)
+        self.is_frozen = False  #: Whether only the value network is updated.
 
     @property
     def learning_rate(self) -> Tensor:
@@ -186,11 +187,11 @@ class GradientStep:
         Averages of gradients that were 0 would make Adam's first step three times too long.
         """
         self._policy_weight.fill_(0.0 if is_frozen else 1.0)
-        if self._is_frozen and not is_frozen:
+        if self.is_frozen and not is_frozen:
             for parameter in self._networks.parts["policy"]:
                 for value in self.optimizer.state.get(parameter, {}).values():
                     value.zero_()
-        self._is_frozen = is_frozen
+        self.is_frozen = is_frozen
 
     def load_state_dict(self, state: dict[str, object]) -> None:
         """Restore a state of the optimiser, also of another device."""

@@ -186,7 +186,8 @@ class Mappo:
             epochs.append(self._epochs[epoch == 0]().clone())
             if cfg.schedule == "kl":
                 for step, kl in zip(steps, epochs[-1][:, 2].tolist(), strict=True):
-                    step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), kl))
+                    if not step.is_frozen:
+                        step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), kl))
         stds = [networks.log_std.detach().exp().mean() for networks in self.networks.values()]
         rest = torch.stack((torch.stack(stds), torch.stack([step.learning_rate for step in steps])), dim=-1)
         return torch.cat((torch.stack(epochs).mean(dim=0), rest), dim=-1)
