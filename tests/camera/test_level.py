@@ -1,6 +1,7 @@
 """Boxes of the level camera do not depend on where a camera looks, on its lens, or on its roll."""
 
 from dataclasses import replace
+from math import cos, radians, sin
 
 import torch
 from torch import Tensor
@@ -8,7 +9,7 @@ from torch import Tensor
 from pixel2catch.camera import region
 from pixel2catch.camera.level import LEAST_DEPTH, LEVEL_CAMERA, level_boxes, level_sight
 from pixel2catch.camera.pinhole import Projection, nominal_projection, project
-from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA
+from pixel2catch.scene.constants import FORWARD_TO_OPTICAL, RGB_CAMERA, quat_multiply
 
 NUM = 500
 
@@ -53,6 +54,10 @@ def test_the_region_has_the_camera_of_the_release_and_names_what_is_outside():
     rolled = replace(RGB_CAMERA, quat=(0.5, -0.5, 0.5, -0.5), pos=(-0.4, 0.0, 1.4))
     assert not region.outside(rolled)
     assert "90° about" in region.outside(replace(rolled, quat=(0.0, -0.7071068, 0.0, -0.7071068)))
+    for degrees in (11, 170):  # of a camera that looks 29° down
+        roll = (cos(radians(degrees / 2.0)), 0.0, 0.0, sin(radians(degrees / 2.0)))
+        turned = replace(RGB_CAMERA, quat=quat_multiply(RGB_CAMERA.quat, roll))
+        assert f"turned by {degrees}° about" in region.outside(turned)
 
 
 def test_drawn_cameras_are_of_the_region():

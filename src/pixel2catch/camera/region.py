@@ -4,7 +4,7 @@ The cameras are behind and beside the robot and see throws from the front; that 
 The principal point is that of the release. Source: ours.
 """
 
-from math import asin, atan, degrees, radians
+from math import atan, atan2, degrees, radians
 
 import torch
 from torch import linalg
@@ -39,6 +39,7 @@ def outside(camera: CameraSpec) -> str:
     found = nominal_projection(camera, torch.zeros(0, dtype=torch.float64))
     forward = found.matrix[2]
     right = (found.matrix[0] - camera.cx * forward) / camera.fx
+    down = (found.matrix[1] - camera.cy * forward) / camera.fy
     ways = (torch.tensor(LOOK_AT) - found.center[:, None]) / forward[:, None]
     wrong = [
         f"{axis} is {value:.2f} m, trained were {low:g} to {high:g} m"
@@ -52,7 +53,7 @@ def outside(camera: CameraSpec) -> str:
         wrong.append(f"its axis does not pass through {box} m")
     for words, value, (low, high) in (
         ("its image is {:.0f}° wide", 2.0 * atan(0.5 * camera.width / camera.fx), VIEW_WIDTH),
-        ("it is turned by {:.0f}° about its axis", -asin(float(right[2])), ROLL),
+        ("it is turned by {:.0f}° about its axis", atan2(-right[2], -down[2]), ROLL),
     ):
         if not low <= value <= high:
             trained = f"trained were {degrees(low):.0f} to {degrees(high):.0f}°"
