@@ -300,7 +300,7 @@ def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
     """Return whether a change of the nominal task is within the training's task or one of its variants.
 
     Every episode of the changed task must be one that the training could draw, in all fields in which the
-    change differs from the nominal task with the camera of the training.
+    change differs from the nominal task with the camera of the training. The physics rate does not count.
     """
     nominal = CatchEnvCfg().with_camera(task.sensing.camera)
     changed = change(nominal)
@@ -308,7 +308,8 @@ def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
     if any(getattr(nominal, name) is not getattr(changed, name) for name in others):
         return False
     workcell = find_workcell(task.scene.workcell)
-    changed = replace(changed, scene=replace(changed.scene, camera=nominal.scene.camera))  # as in `sensing`
+    same = {"camera": nominal.scene.camera, "physics_hz": nominal.scene.physics_hz}
+    changed = replace(changed, scene=replace(changed.scene, **same))
     nominal, changed, trained = (each.for_workcell(workcell) for each in (nominal, changed, task))
     return any(
         all(_is_within(getattr(nominal, p), getattr(changed, p), getattr(variant, p)) for p in PARTS)
