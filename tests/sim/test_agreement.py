@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import copies
 import pytest
 import torch
+import warp as wp
 from copies import HOME, NUM_ENVS, NUM_JOINTS
 
 from pixel2catch.errors import NonFiniteError
@@ -88,4 +89,7 @@ def test_lost_contacts_are_reported(monkeypatch):
     copies.place(simulation, (*copies.ON_TABLE[:2], copies.ON_TABLE[2] + 0.024))
     simulation.step()
     with pytest.raises(NonFiniteError, match="raise CONTACTS_PER_DOF"):
+        simulation.check()
+    wp.to_torch(vars(simulation)["_data"].overflow)[:] = torch.tensor([1, 9, 9, 1])
+    with pytest.raises(NonFiniteError, match=r"\.NEFC\|NARROWPHASE"):
         simulation.check()

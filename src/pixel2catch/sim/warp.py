@@ -7,6 +7,8 @@ written.
 import copy
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import reduce
+from operator import or_
 from typing import Any, final, no_type_check
 
 import mujoco
@@ -123,8 +125,7 @@ class WarpSimulation(Simulation):
     def check(self) -> None:
         """Raise if an environment overflowed its contact or constraint buffers."""
         overflow = wp.to_torch(self._data.overflow) & ~_HARMLESS
-        flags = int(torch.unique(overflow).sum().item()) if bool(overflow.any()) else 0
-        if flags:
+        if flags := reduce(or_, torch.unique(overflow).tolist(), 0):
             raise NonFiniteError(
                 f"MuJoCo Warp dropped contacts or constraints ({mjw.OverflowType(flags)!r}) in "
                 f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_DOF or CONSTRAINTS_PER_DOF."
