@@ -68,6 +68,7 @@ def test_a_mismatch_names_the_fields() -> None:
         ({"format_version": 99}, "'format_version' is 99, this code reads 2"),
         ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
+        ({"object_radius": 0.0}, "object_radius is 0; it must be greater than 0"),
         ({"hidden": None}, "field 'hidden' is missing"),
         ({"hidden": [8, 9]}, r"agents.arm.network.2.weight: .* torch.Size\(\[9, 8\]\)"),
     ],
@@ -91,7 +92,10 @@ def test_damage(policy: Policy, tmp_path: Path) -> None:
     (tmp_path / "policy.json").write_text("{}")
     with pytest.raises(PolicyMismatchError, match="not of the same save"):
         Policy.load(tmp_path)
+    policy.network("arm").input_std[0] = 0.0
     policy.save(tmp_path)
+    with pytest.raises(PolicyMismatchError, match="input_std' must have standard deviations greater than 0"):
+        Policy.load(tmp_path)
     (tmp_path / "policy.safetensors").write_bytes(weights[:-100])
     with pytest.raises(PolicyMismatchError, match="is damaged"):
         Policy.load(tmp_path)

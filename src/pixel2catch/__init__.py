@@ -86,7 +86,13 @@ def __getattr__(name: str) -> Any:
     """Import the module that defines a name; a function gets a check of its arguments."""
     if name not in _WHERE:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    value = getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
+    try:
+        value = getattr(__import__(str(_WHERE[name]), fromlist=[name]), name)
+    except (AttributeError, ImportError, RuntimeError) as error:
+        if "MUJOCO_GL" not in os.environ or "mujoco" in sys.modules:
+            raise
+        fault = f"MUJOCO_GL is '{os.environ['MUJOCO_GL']}', with which MuJoCo cannot be imported: unset it."
+        raise RuntimeError(fault) from error
     if isinstance(value, FunctionType):
         from pixel2catch import checks
 

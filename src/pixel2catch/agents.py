@@ -6,12 +6,13 @@ Differs: the hand is also rewarded for a grasp (ours); the paper's success is a 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.checks import NAME
 from pixel2catch.mdp import rewards
 from pixel2catch.mdp.control_step import (
     Columns,
@@ -79,7 +80,7 @@ trainings with `--rewards`.
 class AgentSpec:
     """One learner: its joints, observation and reward."""
 
-    name: str  #: Name in logs, files and the agents' dictionaries.
+    name: Annotated[str, NAME]  #: Name in logs, files and the agents' dictionaries.
     parts: tuple[BodyPart, ...]  #: Its body parts, in joint order; their rewards are added.
     teammates: tuple[BodyPart, ...] = ()  #: Body parts of others whose reward is added.
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS  #: Terms of one observation frame.
@@ -112,7 +113,7 @@ class AgentSpec:
 
     @property
     def _rewarded(self) -> tuple[BodyPart, ...]:
-        return (*self.parts, *self.teammates)
+        return tuple(part for part in (*self.parts, *self.teammates) if part.reward)
 
     def to_dict(self) -> dict[str, Any]:
         """Return names of its observation terms, and weights of its reward terms, ready for JSON."""

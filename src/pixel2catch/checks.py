@@ -5,8 +5,8 @@ import os
 import re
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache, wraps
 from inspect import Parameter, signature
 from numbers import Integral, Real
@@ -64,6 +64,8 @@ class Meets(Requirement):
 IN_ORDER = Meets(lambda pair: pair[0] <= pair[1], "give the smaller number first")
 """A tuple whose first two numbers do not fall."""
 NOT_EMPTY = Meets(bool, "give at least one value")
+NAME = Meets(re.compile(r"[\w.+-]{1,100}").fullmatch, "use up to 100 letters, digits, '_', '.', '+' and '-'")
+NAMED = Meets(lambda function: hasattr(function, "__name__"), "define it by def, which gives it a name")
 UNIT_LENGTH = Meets(lambda numbers: abs(math.hypot(*numbers) - 1.0) <= 1e-3, "it must have length 1")
 
 
@@ -170,6 +172,15 @@ def require(kind: Any, name: str, value: Any) -> None:
         requirement.require(name, value)
 
 
+def require_used(values: Any, names: Sequence[str], is_used: bool, when: str) -> None:
+    """Raise InvalidValueError for fields of a dataclass that are not used and have not their defaults."""
+    for field in fields(values) if not is_used else ():
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if field.name in names and (value := getattr(values, field.name)) != default:
+            name = f"{field.name} is {_shown(value)}"
+            raise InvalidValueError(f"{name}, which does nothing {when}; change one of the two.")
+
+
 def typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """Return a function that refuses arguments of another type than it declares."""
 
@@ -240,7 +251,7 @@ def _fits(kind: Any, value: Any) -> bool:
     if origin in (Union, UnionType):
         return any(_fits(each, value) for each in get_args(kind))
     if origin is Literal:
-        return value in get_args(kind)
+        return isinstance(value, str) and value in get_args(kind)
     if origin is tuple:
         return isinstance(value, tuple) and len(_entries(kind, len(value))) == len(value)
     if origin in (dict, Mapping):
@@ -277,4 +288,4 @@ def _shown(value: Any) -> str:
         return f"'{value}'"
     if isinstance(value, int):
         return str(value) if abs(value) < 10**5 else f"{value:,}" if abs(value) < 10**15 else "huge"
-    return f"{value:g}"
+    return f"{value:g}" if isinstance(value, Real) else f"{value!r:.200}"

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import reprlib
 import stat
 from collections.abc import Iterator, Mapping
@@ -142,6 +143,10 @@ def parse_yaml(text: str) -> Any:
                 for key, value in node.value
             )
 
+    # as YAML 1.2: for PyYAML, which follows 1.1, a number without a point is a text
+    Loader.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(r"[-+]?[\d.]*\d\.?[eE][-+]?\d+$"), None
+    )
     try:
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
             raise InvalidValueError("it has an alias, such as '*name'; write out what it stands for")

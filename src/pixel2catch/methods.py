@@ -4,13 +4,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
 from pixel2catch.batches import ByAgent, Joints
-from pixel2catch.checks import require_valid
+from pixel2catch.checks import NAME, Within, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.control_step import History, Measurement, Transition, put
@@ -25,10 +25,10 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 class Method:
     """Which agents learn, and which pixel features they observe."""
 
-    name: str  #: Name on the command line and in policy files.
+    name: Annotated[str, NAME]  #: Name on the command line and in policy files.
     agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
     pixel_features: tuple[str, ...]  #: Names out of `mdp.observations.PIXEL_FEATURES`.
-    num_boxes: int = 1  #: Number of measured boxes that it keeps.
+    num_boxes: Annotated[int, Within(1, 99)] = 1  #: Number of measured boxes that it keeps.
     #: Input of every value network: the state, with the truth of the simulator, or the agent's observation.
     value_input: Literal["state", "observation"] = "state"
 
@@ -39,6 +39,13 @@ class Method:
             raise InvalidValueError(
                 f"method '{self.name}' has the agents {names}; it needs one or more, each with its own name."
             )
+        for agent in self.agents:
+            if "." in agent.name or hasattr(torch.nn.ModuleDict(), agent.name):  # has its networks
+                raise InvalidValueError(f"agent '{agent.name}' cannot have this name; give it another one.")
+            if not (agent.observation + agent.memory and agent.reward_names):
+                raise InvalidValueError(
+                    f"agent '{agent.name}' lacks an observation or a reward; give it terms."
+                )
         for feature in set(self.pixel_features) - set(PIXEL_FEATURES):
             raise UnknownNameError("pixel feature", feature, PIXEL_FEATURES)
 
@@ -97,7 +104,7 @@ class Method:
             old = self.inputs(agent, history.oldest, history.before)
             new = self.inputs(agent, history.before, history.now)
             values = [term(frame) for frame in (old, new) for term in agent.observation]
-            observed[agent.name] = torch.cat([*values, *(term(new) for term in agent.memory)], dim=-1)
+            observed[agent.name] = torch.cat([*values, *(term(new) for term in agent.memory)], dim=-1).float()
         return observed
 
 

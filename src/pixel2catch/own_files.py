@@ -101,9 +101,9 @@ def add(value: Any) -> str:
 
 
 def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
-    """Yield the values of a type at the top level of a module, alone or in a tuple, in their order."""
+    """Yield the values of a type at the top level of a module, alone or in a tuple or list, in order."""
     for value in tuple(vars(module).values()):
-        values = value if isinstance(value, tuple) else (value,)
+        values = value if isinstance(value, tuple | list) else (value,)
         yield from (each for each in values if isinstance(each, kind))
 
 
@@ -123,8 +123,8 @@ def computed(
         last = extract_tb(error.__traceback__)[-1]
         where = f"in line {last.lineno} of '{last.filename}'"
         raise InvalidValueError(f"{name}: {type(error).__name__} {where}: {error}; correct it.") from error
-    if not hasattr(value, "isfinite"):
-        raise InvalidValueError(f"{name} returns {value!r:.200}; it must return a tensor.")
+    if not hasattr(value, "isfinite") or value.is_complex():
+        raise InvalidValueError(f"{name} returns {value!r:.200}; it must return a tensor of real numbers.")
     sizes = zip(shape, found := tuple(value.shape), strict=False)
     if len(shape) != len(found) or any(size not in (there, "any") for size, there in sizes):
         words = ", ".join(map(str, shape))

@@ -1,9 +1,11 @@
 """The commands as functions: what is given is used, and what is wrong is named."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,15 @@ OWN = p2c.CatchEnvCfg(
     scene=SceneCfg(physics_hz=60.0, cone="elliptic", multiccd=True),
     sensing=SensingCfg(latency_steps=(3, 4)),
 )
+
+
+METHOD = p2c.find_method("single_agent")
+
+
+def agents_named(name: str) -> p2c.Method:
+    return replace(METHOD, agents=(replace(METHOD.agents[0], name=name),))
+
+
 WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.make(None), "method is None; it must be a text or Method"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make(task=replace(OWN, throws=replace(OWN.throws, spin=-1.0))), "task.throws.spin is -1"),
@@ -56,6 +67,26 @@ WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.Axis(name="own", unit="", levels=("5",)), "levels is '5'; it must be Level"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.make(objects=3), "name is 3; it must be a text or"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.EvaluationCfg(objects=()), "objects is empty; give at least one value"),
+    (
+        lambda: p2c.make("catch_alone").step({"robot": torch.zeros(1, 19) * 1j}),
+        r"give a tensor of shape \(1, 19\) of real numbers on cpu",
+    ),
+    (
+        lambda: p2c.make("catch_alone").step({"robot": torch.zeros(1, 19, device="meta")}),
+        r"give a tensor of shape \(1, 19\) of real numbers on cpu",
+    ),
+    (lambda: p2c.CatchEnvCfg(variants=(1,)), "variants is 1; it must be TaskVariant"),  # pyright: ignore[reportArgumentType]
+    (lambda: SensingCfg(camera=None), r"sensing\.camera is None; it must be CameraFile"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.Experiment(env=None, train=None), "env is None; it must be CatchEnvCfg"),  # pyright: ignore[reportArgumentType]
+    (lambda: p2c.RewardTerm(function=partial(max), weight=1.0), "define it by def, which gives it a name"),
+    (lambda: replace(METHOD, name="../own"), r"name is '\.\./own'; use up to 100 letters"),
+    (lambda: replace(METHOD, num_boxes=0), "num_boxes is 0; it must be from 1 to 99"),
+    (lambda: agents_named("a.b"), r"agent 'a\.b' cannot have this name"),
+    (lambda: agents_named("training"), "agent 'training' cannot have this name"),
+    (
+        lambda: replace(METHOD, agents=(replace(METHOD.agents[0], observation=()),)),
+        "lacks an observation or a reward",
+    ),
 )
 
 
@@ -72,6 +103,11 @@ OWN_TERMS: tuple[tuple[str, Callable[..., Any], str], ...] = (
     ("observation", lambda frame: frame.now.joint_pos + torch.inf, "NaN or infinity"),
     ("reward", lambda transition, part: transition.now.object_pos, r"the shape \(4, 3\); it must be \(4\)"),
     ("reward", lambda transition, part: 0.5, "returns 0.5; it must return a tensor"),
+    (
+        "reward",
+        lambda transition, part: 1j * transition.now.object_pos[:, 0],
+        "return a tensor of real numbers",
+    ),
 )
 
 
@@ -137,6 +173,13 @@ def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
         with pytest.raises(error, match=words):
             p2c.train("proposed", tmp_path / "run", **given)
     assert [path.name for path in tmp_path.iterdir()] == ["dynamics.json"]
+
+
+def test_a_back_end_with_which_mujoco_cannot_be_imported_is_named():
+    command = [sys.executable, "-c", "import pixel2catch; pixel2catch.find_method"]
+    environment = os.environ | {"MUJOCO_GL": "nonsense"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert "MUJOCO_GL is 'nonsense', with which MuJoCo cannot be imported: unset it" in done.stderr
 
 
 IDLE = """

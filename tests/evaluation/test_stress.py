@@ -157,7 +157,7 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, refusal: An
         ("nominal", "first", "proposed", 2),
         ("nominal", "second", "only_wh", 2),
     ]
-    assert "evaluation.num_envs: 2 there, 3 now" in refusal(*arguments(policies, tmp_path, "--num-envs", "3"))
+    assert "evaluation.seed: 0 there, 3 now" in refusal(*arguments(policies, tmp_path, "--seed", "3"))
 
     (tmp_path / "cells/first/edge_noise-10.json").unlink()
     assert main(arguments(policies, tmp_path)) == 0

@@ -107,12 +107,13 @@ def test_the_report_has_pictures_and_names_what_was_run(out: Path):
     assert "Nothing was held out" not in text
 
 
-def identified(folder: Path, change: Callable[[Recording], Recording], *options: str) -> Path:
+def identified(folder: Path, change: Callable[[Recording], Recording], *free: str) -> Path:
     """The results of two recordings that were changed."""
     paths = [folder / f"{seed}.npz" for seed in range(2)]
     for seed, path in enumerate(paths):
         change(motion(seed)).save(path)
-    assert main(["identify", *map(str, paths), *SMALL, *options, "--out", str(folder / "out")]) == 0
+    options = ("--robot", "ur5e", "--free", *(free or ("damping", "latency")))
+    assert main(["identify", *map(str, paths), *options, "--out", str(folder / "out")]) == 0
     return folder / "out"
 
 
@@ -128,7 +129,7 @@ def test_clocks_that_drift_and_play_are_reported(tmp_path: Path, capsys: pytest.
 
 def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """A controller's own target is where the joint is: no servo with a lag predicts it as well."""
-    found = identified(tmp_path, lambda r: replace(r, t_cmd=r.t_meas, q_cmd=r.q + 1e-4), "--free", "latency")
+    found = identified(tmp_path, lambda r: replace(r, t_cmd=r.t_meas, q_cmd=r.q + 1e-4), "latency")
     assert "the command predicts" in " ".join(capsys.readouterr().out.split())
     assert result(found)["worse_than_command"] == list(ARM)
     with pytest.warns(UserWarning, match="the command alone predicts motion better"):
@@ -138,8 +139,8 @@ def test_a_controller_s_target_as_command_marks_the_file(tmp_path: Path, capsys:
 def test_the_next_fit_starts_from_the_file_and_warns_that_nothing_was_held_out(
     recordings: list[str], out: Path, tmp_path: Path
 ):
-    args = ("--start", str(out / "dynamics.json"), "--free", "latency")
-    assert main(["identify", recordings[0], *SMALL, *args, "--out", str(tmp_path)]) == 0
+    args = ("--robot", "ur5e", "--start", str(out / "dynamics.json"), "--free", "latency")
+    assert main(["identify", recordings[0], *args, "--out", str(tmp_path)]) == 0
     assert result(tmp_path)["tracking_error"]["held_out"] == {}
     assert "Nothing was held out" in (tmp_path / "report.md").read_text(encoding="utf-8")
     found, known = (DynamicsFile.load(folder / "dynamics.json").dynamics for folder in (tmp_path, out))
@@ -151,7 +152,7 @@ def test_bad_input_leaves_nothing(recordings: list[str], out: Path, tmp_path: Pa
     new = ("--out", str(tmp_path / "out"))
     for args, words in (
         ([*recordings, *SMALL, *new, "--profile", "ur5e_allegro_v4", "--command-topic", "/arm"], "leave out"),
-        ([*recordings, *SMALL, *new, "--robot", "allegro"], "no joint index_joint_1"),
+        ([*recordings, *new, "--robot", "allegro"], "no joint index_joint_1"),
         ([*recordings, "--robot", "ur5e"], "--robot and --out are needed"),
         ([*SMALL, *new], "give at least one"),
         (["nowhere.npz", *SMALL, *new], "nowhere.npz"),

@@ -115,6 +115,8 @@ def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
         content.replace(listed, f"{listed}\n{listed.replace('bag0.mcap', name)}")
     )
     assert_same(read(first, ARM), short(), NANOSECOND)
+    with pytest.warns(UserWarning, match=r"second.mcap alone is read, one of the 2 files"):
+        read(first / "second.mcap", ARM)
 
 
 @pytest.mark.parametrize("stamp", [0, nanoseconds(0.0)])
@@ -126,6 +128,18 @@ def test_optional_signals_may_be_nan_and_stamps_stand_still(stamp: int, tmp_path
         message.header = header(stamp)
     path = save_bag(tmp_path / "bag", sent + commands(short(), TRAJECTORY))
     assert_same(read(path, ARM), replace(short(), t_meas=short().t_meas + 0.003), NANOSECOND)
+
+
+def test_what_is_wrong_with_a_description_is_said(tmp_path: Path):
+    path = save_bag(tmp_path / "bag", measured(short()))
+    text = (path / "metadata.yaml").read_text()
+    for content, words in (
+        (text.encode("utf-16"), r"metadata.yaml': it is not UTF-8 text .* by 'ros2 bag reindex'"),
+        (re.sub("version: .", "version: 99", text, count=1).encode(), "version 99 .*, or one file"),
+    ):
+        (path / "metadata.yaml").write_bytes(content)
+        with pytest.raises(RecordingError, match=words):
+            read(path, ARM)
 
 
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])

@@ -144,6 +144,8 @@ def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("%YAML:1.0\n---\n" + YAML, r"also for a file that OpenCV wrote \(%YAML:1.0\)"),
+        (YAML.replace("618.1", "6e9"), r"6e\+09 x 618.4 px .* are not of images of 640 x 480"),
         ("header: 1\nk: [1.0]\n", "cannot read the file of camera_calibration .* It needs image_width"),
         (YAML.replace("618.1", "0.0"), "not calibrated yet"),
         (YAML.replace("618.1", "0.6"), r"0.6 x 618.4 px .* are not of images of 640 x 480"),

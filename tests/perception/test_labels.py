@@ -13,7 +13,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.image import Edges
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.labels import Label, Labels, load_labels
 from pixel2catch.perception.sources import ImageFit, video_images
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -198,5 +198,7 @@ def test_key_frames_of_label_studio_are_interpolated(video: Path):
 )
 def test_a_bad_export_is_refused(name: str, old: str, new: str, words: str, video: Path, tmp_path: Path):
     (tmp_path / name).write_text((EXPORTS / name).read_text().replace(old, new))
+    with pytest.raises(PerceptionError, match="cannot be read as a video"):
+        load_labels(EXPORTS / "coco.json", tmp_path / name)
     with pytest.raises(InvalidValueError, match=words):
         load_labels(tmp_path / name, video)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pixel2catch.api.threads import let_torch_sleep
-from pixel2catch.checks import Device, PhysicsRate, require, require_valid
+from pixel2catch.checks import Device, PhysicsRate, require
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
@@ -174,7 +174,6 @@ class Prepared(NamedTuple):
 
 def prepared(experiment: Experiment, method: str | Method, *, resume: bool = False) -> Prepared:
     """Return a training with the names in it resolved; raise what is wrong with it, before any work."""
-    require_valid(experiment)
     cfg, env = experiment.train, experiment.env
     env = replace(env, objects=select_objects(env.objects))
     workcell = find_workcell(env.scene.workcell)

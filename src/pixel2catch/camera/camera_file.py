@@ -41,6 +41,7 @@ class CameraFile:
     focal_std: Share | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
     def __post_init__(self) -> None:
+        require_valid(self)
         if len(self.distortion) not in LENS_SIZES:
             raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
         _require_covariance(self.pose_covariance)
@@ -87,9 +88,7 @@ class CameraFile:
         with reading("camera file", path, "Calibrate again, or correct that entry."):
             content = read_json_object(path)
             take_version(content, FORMAT_VERSION)
-            camera = decoded(cls, content)
-            require_valid(camera)
-            return camera
+            return decoded(cls, content)
 
 
 @lru_cache(maxsize=16)
@@ -104,7 +103,5 @@ def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
     if len(rows) != 6 or any(len(row) != 6 for row in rows):
         raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
     matrix = np.array(rows)
-    if not np.isfinite(matrix).all():
-        return  # refused by the range of the field
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < -1e-6 * matrix.trace() - 1e-12:
         raise InvalidValueError("pose_covariance must be symmetric, without negative variances")

@@ -14,7 +14,7 @@ import numpy as np
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive
+from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, require_used
 from pixel2catch.cli.console import results_console, say, saying_changes, suggest
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
@@ -84,6 +84,9 @@ class Calibrate:
         if self.timing:
             self._measure_timing()
             return
+        require_used(self, ("capture",), self.live, "without --live")
+        require_used(self, ("views",), not self.live, "with --live")
+        require_used(self.link, ("robot", "network", "clock"), self.live, "without --live or --timing")
         require_free_file(self.out)
         table = self.capture / "views.csv" if self.live else self.views
         if table is None or not (self.live or self.intrinsics):

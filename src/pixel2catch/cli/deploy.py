@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder, OutputFile
+from pixel2catch.checks import NewFolder, OutputFile, require_used
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, printable
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -133,8 +132,7 @@ class Deploy:
         """Return whether the joints are to be checked now; at a terminal, a person decides."""
         from pixel2catch.deployment.follower import record_of_today
 
-        if self.dry_run and (self.joint_check or self.after_catch):
-            raise InvalidValueError("--joint-check and --after-catch move the robot: leave out --dry-run")
+        require_used(self, ("joint_check", "after_catch"), not self.dry_run, "with --dry-run")
         name = self.link.robot.load().name
         if self.joint_check or self.dry_run or self.link.is_twin or record_of_today(name).exists():
             return self.joint_check

@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from pixel2catch.checks import CameraPath, Fraction
+from pixel2catch.checks import CameraPath, Fraction, require_used
 from pixel2catch.cli.console import results_console
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, printable
 from pixel2catch.installation import (
     PACKAGE,
@@ -130,8 +129,7 @@ class Doctor:
     json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:
-        if self.lens and not self.robot:
-            raise InvalidValueError("--lens is compared with the camera of a robot; give --robot as well.")
+        require_used(self, ("lens", "network", "clock"), bool(self.robot), "without --robot")
         checks = self._checks() + (self._laboratory(self.robot) if self.robot else [])
         bad = [each.name for each in checks if each.state == "BAD" and each.is_needed]
         if self.json:

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import OutputFile
 from pixel2catch.cli.console import prepare, suggest
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import require_free_file, write_atomically
 from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 
@@ -21,7 +22,8 @@ class Export:
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
-    out: Path | None = None  #: The new file. Default: the policy's name in the working directory.
+    #: The new file. Default: the policy's name in the working directory.
+    out: Annotated[Path, OutputFile((".onnx",))] | None = None
 
     def run(self) -> None:
         from pixel2catch.evaluation.loading import load_policy
@@ -30,8 +32,6 @@ class Export:
         source = self.policy or Path(DEFAULT_POLICY)
         name = source.resolve().parent.name if source.name == "policy" else source.stem
         out = self.out or Path(f"{name}{SUFFIX}")
-        if out.suffix != SUFFIX:
-            raise InvalidValueError(f"out is '{out}'; end the name in {SUFFIX}.")
         prepare("cpu")
         policy, _ = load_policy(self.policy)
         require_free_file(out)

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
 """Where the classes of the task's fields are."""
 
+FIXED = {"CatchEnvCfg": "dynamics", "SceneCfg": "camera"}
+"""Fields that are no options, by their classes: --dynamics gives one, `sensing.camera` is the other."""
+
 LOSSES = (
     *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip"),
     *("value_loss_scale", "entropy_scale", "gradient_clip"),
@@ -71,7 +74,8 @@ def option_rules(*, is_brief: bool = True) -> ConstructorRegistry:
         if not isinstance(spec, StructConstructorSpec):
             return None
         is_task = info.type.__module__.startswith(TASK_MODULES)
-        fields = tuple(_option(field, is_task) for field in spec.fields)
+        fixed = FIXED.get(info.type.__name__)
+        fields = tuple(_option(field, is_task, field.name == fixed) for field in spec.fields)
         if info.type.__name__ not in GROUPED:
             return replace(spec, fields=fields)
         fields = tuple(map(_brief, fields)) if is_brief else fields
@@ -80,10 +84,10 @@ def option_rules(*, is_brief: bool = True) -> ConstructorRegistry:
     return registry
 
 
-def _option(field: StructFieldSpec, is_task: bool) -> StructFieldSpec:
+def _option(field: StructFieldSpec, is_task: bool, is_fixed: bool) -> StructFieldSpec:
     """Return a field with its name and help as an option."""
     kind: Any = field.type
-    if (field.name == "dynamics" and is_task) or (field.name == "env" and field.default is None):
+    if is_fixed or (field.name == "env" and field.default is None):
         return replace(field, type=tyro.conf.Suppress[tyro.conf.Fixed[kind]])
     declared = get_args(kind)[0] if get_origin(kind) is Annotated else kind
     is_nested = is_dataclass(field.default) or is_dataclass(declared)
@@ -140,6 +144,15 @@ def given_fields(args: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the task's fields among arguments, such as sensing.latency_steps."""
     options = (arg.removeprefix(PREFIX).partition("=")[0] for arg in args if arg.startswith(PREFIX))
     return tuple(option.replace("-", "_") for option in options)
+
+
+def require_once(args: Sequence[str]) -> None:
+    """Raise InvalidValueError for an option that is given twice, or a reward term."""
+    options = [arg.partition("=")[0].replace("_", "-") for arg in args if arg.startswith("--")]
+    terms = " ".join(args).partition("--rewards ")[2].partition(" --")[0].split()[::2]
+    for each in (*options, *terms):
+        if (options + terms).count(each) > 1 and each != "--sweep":
+            raise InvalidValueError(f"{each} is given twice; leave out one of them.")
 
 
 def default_of(command: Any, args: Sequence[str]) -> Any:
@@ -199,6 +212,7 @@ class SimulatedTask:
                 raise InvalidValueError(f"the policy and --objects set --env.{name}; leave it out.")
         task = task.with_files(self.dynamics, self.camera)
         changed = with_given(task, self.env, self.given)
+        changed = replace(changed, scene=replace(changed.scene, camera=changed.sensing.camera.camera))
         _require_same_joints(task, changed)
         return changed
 

@@ -60,6 +60,8 @@ class Identify:
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
         from pixel2catch.workcells import find_workcell
 
+        if self.check and (self.out or self.start):
+            raise InvalidValueError("--check fits nothing: leave out --out and --start, or --check.")
         workcell, cfg, start = find_workcell(self.workcell), FitCfg(free=self.free), None
         if not self.check:
             if self.robot is None or self.out is None:

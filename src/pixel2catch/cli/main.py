@@ -15,7 +15,7 @@ import tyro
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.console import say
-from pixel2catch.cli.fields import default_of, option_rules
+from pixel2catch.cli.fields import default_of, option_rules, require_once
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.installation import GL_VARIABLE
 from pixel2catch.interruption import Terminated, raise_on_termination
@@ -134,6 +134,7 @@ def _listing() -> Iterator[str]:
 def parse_options(name: str, args: Sequence[str]) -> Any:
     """Return a command with its options."""
     kind = load_command(name)
+    require_once(args)
     options = {"default": default_of(kind, args), "description": cleandoc(kind.__doc__)}
     is_brief = bool({*HELP} & {*args})
     args = HELP[:1] if {*HELP_ALL} & {*args} else args

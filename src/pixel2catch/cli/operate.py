@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Within
+from pixel2catch.checks import Within, require_used
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
@@ -91,6 +91,8 @@ class Operate:
             raise InvalidValueError(
                 "there is no switch: name an input device, such as /dev/input/event3, or add --web."
             )
+        require_used(self, ("keys",), self.device is not None, "without a device")
+        require_used(self.page, ("address",), self.web, "without --web")
         if self.keys is None:
             return KEYS
         hold, arm, stop = self.keys

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, FilmPath, Seed
+from pixel2catch.checks import Count, FilmPath, Seed, require_used
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
@@ -31,10 +31,10 @@ class Play:
     task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
-        given = {"--out": self.out, "--env": self.task.given}
-        if self.web and any(given.values()):
-            names = " ".join(name for name, value in given.items() if value)
-            raise InvalidValueError(f"--web serves a page of the paper's task: leave out {names}, or --web.")
+        require_used(self.page, ("address",), self.web, "without --web")
+        require_used(self, ("out", "throws"), not self.web, "with --web")
+        if self.web and self.task.given:
+            raise InvalidValueError("--web serves a page of the paper's task: leave out --env, or --web.")
         prepare("cpu")
         if self.web:
             with needs_extra("viewer"):

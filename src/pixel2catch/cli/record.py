@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
+from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder, require_used
 from pixel2catch.cli.console import prepare, progress_bar, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
@@ -43,11 +43,12 @@ class Record:
     lockstep: DynamicsPath | None = None
 
     def run(self) -> None:
-        from pixel2catch.identification.recording import Trajectory
+        from pixel2catch.identification.recording import Trajectory, parts
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import follow
             from pixel2catch.servo.status_words import sentence
+        require_used(self.link, ("robot", "network", "clock"), self.lockstep is None, "with --lockstep")
         prepare("cpu")
         trajectory = Trajectory.load(self.trajectory)
         profile = self.link.robot.load()
@@ -84,7 +85,9 @@ class Record:
         print(f"{self.trajectory}: followed to its end; wrote {self.out}. Identify several such recordings:")
         for part in profile.robots:
             if {*part.joints} & {*trajectory.joints}:
-                print(self._next_command(profile, part))
+                named = parts(trajectory.workcell).items()
+                name = next(name for name, joints in named if {*joints} == {*part.joints})
+                print(self._next_command(profile, part, name))
 
     def _connect(self, trajectory: "Trajectory", profile: "Profile", stack: ExitStack) -> "Connection":
         limits = self.link.limits(profile)
@@ -94,12 +97,11 @@ class Record:
 
         return stack.enter_context(recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out))
 
-    def _next_command(self, profile: "Profile", part: "RobotPart") -> str:
+    def _next_command(self, profile: "Profile", part: "RobotPart", name: str) -> str:
         source = f"--profile {self.link.robot.profile if self.lockstep is None else profile.name}"
         if self.lockstep and profile.name.startswith("twin_of"):  # a profile without a file
             source = f"--workcell {profile.workcell} --command-topic {part.command_topic.name}"
-        robot = f"--robot {part.name} {source} --out identified-{part.name}"
-        return f"pixel2catch identify {self.out} ... {robot}"
+        return f"pixel2catch identify {self.out} ... --robot {name} {source} --out identified-{name}"
 
 
 def whole_robot(trajectory: "Trajectory") -> "Motion":

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder
+from pixel2catch.checks import NewFolder, require_used
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.deploy import summary_lines
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import free_folder, json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.reports import circumstances
@@ -48,12 +47,8 @@ class Rehearse:
             from pixel2catch.twin.lab_node import twin_profile
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
-        changed = (name for name in LOCKSTEP_ONLY if getattr(cfg, name) != getattr(RehearsalCfg, name))
-        given = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-        if given and not cfg.lockstep:
-            raise InvalidValueError(f"{given} needs --lockstep: add it")
-        if cfg.lockstep and cfg.clock != 1.0:
-            raise InvalidValueError("--clock is for real time: leave out --clock or --lockstep")
+        require_used(cfg, LOCKSTEP_ONLY, cfg.lockstep, "without --lockstep")
+        require_used(cfg, ("clock",), not cfg.lockstep, "with --lockstep")
         if not cfg.plain:
             find_gl_backend()
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder, NotNegative, Positive
+from pixel2catch.checks import NewFolder, NotNegative, Positive, require_used
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import free_folder, json_text, write_atomically
@@ -70,8 +70,7 @@ class Track:
             for line in agreement(self.perception.make_segmenter(), self.perception.segmenter):
                 print(line)
             return
-        if self.topic and not is_bag(Path(self.source)):
-            raise InvalidValueError(f"--topic needs a rosbag, but '{self.source}' is none; leave it out.")
+        require_used(self, ("topic",), is_bag(Path(self.source)), "with a source that is no rosbag")
         labels = self.truth and load_labels(self.truth, Path(self.source))
         self.perception.prepare()
         notes, scores = list[str](), list[box_scores.Score]()

@@ -76,7 +76,8 @@ class TrialSeries:
         if self._place not in places:
             given = ", ".join(places) or "none; add one"
             raise InvalidValueError(f"give a place of the profile, --deploy='--after-catch PLACE': {given}.")
-        self._options = [*options, "--after-catch", self._place, "--json", "--record"]
+        place = [] if self._deploy.after_catch else ["--after-catch", self._place]
+        self._options = [*options, *place, "--json", "--record"]
         for path in cfg["policies"]:
             make_pipeline(self._deploy.perception, path, self._profile, self._camera, is_live=False)
 

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pixel2catch.checks import Fraction, Seed
+from pixel2catch.checks import Fraction, Seed, require_used
 from pixel2catch.cli.console import prepare, say, saying_changes
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
@@ -39,6 +39,7 @@ class Twin:
 
         with needs_extra("twin"):
             from pixel2catch.twin.lab_node import serve, twin_profile
+        require_used(self.page, ("address",), self.web, "without --web")
         prepare("cpu")
         policy, _ = load_policy(self.policy)
         task = self.task.make(policy, self.seed)

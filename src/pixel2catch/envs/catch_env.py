@@ -155,7 +155,8 @@ class CatchEnv:
 
         The next step overwrites the returned tensors, except `observation` and `rewards`.
         """
-        require_shapes("action", actions, {name: (self.num_envs, n) for name, n in self.action_sizes.items()})
+        shapes = {name: (self.num_envs, n) for name, n in self.action_sizes.items()}
+        require_shapes("action", actions, shapes, self.device.type)
         action = self.method.joint_actions(actions)
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
         if self.device.type == "cpu":

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.checks import NOT_EMPTY, Share
+from pixel2catch.checks import NOT_EMPTY, Share, require
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -59,6 +59,7 @@ class CatchEnvCfg:
     value_sees_parameters: bool = False  #: Whether value networks also observe the drawn parameters.
 
     def __post_init__(self) -> None:
+        require(tuple[TaskVariant, ...], "variants", self.variants)
         if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
             raise InvalidValueError(
                 f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pixel2catch.checks import Count, Device, PhysicsRate, Seed, Share, Within, require_valid
+from pixel2catch.checks import Count, Device, PhysicsRate, Seed, Share, Within, require_used, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 
 Transitions = Annotated[int, Within(1, 1_000_000_000_000)]  #: Control steps of all environments.
@@ -112,17 +112,10 @@ class TrainCfg:
                 f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
             )
-        for name, needed, is_there in (
-            ("start_transitions", "start", self.start is not None),
-            ("teacher_share", "teacher", self.teacher is not None),
-            ("final_teacher_weight", "teacher", self.teacher is not None),
-            ("kl_target", "schedule kl", self.schedule == "kl"),
-        ):
-            value, default = getattr(self, name), self.__dataclass_fields__[name].default
-            if value != default and not is_there:
-                raise InvalidValueError(
-                    f"{name} is {value}, and without {needed} it does nothing; give {needed} or leave it out."
-                )
+        has_teacher = self.teacher is not None
+        require_used(self, ("start_transitions",), self.start is not None, "without start")
+        require_used(self, ("teacher_share", "final_teacher_weight"), has_teacher, "without teacher")
+        require_used(self, ("kl_target",), self.schedule == "kl", "without schedule kl")
 
     def changed(self, options: Mapping[str, Any]) -> "TrainCfg":
         """Return the configuration with other values of fields; raise UnknownNameError for an unknown one."""

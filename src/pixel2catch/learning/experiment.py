@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from pixel2catch.checks import require_valid
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
@@ -32,6 +33,7 @@ class Experiment:
 
     env: CatchEnvCfg  #: The environments.
     train: TrainCfg  #: How the policy learns.
+    __post_init__ = require_valid
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -83,6 +83,9 @@ def train(
         with workers.sync_errors():
             checkpoint = Checkpoint.load(folder.checkpoint, share.device) if resume else None
             progress = checkpoint.progress if checkpoint else Progress()
+            start = Policy.load(policy_folder(cfg.start)) if cfg.start and not resume else None
+            if start:
+                start.contract.require(contract)
             name = "cpu" if workers.device == "cpu" else torch.cuda.get_device_name(workers.device)
             where = f"{workers.size} x {name}, {cfg.num_envs:,} environments"
             text = f"training {contract.method} on {where}, preset: {record.get('preset') or 'none'}{remark}"
@@ -92,9 +95,7 @@ def train(
             stack.enter_context(contextlib.closing(training))
             if checkpoint:
                 checkpoint.restore(training.mappo)
-            elif cfg.start:
-                start = Policy.load(policy_folder(cfg.start))
-                start.contract.require(contract)
+            elif start:
                 training.mappo.adopt(start)
             workers.diverge(cfg.seed, progress.transitions)
         return training.run(console, begin_step)
@@ -159,7 +160,10 @@ class _Training:
                 started = time.monotonic()
                 with self.workers.sync_errors():
                     if self._change_rate() or observation is None:
-                        begin_step("first rollout; kernels that are not cached are compiled")
+                        is_compiled = self.share.fuse or self.workers.device != "cpu"
+                        begin_step(
+                            f"first rollout{is_compiled * '; kernels that are not cached are compiled'}"
+                        )
                         observation = self.env.reset(is_staggered=self.cfg.staggered)
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)

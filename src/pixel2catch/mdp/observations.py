@@ -6,6 +6,7 @@ An agent's observation is its terms on two consecutive frames: see `methods.Meth
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from torch import Tensor
 from pixel2catch.batches import Boxes, Features, Vectors
 from pixel2catch.camera.level import level_sight
 from pixel2catch.camera.pinhole import center_and_size, project
+from pixel2catch.checks import NAMED
 from pixel2catch.devices import constant
 from pixel2catch.mdp.control_step import Columns, Measurement, Privileged, take
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -33,7 +35,7 @@ class ObservationInputs:
     pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
 
-ObservationTerm = Callable[[ObservationInputs], Features]
+ObservationTerm = Annotated[Callable[[ObservationInputs], Features], NAMED]
 
 
 def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tensor, "num_envs 8"]:

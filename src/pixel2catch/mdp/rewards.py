@@ -5,13 +5,14 @@ Source: paper, Eq. 2-4, unless a term has another source.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.batches import Features, Flags, Scalars
-from pixel2catch.checks import require_valid
+from pixel2catch.checks import NAMED, require_valid
 from pixel2catch.mdp.control_step import Privileged, Transition
 from pixel2catch.mdp.terminations import (
     SURFACE_REACH,
@@ -32,7 +33,7 @@ SETTLE_STEPS = 6  #: Control steps in which robot and held object may come to re
 class RewardTerm:
     """A weighted term of the reward of a body part."""
 
-    function: Callable[..., Scalars]  #: (transition, part) -> (num_envs,).
+    function: Annotated[Callable[..., Scalars], NAMED]  #: (transition, part) -> (num_envs,).
     weight: float  #: Factor, with the sign.
     __post_init__ = require_valid
 

@@ -12,7 +12,7 @@ from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalar
 from pixel2catch.camera import region
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection
-from pixel2catch.checks import Amount, Range, Share, Within
+from pixel2catch.checks import Amount, Range, Share, Within, require
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.throws import Throw, drawn, random_directions
@@ -73,6 +73,7 @@ class SensingCfg:
 
     def __post_init__(self) -> None:
         """Refuse a camera of another resolution than that of policies, and one that would not be used."""
+        require(CameraFile, "sensing.camera", self.camera)
         if self.any_camera and self.camera != RELEASE_CAMERA:
             raise InvalidValueError(
                 "sensing.any_camera draws the camera, and sensing.camera is given, too: leave out one."

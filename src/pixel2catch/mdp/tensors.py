@@ -91,14 +91,19 @@ class DelayLine(Generic[T]):
         return cls((value,) * (longest + 1))
 
 
-def require_shapes(kind: str, values: Any, shapes: Mapping[str, tuple[int | None, int]]) -> None:
+def require_shapes(
+    kind: str, values: Any, shapes: Mapping[str, tuple[int | None, int]], device: str = ""
+) -> None:
     """Raise InvalidValueError unless these agents have tensors of these shapes, where None is any size."""
     given = values if isinstance(values, Mapping) else {}
     for agent, (rows, size) in shapes.items():
-        found = tuple(value.shape) if isinstance(value := given.get(agent), Tensor) else ()
+        found, value = (), given.get(agent)
+        if isinstance(value, Tensor) and not value.is_complex() and device in ("", value.device.type):
+            found = tuple(value.shape)
         if len(found) != 2 or found != (found[0] if rows is None else rows, size):
             shown = f"of shape {found}" if found else f"{value!r:.200}"
-            fix = f"give a tensor of shape ({rows or 'num_envs'}, {size})"
+            fix = f"give a tensor of shape ({rows or 'num_envs'}, {size}) of real numbers"
+            fix += f" on {device}" if device else ""
             raise InvalidValueError(f"the {kind} of agent '{agent}' is {shown}; {fix}.")
     if unknown := [name for name in given if name not in shapes]:
         raise InvalidValueError(f"there is no agent '{unknown[0]}'; give an {kind} for {', '.join(shapes)}.")

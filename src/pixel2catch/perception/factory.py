@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pixel2catch.camera.image import Edges
-from pixel2catch.checks import CameraPath, Count, Device, Within
+from pixel2catch.checks import CameraPath, Count, Device, Within, require_used
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
@@ -72,8 +72,8 @@ class PerceptionArgs:
         from pixel2catch.perception.background import BackgroundSubtraction
         from pixel2catch.perception.segmenter import ColorThreshold
 
-        if (self.checkpoint or self.image_size or self.compile) and self.segmenter != "sam2":
-            raise InvalidValueError("--checkpoint, --image-size, --compile need SAM 2: add --segmenter sam2.")
+        of_sam2 = ("checkpoint", "image_size", "device", "compile")
+        require_used(self, of_sam2, self.segmenter == "sam2", "without --segmenter sam2")
         if self.segmenter == "background":
             return BackgroundSubtraction()
         if self.segmenter == "color":

@@ -90,15 +90,17 @@ def load_labels(path: Path, video: Path) -> Labels:
     else `flight`. Stamps, and the size where the file has none, are the video's. A file that is damaged, of
     another format, or has two boxes in one image raises InvalidValueError.
     """
-    with reading("label file", path, "Export it again from CVAT, Label Studio, or as COCO."):
+    fix = "Export it again from CVAT, Label Studio, or as COCO."
+    with reading("label file", path, fix):
         text = read_text(path)
         content = None if text.lstrip().startswith("<") else parse_json(text)
         if isinstance(content, dict) and "format_version" in content:
             return Labels.load(path)
-        stamps, size = [], (0, 0)
-        for frame in images_of(str(video), []):
-            stamps.append(frame.stamp)
-            size = (frame.pixels.shape[1], frame.pixels.shape[0])
+    stamps, size = [], (0, 0)
+    for frame in images_of(str(video), []):
+        stamps.append(frame.stamp)
+        size = (frame.pixels.shape[1], frame.pixels.shape[0])
+    with reading("label file", path, fix):
         match content:
             case None:
                 size, marks = _cvat(text, len(stamps))

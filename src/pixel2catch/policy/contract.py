@@ -8,11 +8,12 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import torch
 
 from pixel2catch.agents import AgentSpec, agents_of, commands_of
+from pixel2catch.checks import Meets, Within, require_valid
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.files import decoded, shown
 from pixel2catch.mdp import observations, rewards
@@ -28,7 +29,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2  #: Version of the files of `Policy.save`; higher where older files cannot be read.
 
-LONGEST_MESSAGE = 20_000  #: Characters of a message with the fields that differ.
+MOST_LINES, LONGEST_MESSAGE = 8, 2000  #: Lines and characters of a message with the fields that differ.
 MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Largest numbers in files. Source: ours; policies have 4 and 200.
 
 
@@ -45,13 +46,20 @@ class AgentContract:
         return sum(size for _, size in self.observation)
 
 
+def _are_few(agents: Mapping[str, AgentContract]) -> bool:
+    return 1 <= len(agents) <= MOST_AGENTS and all(1 <= a.num_inputs <= MOST_INPUTS for a in agents.values())
+
+
+FEW = Meets(_are_few, f"give 1 to {MOST_AGENTS} agents, with 1 to {MOST_INPUTS} inputs each")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyContract:
     """Inputs, outputs and surroundings of a policy."""
 
     method: str  #: Name of the method.
     pixel_features: tuple[str, ...]  #: Names of the pixel features, in their order within a frame.
-    agents: dict[str, AgentContract]  #: The agents by name.
+    agents: Annotated[dict[str, AgentContract], FEW]  #: The agents by name.
     #: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
     commands: dict[str, dict[str, float]]
     control_dt: float  #: Time between two actions [s].
@@ -60,7 +68,8 @@ class PolicyContract:
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
     task: str = "nominal"  #: Name of the task of its training; it may act in others.
-    object_radius: float = OBJECT_RADIUS  #: Of a ball with the volume of the largest object of training [m].
+    #: Of a ball with the volume of the largest object of training [m].
+    object_radius: Annotated[float, Within(0.0, 1.0, is_open=True)] = OBJECT_RADIUS
     format_version: int = FORMAT_VERSION  #: Version of the file format.
 
     def to_dict(self) -> dict[str, Any]:
@@ -73,20 +82,14 @@ class PolicyContract:
         version = data.get("format_version")
         if version != FORMAT_VERSION:
             raise PolicyMismatchError(
-                f"policy field 'format_version' is {version}, this code reads {FORMAT_VERSION}; "
+                f"policy field 'format_version' is {shown(version)}, this code reads {FORMAT_VERSION}; "
                 "train again or use the version of this package that wrote the policy."
             )
         try:
-            contract = decoded(cls, dict(data))
+            require_valid(contract := decoded(cls, dict(data)))
+            return contract
         except InvalidValueError as error:
             raise PolicyMismatchError(f"policy: {error}; train again.") from error
-        sizes = [each.num_inputs for each in contract.agents.values()]
-        if not 1 <= len(sizes) <= MOST_AGENTS or not all(1 <= size <= MOST_INPUTS for size in sizes):
-            raise PolicyMismatchError(
-                f"policy field 'agents' has {len(sizes)} agents with {shown(sizes)} inputs; there may be "
-                f"{MOST_AGENTS} agents, with 1 to {MOST_INPUTS} inputs each; train again."
-            )
-        return contract
 
     def require(self, expected: "PolicyContract") -> None:
         """Compare with the contract of robot and camera at hand; PolicyMismatchError says what differs."""
@@ -94,9 +97,10 @@ class PolicyContract:
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
-            lines = (f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields)
+            lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
             fix = "the policy does not fit; give one with the values here, or train it:\n"
-            raise PolicyMismatchError(fix + "\n".join(lines)[:LONGEST_MESSAGE])
+            rest = f"\n  {len(fields)} fields differ" if len(fields) > MOST_LINES else ""
+            raise PolicyMismatchError(fix + "\n".join(lines[:MOST_LINES])[:LONGEST_MESSAGE] + rest)
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -135,6 +135,8 @@ class Policy(nn.Module):
         for name, tensor in tensors.items():
             if tensor.dtype != torch.float32 or not tensor.isfinite().all():
                 raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
+            if name.endswith("input_std") and not (tensor > 0.0).all():
+                raise InvalidValueError(f"tensor '{name}' must have standard deviations greater than 0")
         return policy
 
 

@@ -2,6 +2,7 @@
 
 import heapq
 import shutil
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -15,7 +16,7 @@ from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
-from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
+from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text, reading
 from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
@@ -61,7 +62,10 @@ def opened_bag(
     try:
         _require_files(path)
         is_part = path.is_file() and (path.parent / METADATA).is_file()
-        if is_part and _description(path.parent).get("compression_mode", "").lower() == "message":
+        whole = _description(path.parent) if is_part else {}
+        if len(files := whole.get("relative_file_paths", ())) > 1 and path.name in files:
+            warnings.warn(f"{path} alone is read, one of the {len(files)} files of a bag", stacklevel=3)
+        if whole.get("compression_mode", "").lower() == "message":
             raise InvalidValueError(f"its messages are compressed, as {METADATA} says; give its folder")
         with _replaced(storage_mcap, in_mcap), _replaced(reader, in_reader), _opened(Reader, path) as bag:
             for storage in getattr(bag.storage, "storages", [bag.storage]):
@@ -79,7 +83,7 @@ def opened_bag(
         raise known if isinstance(known, error) else error(f"{path}: {reason}.") from known
     except Exception as damage:
         reason = str(damage)[:LONGEST_REASON]
-        fix = "try 'mcap recover' for a file that was cut off, 'ros2 bag reindex' for a folder"
+        fix = "try 'mcap recover' for a file that was cut off, 'ros2 bag reindex' for a folder, or one file"
         raise error(f"{path}: not a readable rosbag2 ({reason}); {fix}.") from damage
 
 
@@ -133,7 +137,8 @@ def _require_files(path: Path) -> None:
 
 
 def _description(folder: Path) -> dict[str, Any]:
-    return parse_yaml(read_text(folder / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
+    with reading("description", folder / METADATA, "Write it anew by 'ros2 bag reindex'."):
+        return parse_yaml(read_text(folder / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
 
 
 def _unpacked_size(file: Path) -> int:

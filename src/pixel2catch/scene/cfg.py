@@ -37,7 +37,7 @@ class SceneCfg:
     multiccd: bool = True  #: Whether faces and edges touch in several points, or in one, which is faster.
     engine: str = "mujoco"  #: Physics engine: mujoco, or physx or drake for evaluations.
     visuals: bool = False  #: Whether to add lights, textures and visual geoms.
-    camera: CameraSpec = RGB_CAMERA  #: The camera that takes pictures.
+    camera: CameraSpec = RGB_CAMERA  #: The true camera, which takes pictures; see `SensingCfg.camera`.
     #: Sliding friction of the object; randomised per environment by the release.
     object_friction: Annotated[float, Within(0.0, 5.0)] = 1.0
     object_restitution: Share = 0.25  #: Speed after over speed before an impact; randomised per environment.

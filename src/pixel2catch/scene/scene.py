@@ -16,6 +16,7 @@ from numpy import ndarray
 
 from pixel2catch.checks import require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.files import write_atomically
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
 from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
@@ -167,9 +168,11 @@ def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s"
         case ".xml":
             spec = build_spec(cfg, object_name)
             spec.compile()
-            Path(path).write_text(spec.to_xml(), encoding="utf-8")
+            write_atomically({Path(path): spec.to_xml()})
         case ".mjb":
-            mujoco.mj_saveModel(build_model(cfg, object_name), str(path))
+            model = build_model(cfg, object_name)
+            mujoco.mj_saveModel(model, None, content := np.empty(mujoco.mj_sizeModel(model), np.uint8))
+            write_atomically({Path(path): content.tobytes()})
         case _:
             raise InvalidValueError(f"the file is '{path}'; its name must end in .xml or .mjb.")
 

@@ -7,7 +7,7 @@ A rehearsal runs a deployment on it: `rehearsal` as processes in real time, `ste
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated
 
-from pixel2catch.checks import CameraPath, Count, DynamicsPath, Fraction, NewFolder, NotNegative, Seed, Within
+from pixel2catch.checks import CameraPath, Count, DynamicsPath, Fraction, NewFolder, Seed, Within
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
@@ -44,11 +44,14 @@ class RehearsalCfg:
     seed: Seed = 0  #: Seed of the room and of the first throw; the next throw has the next seed.
     clock: Fraction = 1.0  #: Seconds of twin and deployment in a real second, at most 1.
     lockstep: bool = False  #: One process with simulated time, instead of several in real time.
-    perception_ms: NotNegative = 10.0  #: With --lockstep: least time of perception for an image.
-    perception_jitter_ms: NotNegative = 0.0  #: With --lockstep: largest random time on top, for each image.
+    #: With --lockstep: least time of perception for an image.
+    perception_ms: Annotated[float, Within(0.0, 1000.0)] = 10.0
+    #: With --lockstep: largest random time on top, for each image.
+    perception_jitter_ms: Annotated[float, Within(0.0, 1000.0)] = 0.0
     #: With --lockstep: time by which the stamps of images are too early.
     clock_error_ms: Annotated[float, Within(-1000.0, 1000.0)] = 0.0
-    held_seconds: NotNegative = 0.0  #: Time for which the thrower holds the object while the policy runs [s].
+    #: Time for which the thrower holds the object while the policy runs [s].
+    held_seconds: Annotated[float, Within(0.0, 600.0)] = 0.0
     #: Place of the profile over which the robot releases what it caught; it then returns and waits for the
     #: next throw, without a stop.
     after_catch: str | None = None

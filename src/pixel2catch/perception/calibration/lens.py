@@ -215,7 +215,8 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
 def _of_yaml(path: Path) -> SimpleNamespace:
     """The content of a file of `camera_calibration` or `ros2 topic echo`, by the names of a CameraInfo."""
     names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
-    fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}."
+    fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}; give these "
+    fix += "also for a file that OpenCV wrote (%YAML:1.0), as camera_calibration writes them."
     with reading("file of camera_calibration", path, fix, PerceptionError):
         content = parse_yaml(read_text(path, MOST_YAML).strip().removeprefix("---").partition("\n---")[0])
         found = {"roi": {}, "binning_x": 0, "binning_y": 0, **content}
