@@ -14,6 +14,7 @@ import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step, rows, summary
 
 from pixel2catch.errors import CheckpointError, InvalidValueError, NonFiniteError, PolicyMismatchError
+from pixel2catch.learning.checkpoint import RunFolder
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.gradient_step import GradientStep
 from pixel2catch.learning.log import CsvLog
@@ -98,6 +99,15 @@ def test_resume_drops_what_is_repeated(tmp_path: Path) -> None:
     resumed.write()
     expected = "transitions,reward,extra\n10,0.5,\n20,0.5,\n30,0.25,1\n"
     assert (tmp_path / "metrics.csv").read_text() == expected
+
+
+def test_two_trainings_do_not_write_into_one_folder(tmp_path: Path):
+    folder = RunFolder(tmp_path / "run")
+    with folder.open(resume=False):
+        with pytest.raises(CheckpointError, match="is in use by another training"), folder.open(resume=False):
+            pass
+        assert folder.path.exists()
+    assert not folder.path.exists()
 
 
 def test_a_run_folder_is_not_overwritten(tmp_path: Path) -> None:

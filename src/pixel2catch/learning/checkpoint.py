@@ -5,8 +5,10 @@ The environments are not part of a checkpoint: a resumed training begins with ne
 
 import contextlib
 import dataclasses
+import fcntl
 import io
 import json
+import os
 import pickle
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -131,9 +133,16 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise CheckpointError(f"cannot make the run folder '{self.path}': {error.strerror}.") from error
+        place = os.open(self.path, os.O_RDONLY)
         try:
+            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
+        except BlockingIOError as error:
+            raise CheckpointError(
+                f"'{self.path}' is in use by another training; name another one."
+            ) from error
         finally:
+            os.close(place)
             with contextlib.suppress(OSError):  # the first that is not empty ends it
                 for folder in made:
                     folder.rmdir()
