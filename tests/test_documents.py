@@ -139,6 +139,9 @@ def test_figures_are_small_and_shown():
         assert f"figures/{path.name}" in shown
 
 
+SHORT_TRIALS = "from pixel2catch.envs.cfg import CatchEnvCfg\nCatchEnvCfg.trial_steps = 40"
+
+
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for folder in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
         monkeypatch.setenv(folder, str(tmp_path / folder.lower()))
@@ -148,6 +151,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert any(text and "S.R." in text for text in said), "the notebook keeps its outputs"
     for cell in notebook.cells:
         cell.source = cell.source.replace("num_throws=30", "num_throws=2")
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(SHORT_TRIALS))
     client = nbclient.NotebookClient(
         notebook, timeout=int(PATIENCE), resources={"metadata": {"path": str(tmp_path)}}
     )
