@@ -161,7 +161,7 @@ def require(kind: Any, name: str, value: Any) -> None:
     kind, requirements = _parts(kind)
     if not _fits(kind, value):
         raise InvalidValueError(f"{name} is {value!r:.200}; it must be {_in_words(kind)}.")
-    bounds = [each.high for each in requirements if isinstance(each, Within)]
+    bounds = [bound for each in requirements if isinstance(each, Within) for bound in (each.low, each.high)]
     if isinstance(value, float) and not math.isfinite(value) and value not in bounds:
         raise InvalidValueError(f"{name} is {value}; it must be a finite number.")
     if isinstance(value, int) and abs(value) >= 2**63:  # readers use 64 bits

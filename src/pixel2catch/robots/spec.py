@@ -18,6 +18,7 @@ from pixel2catch.checks import Within
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
+End = Annotated[float, Within(-inf, inf)]  #: End of a joint's travel [rad]; infinite without one.
 Range = tuple[float, float]
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -42,7 +43,7 @@ class JointSpec:
     acceleration_limit: Annotated[float, Within(0.0, inf, is_open=True)] = inf
     #: Ends of the travel [rad], deceleration a [rad/s²], offset [rad/s]: at a distance d from an end, speeds
     #: of commands towards it are at most √(2 a d) - offset. Simulated if there is an `acceleration_limit`.
-    travel: tuple[float, float, float, float] = (-inf, inf, 1.0, 0.0)
+    travel: tuple[End, End, float, float] = (-inf, inf, 1.0, 0.0)
 
 
 @no_type_check  # a check in tests would wrap it, and the servo could not compile it
