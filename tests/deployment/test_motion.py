@@ -21,7 +21,10 @@ from pixel2catch.servo.laws import (
     speed_to,
     stopping_speed,
 )
-from pixel2catch.servo.limits import motion_columns, records
+from pixel2catch.servo.limits import JointLimits, ServoLimits, motion_columns, records
+from pixel2catch.servo.link import Clamp, Mode
+from pixel2catch.servo.tick import target_speed
+from pixel2catch.workcells import find_workcell
 
 DT, ACCELERATION, JERK = 0.002, np.array([200.0, 50.0]), np.array([40e3, 20e3])
 ENDLESS = travel_columns(JOINTS[:2], ACCELERATION, DT)
@@ -135,3 +138,18 @@ def test_near_an_end_a_command_is_no_faster_than_the_interface_allows(decelerati
             allowed = sqrt(2.0 * deceleration * (0.3 - side * position)) - offset
             assert side * velocity <= max(allowed, 0.0)
             assert abs(velocity - before) <= acceleration * dt * (1.0 + 1e-9)
+
+
+def test_a_joint_that_brakes_slowly_reaches_its_even_speed():
+    """A joint of the FR3 in steady motion, its command ahead by the lag: a far target does not slow it.
+
+    Commands are no faster than joints may be; where they may be faster, the lead alone limits joints.
+    """
+    workcell = find_workcell("fr3_allegro")
+    joints = JointLimits.of(workcell, is_identified=False)
+    limit = ServoLimits.of(workcell, joints).joint_records.view(np.recarray)[0]
+    joint = SimpleNamespace(hold=0.0, start=0.0, end=1.0, stamp=0.0, joint_pos=0.0, is_lag_estimated=True)
+    joint.lag, joint.position = limit.lag, limit.lag * limit.even_speed
+    robot = SimpleNamespace(mode=Mode.RUN, now=0.0, target_begun=-1.0, clamped=0)
+    assert target_speed(robot, joint, limit) == pytest.approx(limit.even_speed, rel=0.01)
+    assert robot.clamped == Clamp.LEAD

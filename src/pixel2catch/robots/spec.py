@@ -50,9 +50,8 @@ class JointSpec:
 def speed_to_end(distance: Any, slope: Any, base: Any) -> Any:
     """Return the largest speed [rad/s] of a command's step dt towards an end of the travel.
 
-    The distance [rad] to where the interface allows no speed is 0 or more; numbers, arrays or tensors. With
-    the rest r after the step, speed = √(slope r + offset²) - offset. Commands along this curve brake by at
-    most slope / 2 · speed / (speed + offset), also in discrete time.
+    The distance d to where the interface allows none is 0 or more [rad]; after the step, the rest r is on
+    speed = √(slope r + offset²) - offset. There, commands brake by less than slope / 2 [rad/s²].
     """
     return (base * base + slope * distance) ** 0.5 - base
 

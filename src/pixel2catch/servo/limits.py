@@ -247,6 +247,7 @@ class ServoLimits:
         motion = motion_columns(joints.acceleration, joints.jerk, self.dt)
         is_arm = np.isfinite(joints.tracking_error)
         stop_time = joints.lead / (joints.lag * joints.deceleration)
+        is_slow = SPEED_MARGIN * joints.speed <= (1.0 + ROUNDING) * even_speed  # as joints may be
         hold = (np.maximum(np.rint(joints.period / self.dt), 1.0) - 1.0) * self.dt
         sizes = [len(group.joints) for group in self.workspace.workcell.groups]
         group = np.repeat(np.arange(len(sizes)), sizes)[: self.num_joints]
@@ -260,6 +261,7 @@ class ServoLimits:
             is_last=np.diff(group, append=len(sizes)) > 0,
             is_arm=is_arm,  # it must stay near its expected position
             is_finger=np.isfinite(joints.escape),  # an object may hold it
+            brake_time=is_slow * 0.5 * even_speed / joints.acceleration,  # for which they may lead more [s]
             stop_time=stop_time,  # in which a stop brings the joint to rest [s]
             even_speed=even_speed,  # at which the joint is not too fast, whatever its lag [rad/s]
             unseen_speed=np.where(is_arm, even_speed, np.inf),  # until the lag is estimated [rad/s]

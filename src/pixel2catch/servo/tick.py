@@ -280,7 +280,7 @@ def target_speed(robot: Record, joint: Record, limit: Record) -> float:
         wanted = interpolated(joint.start, joint.end, elapsed, limit.control_dt)
         wanted = joint.hold + share * (wanted - joint.hold)
         age = np.fmin(robot.now - joint.stamp, limit.hold)
-        reach = limit.even_speed * (joint.lag + limit.delay + age + 0.5 * limit.hold)
+        reach = limit.even_speed * (joint.lag + limit.delay + age + 0.5 * limit.hold + limit.brake_time)
         goal = clipped(wanted, joint.joint_pos - reach, joint.joint_pos + reach)
         robot.clamped |= bit(Clamp.LEAD, goal != wanted)
     speed = speed_to(joint.position, clipped(goal, limit.lower, limit.upper), limit)
