@@ -28,7 +28,7 @@ class Excite:
     workcell: str = "ur5e_allegro"  #: Name of the robots.
     #: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
     out: Annotated[Path, OutputFile((".npz",))] | None = None
-    seconds: Positive = 40.0  #: Duration of a trajectory [s].
+    seconds: Positive = 40.0  #: Duration of a trajectory [s]: at the default speed 20 or more, at most 600.
     #: Factor on speeds, accelerations and jumps: begin small on a real robot. Full speed, 1, has jumps like a
     #: policy's, which show the inertia of the arm's drives.
     speed: Fraction = 0.2
