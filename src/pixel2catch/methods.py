@@ -43,9 +43,7 @@ class Method:
             if "." in agent.name or hasattr(torch.nn.ModuleDict(), agent.name):  # has its networks
                 raise InvalidValueError(f"agent '{agent.name}' cannot have this name; give it another one.")
             if not (agent.observation + agent.memory and agent.reward_names):
-                raise InvalidValueError(
-                    f"agent '{agent.name}' lacks an observation or a reward; give it terms."
-                )
+                raise InvalidValueError(f"agent '{agent.name}' lacks observations or rewards; give it terms.")
         for feature in set(self.pixel_features) - set(PIXEL_FEATURES):
             raise UnknownNameError("pixel feature", feature, PIXEL_FEATURES)
 

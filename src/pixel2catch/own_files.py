@@ -93,9 +93,7 @@ def add(value: Any) -> str:
     for kind, (values, of_package) in _CATALOGUES.items():
         if isinstance(value, kind):
             if value.name in of_package and values[value.name] != value:
-                raise InvalidValueError(
-                    f"the package has another {kind.__name__} called '{value.name}'; rename yours."
-                )
+                raise InvalidValueError(f"{kind.__name__} '{value.name}' is in the package; rename yours.")
             values[value.name] = value
     return value.name
 

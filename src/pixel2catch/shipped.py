@@ -42,9 +42,7 @@ def policy_folder(folder: Path | None) -> Path:
         shipped = shipped_policies()
         name = str(folder or DEFAULT_POLICY)
         if name not in shipped:
-            raise UnknownNameError(
-                "policy", name, [*shipped, *COMPUTED, "or a folder with a policy or a training run"]
-            )
+            raise UnknownNameError("policy", name, [*shipped, *COMPUTED, "or a folder of a policy or a run"])
         folder = shipped[name]
     if folder.suffix == ".onnx" and folder.is_file():
         return folder

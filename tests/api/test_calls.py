@@ -85,7 +85,7 @@ WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: agents_named("training"), "agent 'training' cannot have this name"),
     (
         lambda: replace(METHOD, agents=(replace(METHOD.agents[0], observation=()),)),
-        "lacks an observation or a reward",
+        "lacks observations or rewards",
     ),
 )
 

@@ -54,10 +54,10 @@ def test_what_was_recorded_is_read_back_byte_by_byte(tmp_path: Path):
 def test_an_existing_recording_is_not_overwritten(tmp_path: Path):
     with BagRecorder(tmp_path / "throw") as bag:
         bag.record(NUMBER, messages.number(1.0), EPOCH)
-    with pytest.raises(DeploymentError, match=r"throw: no recording can be made .*choose another name"):
+    with pytest.raises(DeploymentError, match=r"throw: no recording .*choose another name"):
         BagRecorder(tmp_path / "throw")
     assert len(read(tmp_path / "throw")) == 1
-    with pytest.raises(DeploymentError, match="no recording can be made"):
+    with pytest.raises(DeploymentError, match="no recording"):
         BagRecorder(tmp_path / "throw" / "metadata.yaml" / "below")
 
 

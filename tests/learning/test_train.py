@@ -104,7 +104,7 @@ def test_resume_drops_what_is_repeated(tmp_path: Path) -> None:
 def test_two_trainings_do_not_write_into_one_folder(tmp_path: Path):
     folder = RunFolder(tmp_path / "run")
     with folder.open(resume=False):
-        with pytest.raises(CheckpointError, match="is in use by another training"), folder.open(resume=False):
+        with pytest.raises(CheckpointError, match="is used by another training"), folder.open(resume=False):
             pass
         assert folder.path.exists()
     assert not folder.path.exists()

@@ -60,7 +60,7 @@ def test_file_without_ranges_keeps_the_papers(tmp_path):
         ("worse_than_command", ["wrist_9_joint"], "unknown joint in worse_than_command"),
         ("joints", ["elbow_joint", "index_joint_9"], "Did you mean"),
         ("joints", ["index_joint_1", "elbow_joint"], "in the order"),
-        ("stiffness", [1.0, -2.0], "stiffness of index_joint_1 is -2; it must be from 1e-09"),
+        ("stiffness", [1.0, -2.0], "stiffness of index_joint_1 is -2; give 1e-09"),
         ("latency", [float("nan"), 0.0], "'latency' has the number nan"),
         ("damping", [1.0], "damping"),
         ("weight", [1.0, 1.0], "unknown field 'weight'"),

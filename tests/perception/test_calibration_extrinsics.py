@@ -175,7 +175,7 @@ def test_rows_of_other_images_are_refused():
     views = hand_views(8)
     pairs = zip(views, [*views[3:], *views[:3]], strict=True)
     mixed = [replace(view, palm=other.palm) for view, other in pairs]
-    with pytest.raises(PerceptionError, match="are the rows of the table those of the images"):
+    with pytest.raises(PerceptionError, match="do the table's rows fit them"):
         calibrate(mixed, lens())
 
 

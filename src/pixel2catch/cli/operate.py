@@ -88,9 +88,7 @@ class Operate:
     def _keys(self) -> tuple[tuple[int, ...], ...]:
         """Return the codes that hold, arm and stop; refuse a key with two meanings, and to have no switch."""
         if self.device is None and not self.web:
-            raise InvalidValueError(
-                "there is no switch: name an input device, such as /dev/input/event3, or add --web."
-            )
+            raise InvalidValueError("there is no switch: name one, such as /dev/input/event3, or add --web.")
         require_used(self, ("keys",), self.device is not None, "without a device")
         require_used(self.page, ("address",), self.web, "without --web")
         if self.keys is None:

@@ -54,9 +54,7 @@ class Replay:
 def _lines(report: dict[str, Any]) -> Iterator[str]:
     yield from summary_lines(report["deploy"])
     same = report["decided"]
-    counts = (
-        f"{same['num_then']} in the recording, {same['num_now']} in the replay, {same['num_both']} in both"
-    )
+    counts = f"{same['num_then']} recorded, {same['num_now']} in the replay, {same['num_both']} in both"
     yield f"images with targets: {counts}"
     for part, difference in same.items():
         if not part.startswith("num_"):

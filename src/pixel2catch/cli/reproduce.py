@@ -110,9 +110,7 @@ class Reproduce:
     def _commands(self) -> dict[Settings, Train]:
         """Return the command of the trainings of each combination of the sweeps."""
         if any(len(each) < 3 for each in self.sweep):
-            raise InvalidValueError(
-                "--sweep needs a name and two values, as in --sweep learning_rate 3e-4 1e-3."
-            )
+            raise InvalidValueError("--sweep needs a name and two values: --sweep learning_rate 3e-4 1e-3.")
         options = [[f"{_field(n)}={','.join(v.split())}" for v in values] for n, *values in self.sweep]
         settings = [*product(*options)]
         commands = [self._train(each) for each in settings]

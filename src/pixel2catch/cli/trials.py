@@ -41,9 +41,7 @@ class Trials:
         plan, file = new_plan(vars(self)), self.out / "plan.json"
         before = read_row(file) or plan
         if changes := differences(before["configuration"], plan["configuration"], "in the series"):
-            raise StudyError(
-                f"'{self.out}' is another series ({changes}): give its options or another --out."
-            )
+            raise StudyError(f"'{self.out}' is another series ({changes}): give its options or a new --out.")
         self.out.mkdir(parents=True, exist_ok=True)
         with held(self.out):
             write_atomically({file: json_text(before)})

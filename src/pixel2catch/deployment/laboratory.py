@@ -117,9 +117,7 @@ class Survey:
             hint = f"somebody {verb} {topic.type} on {alike}" if alike else "nor any topic of that type"
             raise Broken(f"nobody {verb} {topic.name}; {hint}: start the driver, or correct the profile")
         if wrong := {*found} - {topic.type}:
-            raise Broken(
-                f"{topic.name} is of type {', '.join(wrong)}, the profile has {topic.type}: correct it"
-            )
+            raise Broken(f"{topic.name} has type {', '.join(wrong)}, the profile {topic.type}: correct it")
         if (count := len(found) if publish else len({each.program for each in named})) > most:
             raise Broken(f"{count} {noun} of {topic.name}: one may be; end the others")
 

@@ -88,9 +88,7 @@ class PathFinder:
         """Return the poses of a path [rad], straight or over few poses; raise DeploymentError without one."""
         for name, pose in (("the robot's pose", start), ("the goal", goal)):
             if reason := self.refusal(pose):
-                raise DeploymentError(
-                    f"no motion: {name} is not allowed, {reason}. Move the robot by hand (free drive)."
-                )
+                raise DeploymentError(f"no motion: {name} is not allowed, {reason}. Move the robot by hand.")
         shape, rng = (NUM_BETWEEN, len(start)), np.random.default_rng(0)
         between = np.where(rng.random(shape) < 0.5, start, goal)  # some joints before the others
         between[::2] = rng.uniform(self._joints.lower, self._joints.upper, shape)[::2]
@@ -107,7 +105,7 @@ class PathFinder:
                 raise DeploymentError(
                     "no motion: no path without a collision was found, and "
                     f"{self._workcell.joint_names[far]} is {abs(goal[far] - start[far]):.1f} rad from its "
-                    "goal. Move the robot by hand (free drive)."
+                    "goal. Move the robot by hand."
                 )
             for one, other in pairwise(way):
                 if not self._is_free(poses[one], poses[other], poses[:2]):

@@ -47,9 +47,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except (OSError, WriterError) as error:
-            raise DeploymentError(
-                f"{folder}: no recording can be made ({error}); choose another name."
-            ) from error
+            raise DeploymentError(f"{folder}: no recording ({error}); choose another name.") from error
         self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
         atexit.register(self.__exit__)  # a second signal may come where no context ends

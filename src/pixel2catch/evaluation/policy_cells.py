@@ -1,7 +1,7 @@
 """Cells and reports of stress and transfer studies: policies under settings, the same throws for all.
 
 OUT/cells/POLICY/SETTING.json has the metrics of a policy under a setting, and everything that decides them. A
-result that was obtained otherwise is refused before anything is computed, and never overwritten.
+result that was made otherwise is refused before anything is computed, and never overwritten.
 """
 
 import os
@@ -115,7 +115,7 @@ def policy_cells(
 ) -> list[StudyCell]:
     """Return the cells of a study, setting by setting; the task of `cfg` is replaced by that of each policy.
 
-    A cell that is alone may use all processors. Raises StudyError if a result was obtained otherwise.
+    A cell that is alone may use all processors. Raises StudyError if a result was made otherwise.
     """
     cells = []
     for setting, entry in product(settings, policies):
@@ -166,14 +166,12 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
 
 
 def _require_same(file: Path, origin: Json) -> None:
-    """Refuse a result that was obtained otherwise."""
+    """Refuse a result that was made otherwise."""
     if (found := read_row(file)) is None:
         return
     before = dict(leaves(found | {"metrics": None}))
     if changes := differences(before, dict(leaves(origin | {"metrics": None})), "there"):
-        raise StudyError(
-            f"'{file}' was obtained otherwise ({changes}); give its values, or name another --out."
-        )
+        raise StudyError(f"'{file}' was made otherwise ({changes}); give its values, or name another --out.")
 
 
 def result_rows(

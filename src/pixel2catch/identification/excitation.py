@@ -226,9 +226,7 @@ def find_excitation(
             shrunk[joint] = shrunk.get(joint, 1.0) * min(factors, default=1.0)
         reasons = "; ".join(each.text for each in assessment.violations)
         report(f"trying less motion: {reasons}")
-    raise InvalidValueError(
-        f"no safe excitation after {MAX_TRIES} tries: {reasons}. Try another --seed or less --speed."
-    )
+    raise InvalidValueError(f"no safe excitation: {reasons}. Try another --seed or less --speed.")
 
 
 def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:

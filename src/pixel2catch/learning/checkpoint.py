@@ -138,9 +138,7 @@ class RunFolder:
             fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
         except BlockingIOError as error:
-            raise CheckpointError(
-                f"'{self.path}' is in use by another training; name another one."
-            ) from error
+            raise CheckpointError(f"'{self.path}' is used by another training; name another one.") from error
         finally:
             os.close(place)
             with contextlib.suppress(OSError):  # the first that is not empty ends it

@@ -48,9 +48,7 @@ Entry = TypeVar("Entry")
 
 def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) -> tuple[Entry, ...]:
     if len(values) not in (0, 1, len(default)):
-        raise InvalidValueError(
-            f"{name} has {len(values)} entries; it needs one for each of {len(default)} joints"
-        )
+        raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(default)}, one a joint")
     return values * len(default) if len(values) == 1 else values or default
 
 

@@ -263,9 +263,7 @@ def load_sam2(
 
 
 def _unusable(folder: Path, problem: str) -> PerceptionError:
-    return PerceptionError(
-        f"{problem}. On a machine with a network: hf download {MODEL_ID} --local-dir {folder}"
-    )
+    return PerceptionError(f"{problem}. With a network: hf download {MODEL_ID} --local-dir {folder}")
 
 
 def _with_image_size(config: Sam2VideoConfig, size: int) -> Sam2VideoConfig:

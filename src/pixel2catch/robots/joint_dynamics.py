@@ -65,9 +65,7 @@ class JointDynamics:
             for joint, value in zip(self.joints, values.tolist(), strict=True):
                 low, high = RANGES.get(name, POSITIVE)
                 if not low <= value <= high:
-                    raise InvalidValueError(
-                        f"{name} of {joint} is {value:g}; it must be from {low:g} to {high:g}."
-                    )
+                    raise InvalidValueError(f"{name} of {joint} is {value:g}; give {low:g} to {high:g}.")
 
     def require(self, joints: Sequence[JointSpec]) -> None:
         """Require that all joints belong to a robot, in its order."""

@@ -64,7 +64,7 @@ class WorkcellSpec:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InvalidValueError(
-                f"work cell '{self.name}' has several joints '{twice[0]}'; give its robots prefixes."
+                f"joint '{twice[0]}' is twice in '{self.name}'; give its robots prefixes."
             )
 
     @cached_property
@@ -202,8 +202,6 @@ def require_simple(content: bytes) -> None:
                     f"its element '{element.tag}' has a '%', which MuJoCo takes for a format; rename it"
                 )
             if element.tag in GROWING:
-                raise InvalidValueError(
-                    f"it has the element '{element.tag}'; write out the elements that it creates"
-                )
+                raise InvalidValueError(f"replace '{element.tag}' by the elements that it creates")
     except (ElementTree.ParseError, LookupError) as error:
         raise InvalidValueError(f"it is not XML ({error})") from error

@@ -150,9 +150,7 @@ def pixels_of(message: Any) -> Pixels | None:
     """Return the pixels of a decoded image, or None if its size and its bytes do not fit."""
     if message.encoding not in ENCODINGS:
         known = ", ".join(ENCODINGS)
-        raise DeploymentError(
-            f"an image is encoded as '{message.encoding}'; set the camera to one of {known}."
-        )
+        raise DeploymentError(f"the encoding is '{message.encoding}'; set the camera to one of {known}.")
     size, conversion = ENCODINGS[message.encoding]
     height, width, step = message.height, message.width, message.step
     is_odd = size == 2 and width % 2 == 1  # two pixels of YUV 4:2:2 share their colour

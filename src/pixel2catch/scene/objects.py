@@ -219,9 +219,7 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
     if num_points < len(vertices):
         vertices = vertices[ConvexPart(vertices=vertices).hull.vertices]
     if num_points < len(vertices):
-        raise InvalidValueError(
-            f"num_points is {num_points}; object '{spec.name}' needs at least {len(vertices)}."
-        )
+        raise InvalidValueError(f"num_points is {num_points}; '{spec.name}' needs at least {len(vertices)}.")
     rng = np.random.default_rng(seed)
     faces = np.concatenate([part.faces for part in spec.parts])
     areas = 0.5 * np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1)

@@ -79,9 +79,7 @@ class DrakeCopy(EngineCopy):
         force = np.zeros(self._plant.num_velocities())
         force[self._v] = qfrc[self._dofs]
         if xfrc[self._links].any():
-            raise InvalidValueError(
-                "xfrc_applied acts on a link; engine 'drake' supports it on free bodies only."
-            )
+            raise InvalidValueError("xfrc_applied acts on a link; 'drake' supports free bodies only.")
         positions = self._plant.GetPositions(self._context)
         for body, first, speed in self._free:
             rotation = rotation_matrix(positions[first : first + 4])
@@ -122,9 +120,7 @@ class _Builder:
             self._add_body(body)
         has_weight = {body.has_weight for body in world.bodies if body.joint is not None}
         if len(has_weight) > 1:
-            raise InvalidValueError(
-                "gravity acts on some links only, which Drake does not support; use engine 'mujoco'."
-            )
+            raise InvalidValueError("Drake has no gravity on some links only; use engine 'mujoco'.")
         plant.set_gravity_enabled(self.robots, has_weight == {True})
         plant.set_contact_model(self._drake.ContactModel.kHydroelasticWithFallback)
         plant.SetUseSampledOutputPorts(False)  # a step is then one discrete update

@@ -132,9 +132,7 @@ class EngineSimulation(Simulation):
     def check(self) -> None:
         """Raise if the engine diverged."""
         if lost := int((~np.isfinite(self._state())).any(axis=1).sum()):
-            raise NonFiniteError(
-                f"{lost} of {self.num_envs} environments have NaN or infinity in their state"
-            )
+            raise NonFiniteError(f"{lost} of {self.num_envs} environments have NaN or infinity in the state")
 
     def close(self) -> None:
         """Free the copies."""

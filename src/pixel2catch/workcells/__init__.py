@@ -23,7 +23,5 @@ def workcells() -> dict[str, WorkcellSpec]:
 def find_workcell(name: str) -> WorkcellSpec:
     """Return the work cell of a name; raise UnknownNameError for another."""
     if name not in _KNOWN and name not in workcells():
-        raise UnknownNameError(
-            "work cell", name, (*_KNOWN, f"or one of a file of your own, {OPTION} FILE.py")
-        )
+        raise UnknownNameError("work cell", name, (*_KNOWN, f"or one of your own, {OPTION} FILE.py"))
     return _KNOWN[name]

@@ -166,9 +166,7 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     rough = _fit(corners, *_first_guess(corners, lens), 0.0 * weights, weights, loss="cauchy")
     rms = corners.rms(rough.camera, rough.board, rough.common)
     is_used = rms <= np.clip(OUTLIER_FACTOR * np.median(rms), ERRORS_USED, ERRORS_WRONG)
-    _require_enough(
-        int(is_used.sum()), "images agree with each other (are the rows of the table those of the images?)"
-    )
+    _require_enough(int(is_used.sum()), "images agree with each other (do the table's rows fit them?)")
     used = corners.of(is_used)
     poses = _fit(used, rough.camera, rough.board, rough.common, weights)
     moves = poses.jacobian[:, :NUM_POSES]
