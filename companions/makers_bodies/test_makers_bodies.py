@@ -181,5 +181,5 @@ def test_what_is_not_the_robot_is_refused(
 )
 def test_a_model_with_a_format_character_is_refused(name: str, content: str, tmp_path: Path):
     (tmp_path / name).write_text(content)
-    with pytest.raises(p2c.Pixel2CatchError, match="takes for a format"):
+    with pytest.raises(p2c.Pixel2CatchError, match="a format of MuJoCo"):
         write_workcell([tmp_path / name], tmp_path / "makers")

@@ -36,9 +36,7 @@ class Method:
         require_valid(self)
         names = [agent.name for agent in self.agents]
         if not names or len(set(names)) < len(names):
-            raise InvalidValueError(
-                f"method '{self.name}' has the agents {names}; it needs one or more, each with its own name."
-            )
+            raise InvalidValueError(f"method '{self.name}' has agents {names}; name one or more, each once.")
         for agent in self.agents:
             if "." in agent.name or hasattr(torch.nn.ModuleDict(), agent.name):  # has its networks
                 raise InvalidValueError(f"agent '{agent.name}' cannot have this name; give it another one.")

@@ -58,9 +58,7 @@ def import_file(name: str) -> None:
         return
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or path.stem in sys.modules or spec is None or spec.loader is None:
-        raise InvalidValueError(
-            f"cannot import '{name}'; it must be a Python file, FILE.py, named like no module in use."
-        )
+        raise InvalidValueError(f"'{name}' must be a Python file, FILE.py, named like no module in use.")
     sys.modules[path.stem] = module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

@@ -47,9 +47,7 @@ def policy_folder(folder: Path | None) -> Path:
     if folder.suffix == ".onnx" and folder.is_file():
         return folder
     if not folder.is_dir():
-        raise PolicyMismatchError(
-            f"'{folder}' is a file; give the folder of a policy, such as runs/NAME, or a shipped policy."
-        )
+        raise PolicyMismatchError(f"'{folder}' is a file; give a policy's folder, as runs/NAME, or a name.")
     found = folder / "policy" if (folder / "policy").is_dir() else folder
     if not (found / "policy.json").is_file():
         raise PolicyMismatchError(

@@ -165,7 +165,7 @@ def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
     has_dynamics = replace(OWN, dynamics=JointDynamics.nominal())
     experiment = p2c.preset("cpu", **SMALL)
     wrong: tuple[tuple[type[Exception], str, dict[str, Any]], ...] = (
-        (InvalidValueError, "leave out one of them", {"task": has_dynamics, "dynamics": file}),
+        (InvalidValueError, "already; leave out one", {"task": has_dynamics, "dynamics": file}),
         (InvalidValueError, "leave out task", {"preset": experiment, "task": "wide"}),
         (UnknownNameError, "Did you mean 'num_envs'", {"num_env": 3}),
     )

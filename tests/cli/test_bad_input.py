@@ -24,7 +24,7 @@ BAD = [
     ("train mine.py:mine", "give --import FILE.py, and the name alone"),
     ("evaluate --objects seen teapot", "teapot"),
     # policies that are none
-    ("evaluate {file}", "is a file; give the folder of a policy"),
+    ("evaluate {file}", "is a file; give a policy's folder"),
     ("evaluate {empty}", "has no policy"),
     ("evaluate {list_policy}", "it must be a JSON object"),
     # numbers
@@ -112,10 +112,10 @@ BAD = [
     ("train --dynamics {empty}", "a folder; name a file in it"),
     # files of one's own
     ("--import", "--import needs a Python file"),
-    ("--import absent.py evaluate", "cannot import"),
+    ("--import absent.py evaluate", "'absent.py' must be a Python file"),
     ("--import {exits} train", "SystemExit"),
-    ("train mine --import {no_agents}", "it needs one or more, each with its own name"),
-    ("train mine --import {twins}", "it needs one or more, each with its own name"),
+    ("train mine --import {no_agents}", "name one or more, each once"),
+    ("train mine --import {twins}", "name one or more, each once"),
     ("train mine --import {blind}", "unknown pixel feature 'cz'"),
 ]
 

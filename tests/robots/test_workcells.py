@@ -213,5 +213,5 @@ def test_faults_are_named():
     with pytest.raises(InvalidValueError, match="has no palm"):
         WorkcellSpec(name="bare", robots=(Placed(robot=UR5E, pos=(0.0, 0.0, 0.8)),))
     (robot,) = UR5E_ALLEGRO.robots
-    with pytest.raises(InvalidValueError, match="give its robots prefixes"):
+    with pytest.raises(InvalidValueError, match="give robots prefixes"):
         replace(UR5E_ALLEGRO, robots=(robot, robot))

@@ -56,9 +56,7 @@ class Connection:
                 self.recording.record_row(SERVO, command.row, command.time)
             yield command
         if self.servo.is_closed:
-            raise DeploymentError(
-                "the servo process has ended, nothing guards the robot: press its stop. Its error is above."
-            )
+            raise DeploymentError("the servo ended (error above), nothing guards the robot: press its stop.")
 
     def record(self, targets: JointTargets | None = None) -> str:
         """Record targets and the messages that have arrived; return why the recording is incomplete."""
@@ -155,9 +153,7 @@ def read_prompt(data: bytes) -> BoxPrompt:
         xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
         if -inf < xmin < xmax < inf and -inf < ymin < ymax < inf:
             return BoxPrompt(box=(xmin, ymin, xmax, ymax))
-    raise DeploymentError(
-        'a prompt is not {"box": [xmin, ymin, xmax, ymax]} in pixels, with xmin < xmax and ymin < ymax.'
-    )
+    raise DeploymentError('a prompt is not {"box": [xmin, ymin, xmax, ymax]} [px], xmin < xmax, ymin < ymax.')
 
 
 class ControlLoop:

@@ -200,9 +200,7 @@ class CatchEnv:
         found = zip(self.method.agents, self._is_nan.tolist(), strict=True)
         if names := [agent.name for agent, is_nan in found if is_nan]:
             self._is_nan.zero_()
-            raise InvalidValueError(
-                f"an action of agent '{names[0]}' is NaN; each must be a number, and counts within [-1, 1]."
-            )
+            raise InvalidValueError(f"an action of agent '{names[0]}' is NaN; give numbers from -1 to 1.")
 
     def _control_step(self, action: Joints) -> Step:
         """Advance by a control step in memory that keeps its address: a device records and replays it."""

@@ -94,9 +94,7 @@ def preset(
     train = PRESETS[name].changed(options)
     has_camera = env.sensing.camera != RELEASE_CAMERA
     if (dynamics and env.dynamics) or (camera and has_camera):
-        raise InvalidValueError(
-            f"'{dynamics or camera}' is given, but the task has such values already; leave out one of them."
-        )
+        raise InvalidValueError(f"the task has the values of '{dynamics or camera}' already; leave out one.")
     return Experiment(env=env.with_files(dynamics, camera), train=train)
 
 

@@ -145,9 +145,7 @@ class Catcher(nn.Module):
         """Read the robot from a work cell with one palm, and the order of the observation from a contract."""
         super().__init__()
         if len(workcell.palms) != 1:
-            raise InvalidValueError(
-                f"work cell '{workcell.name}' has {len(workcell.palms)} palms; an analytic policy needs one."
-            )
+            raise InvalidValueError(f"'{workcell.name}' has {len(workcell.palms)} palms; 'analytic' needs 1.")
         self._fit, self._sizes = BallisticFit(throws), dict(contract.observation)
         (palm,) = workcell.palms
         self._arm, self._hand = palm.carriers, slice(palm.carriers.stop, None)

@@ -97,9 +97,7 @@ def _read_chain(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.n
     while body:
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         if count > 1 or (count and model.jnt_type[first] != mujoco.mjtJoint.mjJNT_HINGE):
-            raise InvalidValueError(
-                f"body '{model.body(body).name}' has another joint than one hinge; use one hinge a body."
-            )
+            raise InvalidValueError(f"body '{model.body(body).name}' may have one hinge, and no other joint.")
         if count:
             place = pose_matrix(model.jnt_pos[first], (1.0, 0.0, 0.0, 0.0))
             names.append(model.joint(first).name)

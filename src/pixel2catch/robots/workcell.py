@@ -58,14 +58,10 @@ class WorkcellSpec:
         names = self.joint_names
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
-                raise InvalidValueError(
-                    f"robot '{placed.robot.name}' of work cell '{self.name}' has no palm; give it a hand."
-                )
+                raise InvalidValueError(f"'{placed.robot.name}' in '{self.name}' has no palm; give a hand.")
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise InvalidValueError(
-                f"joint '{twice[0]}' is twice in '{self.name}'; give its robots prefixes."
-            )
+            raise InvalidValueError(f"joint '{twice[0]}' is twice in '{self.name}'; give robots prefixes.")
 
     @cached_property
     def groups(self) -> tuple[JointGroup, ...]:
@@ -194,13 +190,9 @@ def require_simple(content: bytes) -> None:
             depth += 1 if event == "start" else -1
             num_elements += event == "start"
             if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
-                raise InvalidValueError(
-                    f"it has more than {MOST_ELEMENTS} elements, or is more than {MOST_NESTED} levels deep"
-                )
+                raise InvalidValueError(f"it has more than {MOST_ELEMENTS} elements, or {MOST_NESTED} levels")
             if any("%" in value for value in element.attrib.values()):
-                raise InvalidValueError(
-                    f"its element '{element.tag}' has a '%', which MuJoCo takes for a format; rename it"
-                )
+                raise InvalidValueError(f"element '{element.tag}' has a '%', a format of MuJoCo; rename it")
             if element.tag in GROWING:
                 raise InvalidValueError(f"replace '{element.tag}' by the elements that it creates")
     except (ElementTree.ParseError, LookupError) as error:

@@ -155,9 +155,7 @@ def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
     sizes += [(each.message_end_time, 1, -each.uncompressed_size) for each in chunks]
     most = max(accumulate(size for *_, size in sorted(sizes)), default=0)
     if most > MOST_AT_ONCE or any(each.uncompressed_size > MOST_CHUNK for each in chunks):
-        raise InvalidValueError(
-            f"its chunks are too large; at most {MOST_CHUNK:,} bytes each are read, {MOST_AT_ONCE:,} together"
-        )
+        raise InvalidValueError(f"its chunks may have {MOST_CHUNK:,} bytes each, {MOST_AT_ONCE:,} together")
 
 
 def _unpacked_lz4(data: bytes, size: int) -> bytes:

@@ -102,9 +102,7 @@ def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
     tries = ([_corners(part, most) for part in parts] for most in PART_POINTS)
     found = next((p for p in tries if len(ConvexHull(np.concatenate(p)).vertices) <= OUTLINE_POINTS), None)
     if found is None:
-        raise InvalidValueError(
-            f"the hull of {len(parts)} convex parts has more than {OUTLINE_POINTS} corners; lower max_parts."
-        )
+        raise InvalidValueError(f"the hull has more than {OUTLINE_POINTS} corners; lower max_parts.")
     return [ConvexPart(vertices=part) for part in found]
 
 

@@ -73,9 +73,7 @@ class EngineSimulation(Simulation):
         """Create the environments at the model's defaults; the first step builds the copies."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
         if num_envs > MOST_ENVS:
-            raise InvalidValueError(
-                f"num_envs is {num_envs}; it must be at most {MOST_ENVS} in an engine other than MuJoCo."
-            )
+            raise InvalidValueError(f"num_envs is {num_envs}; outside MuJoCo it is at most {MOST_ENVS}.")
         self._make_copy = make_copy
         self._scratch = copy.copy(model)
         described = copy.copy(model)

@@ -125,9 +125,7 @@ def _refuse(model: mujoco.MjModel) -> None:
         "a reference angle other than 0": model.qpos0[model.jnt_qposadr[is_hinge]].any(),
     }
     if found := [name for name, is_there in faults.items() if is_there]:
-        raise InvalidValueError(
-            f"the model has {', '.join(found)}, which other engines do not support; use engine 'mujoco'."
-        )
+        raise InvalidValueError(f"only engine 'mujoco' supports {', '.join(found)} of the model; use it.")
 
 
 def _body(model: mujoco.MjModel, data: mujoco.MjData, number: int) -> Body:
