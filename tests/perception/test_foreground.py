@@ -11,10 +11,12 @@ from pixel2catch.perception.foreground import (
     LEARNING_IMAGES,
     Foreground,
     Weakness,
+    opaque,
     shaded,
     sharpened,
     shift_between,
 )
+from pixel2catch.perception.regions import find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, ImageMotion
 
 ROBOT_COLOR = (20, 20, 20)
@@ -147,6 +149,29 @@ def test_a_shadow_darkens_all_channels(color: tuple[int, int, int], *, is_shadow
         image=image, background=background, difference=image[..., 0], moving=moving, unknown=~moving
     )
     assert np.array_equal(shaded(motion, (slice(1, 4), slice(2, 5))), moving[1:4, 2:5] & is_shadow)
+
+
+@pytest.mark.parametrize(("light", "tint"), [(0.5, 0), (1.0, 30), (0.6, 30)])
+def test_a_things_edges_are_without_its_shadow_its_reflection_and_its_blur(light: float, tint: int):
+    """A red disc, brighter at the left and blurred, touches a floor that is darker or tinted below it."""
+    room = np.full((100, 120, 3), (150, 140, 130), dtype=np.float32)
+    rows, columns = np.ogrid[:100, :120]
+    floor = room * light + tint * np.array((0.5, -0.2, -0.5))
+    below = (rows >= 60) & (rows < 85) & (columns >= 50) & (columns < 70)
+    share = cv2.GaussianBlur((np.hypot(rows - 49.5, columns - 59.5) <= 20.0).astype(np.float32), (0, 0), 3.0)
+    color = np.array((170, 50, 30)) * (1.3 - 0.01 * (columns - 40.0))[..., None]
+    image = share[..., None] * color + (1.0 - share[..., None]) * np.where(below[..., None], floor, room)
+    difference = np.abs(image - room).max(axis=2)
+    moving = difference > 6.0
+    motion = ImageMotion(
+        image=image.astype(np.uint8),
+        background=room.astype(np.uint8),
+        difference=difference.astype(np.uint8),
+        moving=moving,
+        unknown=np.zeros_like(moving),
+    )
+    assert filmed.box_of(moving)[3] == 85
+    assert np.abs(filmed.box_of(opaque(find_blobs(moving)[0], motion)) - (40, 30, 80, 70)).max() <= 3
 
 
 EVERYWHERE = np.ones((HEIGHT, WIDTH), dtype=bool)

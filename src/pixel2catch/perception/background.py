@@ -15,11 +15,11 @@ from pixel2catch.camera.image import Edges, Mask, Pixels
 from pixel2catch.perception.foreground import (
     INNER,
     LEARNING_IMAGES,
+    opaque,
     prompted,
     shaded,
     sharpened,
     steady,
-    trimmed,
 )
 from pixel2catch.perception.regions import GAP, SPECK, Blob, Window, grown, grown_window, regions, window_of
 from pixel2catch.perception.segmenter import (
@@ -128,7 +128,6 @@ class BackgroundSubtraction(Segmenter):
             self._learn(motion, inside, maybe)
         self._track = self._track.behind(motion.things, inf if self._size is None else float(self._size[2]))
         blobs, blob = self._object(motion, self._track, maybe)
-        u, v = self._track.center
         self._track, segmentation = self._track.advanced(blobs, blob, motion.things)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
@@ -142,8 +141,7 @@ class BackgroundSubtraction(Segmenter):
             mask = blob.mask()
             if maybe is None or not np.array_equal(mask, maybe):  # a box's area is not the object's
                 self._resize(blob, self._track.num_seen)
-                moved = blob.center[0] - u, blob.center[1] - v
-                segmentation = replace(segmentation, mask=trimmed(blob, motion, moved))
+                segmentation = replace(segmentation, mask=opaque(blob, motion))
             self._later = partial(self._learn, motion, mask, grown(mask, GAP), seen)
         return segmentation
 

@@ -50,9 +50,11 @@ than compression adds around it, and less than half, the edge of a blurred thing
 
 LEAST_WITH_RIM = 5  #: Width and height from which a thing can have a rim [px]. Source: ours.
 
-SHARPNESS, LARGEST_BLUR = 1.0, 0.25
-"""Largest blur outside an edge of a still thing [px], and its growth with the motion since the last image.
-Source: ours: half of what is exposed in an interval, without what `EDGE` leaves out."""
+CORE = 0.5  #: Depth of a region, as a share of its largest, from which it shows the thing. Source: ours.
+RIDGE = 0.3  #: Weight of an even colour there against a linear one. Source: ours; 0.1 to 1 are alike.
+LEAST_OPAQUE = 0.45  #: Least share of a thing in its pixels. Source: ours: about half.
+LARGEST_LEFT = 12.0  #: Difference from which a mixture does not explain a pixel [levels]. Source: noise.
+LIGHT_NOISE = 50.0  #: Norm of a colour from which a shadow is measured [levels]. Source: ours.
 
 LEAST_LOSS, LARGEST_LOSS, COLOR_CHANGE = 0.04, 0.75, 6.0
 """Share of the brightness that a shadow takes from its place, and largest change of a channel that it does
@@ -233,20 +235,33 @@ def sharpened(motion: ImageMotion, window: Window) -> Mask:
     return closed(sharp)
 
 
-def trimmed(blob: Blob, motion: ImageMotion, moved: Shift) -> Mask:
-    """Return the pixels of a region without the blur outside its edges in the middle of the exposure.
+def opaque(blob: Blob, motion: ImageMotion) -> Mask:
+    """Return the pixels of a region without its shadow and the transparent part of its blur.
 
-    There a side is half as strong as the nearest third of the region. The blur is that of a thing that moved
-    so far since the last image.
+    A pixel is a mixture: image - background = share * (color - background) - loss * background. The thing's
+    colour is linear in place, as fitted where the region is deep. A pixel is left out if the mixture explains
+    it with a small share. Source: ours, the matting equation of Smith and Blinn (1996) with a shadow.
     """
-    mask, kept = blob.mask(), np.zeros_like(motion.moving)
-    difference, places = motion.difference[blob.place] * mask[blob.place], []
-    for place, axis, way in zip(blob.place, (1, 0), reversed(moved), strict=True):
-        profile, most = difference.max(axis=axis), round(SHARPNESS + LARGEST_BLUR * abs(way))
-        thirds = (each[: len(each) // 3 + 1] for each in (profile, profile[::-1]))
-        first, last = (int((each >= 0.5 * _percentile(each, BRIGHT)).argmax()) for each in thirds)
-        places.append(slice(place.start + min(first, most), place.stop - min(last, most)))
-    kept[tuple(places)] = mask[tuple(places)]
+    mask, kept = blob.pixels(blob.place), np.zeros_like(motion.moving)
+    depth = cv2.distanceTransform(np.pad(mask.view(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    core = depth >= CORE * depth.max()
+    rim = mask & ~core
+    image, background = motion.image[blob.place], motion.background[blob.place]
+    points = np.column_stack((np.argwhere(core), image[core])).astype(np.float32)
+    middle, spread = points.mean(axis=0), np.cov(points.T, bias=True)
+    ridge = np.diag(RIDGE * spread.diagonal()[:2] + 1e-3)
+    slopes = np.linalg.solve(spread[:2, :2] + ridge, spread[:2, 2:]).astype(np.float32)
+    before, after = (each[rim].T.astype(np.float32, order="C") for each in (background, image))
+    places = (np.argwhere(rim) - middle[:2]).astype(np.float32)
+    change, contrast = after - before, middle[2:, None] + slopes.T @ places.T - before
+    cross, power = (contrast * before).sum(axis=0), (contrast * contrast).sum(axis=0) + 1.0
+    lit, dark = (change * contrast).sum(axis=0), (change * before).sum(axis=0)
+    light = (before * before).sum(axis=0) + LIGHT_NOISE**2
+    loss = np.maximum((cross * lit - power * dark) / (power * light - cross**2), 0.0)
+    share = np.clip((lit + loss * cross) / power, 0.0, 1.0)
+    left = np.abs(change - share * contrast + loss * before).max(axis=0)
+    mask[rim] = (share >= LEAST_OPAQUE) | (left >= LARGEST_LEFT)
+    kept[blob.place] = mask
     return kept
 
 
