@@ -23,10 +23,7 @@ def shipped_policies() -> dict[str, Path]:
     folder = Path(str(resources.files("pixel2catch"))) / "policies"
     found = {file.parent.name: file.parent for file in sorted(folder.glob("*/policy.json"))}
     if DEFAULT_POLICY not in found:
-        raise PolicyMismatchError(
-            "this installation has no policies; train one with 'pixel2catch train' and give its folder, "
-            "runs/NAME/policy."
-        )
+        raise PolicyMismatchError("no policy is installed; train one and give its folder, runs/NAME.")
     return found
 
 

@@ -112,7 +112,7 @@ BAD = [
     ("train --dynamics {empty}", "a folder; name a file in it"),
     # files of one's own
     ("--import", "--import needs a Python file"),
-    ("--import absent.py evaluate", "'absent.py' must be a Python file"),
+    ("--import absent.py evaluate", "absent.py' must be a Python file"),
     ("--import {exits} train", "SystemExit"),
     ("train mine --import {no_agents}", "name one or more, each once"),
     ("train mine --import {twins}", "name one or more, each once"),

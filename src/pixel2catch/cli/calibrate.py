@@ -159,10 +159,8 @@ class Calibrate:
         size = (lens.camera.width, lens.camera.height)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
         if size != wanted:
-            raise InvalidValueError(
-                f"{path} is of images of {size} pixels, but policies look at {wanted}: set the camera "
-                "to that resolution and record again."
-            )
+            fix = f"policies look at {wanted}: set the camera to it and record again"
+            raise InvalidValueError(f"{path} is of images of {size} pixels, but {fix}.")
         return lens
 
     def _hand_views(self, path: Path, lens: "CameraFile") -> "list[HandView]":

@@ -95,8 +95,6 @@ class Operate:
             return KEYS
         hold, arm, stop = self.keys
         if len({*self.keys}) < len(self.keys) or {hold, arm} & {*STOP_KEYS}:
-            raise InvalidValueError(
-                f"--keys {hold} {arm} {stop}: space (57) and escape (1) stop, and each key has one meaning; "
-                "give three different ones."
-            )
+            fix = "give three different ones; space (57) and escape (1) stop"
+            raise InvalidValueError(f"--keys {hold} {arm} {stop}: {fix}.")
         return (hold,), (arm,), (stop, *STOP_KEYS)

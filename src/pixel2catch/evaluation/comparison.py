@@ -153,10 +153,8 @@ class ComparisonFolder:
             if changes := differences(
                 before.configuration, files.as_json(plan.configuration), "in the study"
             ):
-                raise StudyError(
-                    f"the study in '{self.path}' was begun with another configuration ({changes}); "
-                    "give its values, or name another folder with --out."
-                )
+                fix = "give its values, or another --out"
+                raise StudyError(f"'{self.path}' was begun with another configuration ({changes}); {fix}.")
             longer, shorter = sorted((before.methods, methods), key=len, reverse=True)
             methods = tuple(dict.fromkeys((*longer, *shorter)))
             seeds, sessions = max(before.seeds, seeds), (*before.sessions, *sessions)

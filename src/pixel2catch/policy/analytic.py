@@ -262,7 +262,5 @@ class AnalyticPolicy(Policy):
     @property
     def description(self) -> str:
         """Raise PolicyMismatchError: no file has this policy."""
-        raise PolicyMismatchError(
-            f"policy '{self.contract.method}' is computed and has no networks to save, export or train; "
-            "give a trained policy."
-        )
+        name = self.contract.method
+        raise PolicyMismatchError(f"policy '{name}' is computed, without networks; give a trained policy.")

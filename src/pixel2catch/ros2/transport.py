@@ -178,10 +178,8 @@ def make_transport(node_name: str, network: str, clock: RealClock) -> Transport:
     Raises DeploymentError if that cannot be started or its library is missing, or SROS 2 is on elsewhere.
     """
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and network not in (ROS, LOOPBACK):
-        raise DeploymentError(
-            f"ROS_SECURITY_ENABLE is true, but on '{network}' messages are neither signed nor encrypted: "
-            "give --network ros, or unset it."
-        )
+        fix = "give --network ros, or unset it"
+        raise DeploymentError(f"'{network}' does not support ROS_SECURITY_ENABLE, which is true: {fix}.")
     Reachable().require("network", network)
     module, remedy = "dds", install_command("deployment")
     if network == ROS:

@@ -48,10 +48,8 @@ class PhysxCopy(EngineCopy):
         self, world: RigidWorld, *, has_substeps: bool = False, keeps_contacts: bool = False
     ) -> None:
         if len(world.excluded) > MOST_EXCLUDED:
-            raise InvalidValueError(
-                f"{len(world.excluded)} pairs of bodies are excluded from collision; PhysX supports at most "
-                f"{MOST_EXCLUDED}: use engine 'mujoco'."
-            )
+            fix = f"PhysX supports at most {MOST_EXCLUDED}: use engine 'mujoco'"
+            raise InvalidValueError(f"{len(world.excluded)} pairs of bodies do not collide; {fix}.")
         sapien, physx = load_sapien(), load_sapien().physx
         physx.set_scene_config(
             gravity=world.gravity,

@@ -152,10 +152,8 @@ def listening_address(host: str) -> IPv4Address | IPv6Address:
         family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
         socket.create_server((host, 0), family=family).close()
     except (OSError, ValueError) as error:
-        raise InvalidValueError(
-            f"this machine cannot listen on '{host}' ({error}): give one of its own addresses, 127.0.0.1 "
-            "for itself or 0.0.0.0 for all."
-        ) from None
+        fix = "127.0.0.1 for itself or 0.0.0.0 for all its addresses"
+        raise InvalidValueError(f"this machine cannot listen on '{host}' ({error}): give {fix}.") from None
     return address
 
 
