@@ -12,6 +12,7 @@ import argparse
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ FITTED, HELD_OUT = ("sin_time_square", "sin_sin"), "up_and_down"
 MJCF = """<mujoco><worldbody><body name="pendulum"><joint name="servo" axis="0 1 0"/>
 <inertial pos="0 0 -0.1" mass="0.49" diaginertia="1e-5 1e-5 1e-5"/><site name="palm"/>
 </body></worldbody></mujoco>"""
-START = {"stiffness": 1.0, "damping": 0.05, "frictionloss": 0.02, "armature": 2e-3}
+START: dict[str, Any] = {"stiffness": 1.0, "damping": 0.05, "frictionloss": 0.02, "armature": 2e-3}
 SERVO = JointSpec(
     name="servo", lower=-1.6, upper=1.6, home=0.0, effort_limit=0.5, velocity_limit=8.0, **START
 )

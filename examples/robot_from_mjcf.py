@@ -5,6 +5,7 @@ pixel2catch play runs/scoop --import examples/robot_from_mjcf.py
 """
 
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -12,8 +13,8 @@ import pixel2catch as p2c
 from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, Placed, RobotSpec
 from pixel2catch.robots.workcell import WorkcellSpec
 
-DRIVE = {"frictionloss": 0.3, "armature": 0.1, "effort_limit": 120.0, "velocity_limit": 2.8}
-FINGER = {"frictionloss": 0.01, "armature": 1e-3, "effort_limit": 0.7, "velocity_limit": 6.0}
+DRIVE: dict[str, Any] = {"frictionloss": 0.3, "armature": 0.1, "effort_limit": 120.0, "velocity_limit": 2.8}
+FINGER: dict[str, Any] = {"frictionloss": 0.01, "armature": 1e-3, "effort_limit": 0.7, "velocity_limit": 6.0}
 ANGLES = {"pan": (-0.9, 0.9, 0.0), "lift": (-1.2, 1.2, -0.35), "elbow": (0.3, 2.4, 1.95)}
 ANGLES |= {"tilt": (-1.2, 1.2, 0.0), "roll": (-0.5, 0.5, 0.0)}  # least, most, at the start [rad]
 arm = [
