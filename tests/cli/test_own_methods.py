@@ -97,7 +97,7 @@ def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_a_value_of_the_package_is_not_replaced():
-    with pytest.raises(InvalidValueError, match="another Method called 'proposed'"):
+    with pytest.raises(InvalidValueError, match="Method 'proposed' is in the package"):
         own_files.add(replace(METHODS["proposed"], pixel_features=("w", "h")))
 
 

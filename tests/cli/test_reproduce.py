@@ -26,12 +26,16 @@ from pixel2catch.evaluation.comparison import EVALUATION_SEED
 from pixel2catch.evaluation.grid import StudyGrid
 from pixel2catch.methods import METHODS
 
-TINY = shlex.split(
-    "--device cpu --preset cpu --num-envs 2 --trials 1 --methods only_wh --seeds 1 --training num_envs=4 "
-    "transitions=320 env.scene.physics_hz=60 rollout_steps=16 hidden=16,8 checkpoint_seconds=0 "
-    "env.throws.hover_steps=5,6"
+FIXED = shlex.split(
+    "--preset cpu --num-envs 2 --methods only_wh --training num_envs=4 transitions=320 "
+    "env.scene.physics_hz=60 rollout_steps=16 hidden=16,8 checkpoint_seconds=0 env.throws.hover_steps=5,6"
 )
 RUN = "only_wh-seed0"
+
+
+def tiny(**given: str) -> list[str]:
+    options = {"device": "cpu", "trials": "1", "seeds": "1"} | given
+    return [*FIXED, *(word for name, value in options.items() for word in (f"--{name}", value))]
 
 
 def read(path: Path) -> dict:
@@ -59,7 +63,7 @@ def study(tmp_path_factory: pytest.TempPathFactory, small_study: None) -> Path:
     user = Thread(target=interrupt)
     user.start()
     with redirect_stderr(errors):
-        status = main(["reproduce", *TINY, "--out", str(out)])
+        status = main(["reproduce", *tiny(), "--out", str(out)])
     has_ended.set()
     user.join()
     assert status == 130
@@ -67,7 +71,7 @@ def study(tmp_path_factory: pytest.TempPathFactory, small_study: None) -> Path:
     summary = read(out / "runs" / RUN / "summary.json")
     assert summary["status"] == "interrupted"
     assert 0 < summary["transitions"] < 320
-    assert main(["reproduce", *TINY, "--out", str(out)]) == 0
+    assert main(["reproduce", *tiny(), "--out", str(out)]) == 0
     return out
 
 
@@ -98,7 +102,7 @@ def test_only_what_is_missing_is_computed(study: Path):
     deleted = f"evaluations/{RUN}-unseen.json"
     result = read(study / deleted)
     (study / deleted).unlink()
-    assert main(["reproduce", *TINY, "--device", "cuda", "--out", str(study)]) == 0
+    assert main(["reproduce", *tiny(device="cuda"), "--out", str(study)]) == 0
     after = times(study)
     assert {name for name in after if after[name] != before[name]} == {deleted, "study.json"}
     new = {"seconds": 0, "circumstances": {}}
@@ -109,9 +113,9 @@ def test_only_what_is_missing_is_computed(study: Path):
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")
 def test_a_missing_device_and_another_configuration_are_refused(study: Path, refusal: Any):
-    before, again = times(study), ("reproduce", *TINY, "--out", study)
-    assert "CUDA" in refusal(*again, "--device", "cuda", "--seeds", "2")
-    assert "evaluation trials" in refusal(*again, "--trials", "2")
+    before, again = times(study), ("reproduce", "--out", study)
+    assert "CUDA" in refusal(*again, *tiny(device="cuda", seeds="2"))
+    assert "evaluation trials" in refusal(*again, *tiny(trials="2"))
     assert times(study) == before
 
 
@@ -125,7 +129,7 @@ def test_every_combination_of_sweeps_is_trained(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(studies, "run_grid", run_grid)
     sweeps = ["--sweep", "train.learning-rate", "3e-4", "1e-3", "--sweep", "env.sensing.latency-steps"]
-    assert main(["reproduce", *TINY, *sweeps, "0 0", "3 4", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", *tiny(), *sweeps, "0 0", "3 4", "--out", str(tmp_path)]) == 0
     found = {n: (each.train.learning_rate, each.env.sensing.latency_steps) for n, each in trained.items()}
     assert found == {
         f"only_wh-learning_rate={rate}-env.sensing.latency_steps={low},{high}-seed0": (value, (low, high))
