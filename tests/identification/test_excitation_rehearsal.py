@@ -94,15 +94,15 @@ def test_the_time_at_the_torque_limit_is_that_of_jumps():
     assert 0.0 < jump.at_torque_limit["elbow_joint"] < 0.2
 
 
-def run(*args: object) -> int:
-    return main(["excite", "--seconds", "14", *map(str, args)])
+def run(*args: object, seconds: int = 14) -> int:
+    return main(["excite", "--seconds", str(seconds), *map(str, args)])
 
 
 def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     late = JointDynamics.nominal().select(ROBOTS["allegro"]).with_values(latency=0.02)
     DynamicsFile(dynamics=late).save(tmp_path / "late.json")
     options = ("--dynamics", tmp_path / "late.json", "--out", tmp_path / "new" / "motion.npz")
-    assert run("--robot", "allegro", "--seconds", "20", *options, "--rehearse", tmp_path / "reh") == 0
+    assert run("--robot", "allegro", *options, "--rehearse", tmp_path / "reh", seconds=20) == 0
     assert "robot and table: never closer" in capsys.readouterr().out
     trajectory = Trajectory.load(tmp_path / "new" / "motion.npz")
     recording = Recording.load(tmp_path / "reh" / "recording-1.npz")
@@ -116,8 +116,8 @@ def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_ro
     """Trajectories are taken as they are drawn; the test above assesses them."""
     sound = Assessment(recording=short(), clearances=(), checks=(), violations=())
     monkeypatch.setattr(excitation, "assess", lambda *_: sound)
-    options = ("--seconds", "20", "--recordings", "2", "--rehearse", tmp_path / "new")
-    assert run("--robot", "ur5e", *options) == 0
+    options = ("--recordings", "2", "--rehearse", tmp_path / "new")
+    assert run("--robot", "ur5e", *options, seconds=20) == 0
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
     assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
     truth = DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics

@@ -171,7 +171,7 @@ def test_impossible_configurations() -> None:
         TrainCfg(num_envs=3, rollout_steps=3)
     unused = {"teacher_share": 0.3, "final_teacher_weight": 0.1, "start_transitions": 9, "kl_target": 0.1}
     for name, value in unused.items():
-        with pytest.raises(InvalidValueError, match=f"{name} is {value}, and without"):
+        with pytest.raises(InvalidValueError, match=f"{name} is {value}, which does nothing without"):
             TrainCfg(**{name: value})
 
 

@@ -108,7 +108,7 @@ def test_tables_and_images_that_cannot_be_are_refused(laboratory: Path, tmp_path
     other = write_table(tmp_path / "views.csv", [["nowhere.png", *[0.0] * 7]] * 6, ["image", *names])
     assert "nowhere.png" in refusal("calibrate", other, "--workcell", "fr3_allegro", *lens)
     lens = ("--intrinsics", wide, "--out", tmp_path / "camera.json")
-    assert "set the camera to that resolution" in refusal("calibrate", laboratory / "views.csv", *lens)
+    assert "set the camera to it and record again" in refusal("calibrate", laboratory / "views.csv", *lens)
     assert not (tmp_path / "camera.json").exists()
 
 
