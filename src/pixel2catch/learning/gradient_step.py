@@ -16,7 +16,7 @@ from pixel2catch.policy.policy import INPUT_CLIP
 EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: release (skrl).
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 NUM_FREE = 1_000_000  #: Number of values up to which statistics change freely. Source: ours.
-LARGEST_CHANGE = 10.0  #: Limit of a later mean's change and of later values' deviation [deviations] (ours).
+LARGEST_CHANGE = 10.0  #: Deviations from the mean up to which values count after these. Source: ours.
 
 
 class Standardizer(nn.Module):
