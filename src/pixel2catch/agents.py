@@ -13,15 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.checks import NAME
-from pixel2catch.mdp import rewards
-from pixel2catch.mdp.control_step import (
-    Columns,
-    JointCommand,
-    Transition,
-    absolute_command,
-    merged,
-    relative_command,
-)
+from pixel2catch.mdp import control_step, rewards
+from pixel2catch.mdp.control_step import Transition
 from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
 from pixel2catch.mdp.rewards import BodyPart, RewardTerm
 from pixel2catch.robots.spec import JointGroup
@@ -87,15 +80,15 @@ class AgentSpec:
     memory: tuple[ObservationTerm, ...] = ()  #: Terms that summarise earlier boxes.
 
     @cached_property
-    def joints(self) -> Columns:
+    def joints(self) -> control_step.Columns:
         """Return the agent's columns in joint order."""
-        return merged([part.joints for part in self.parts])
+        return control_step.merged([part.joints for part in self.parts])
 
     @cached_property
-    def palms(self) -> Columns:
+    def palms(self) -> control_step.Columns:
         """Return the palms that it serves, each once."""
         served = sorted({palm for part in self.parts for palm in range(part.palms.start, part.palms.stop)})
-        return merged([slice(palm, palm + 1) for palm in served])
+        return control_step.merged([slice(palm, palm + 1) for palm in served])
 
     @property
     def num_joints(self) -> int:
@@ -179,7 +172,7 @@ def sharing(agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
     )
 
 
-def commands_of(workcell: WorkcellSpec) -> tuple[JointCommand, ...]:
+def commands_of(workcell: WorkcellSpec) -> tuple[control_step.JointCommand, ...]:
     """Return how the action of each joint becomes its target. Source: paper, Sec. IV-D."""
-    laws = {"relative": relative_command, "absolute": absolute_command}
+    laws = {"relative": control_step.relative_command, "absolute": control_step.absolute_command}
     return tuple(laws[group.command](joint) for group in workcell.groups for joint in group.joints)

@@ -66,7 +66,6 @@ def open_archive(data: bytes, most: int) -> ZipFile:
 
 
 def _array(data: bytes) -> np.ndarray:
-    """Return the array of an .npy file."""
     array = npy.read_array(BytesIO(data), allow_pickle=False)
     if array.dtype.kind not in "biufU":
         raise InvalidValueError(f"it has an array of {array.dtype}; numbers and names of joints are read")

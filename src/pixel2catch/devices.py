@@ -55,7 +55,6 @@ class DeviceTime:
     """The time at which a device has finished its earlier work; only a comparison waits for it."""
 
     def __init__(self, device: torch.device | str) -> None:
-        """Record an event on a CUDA device, or the time on the CPU."""
         self._event = None
         if torch.device(device).type == "cuda":
             self._event = torch.cuda.Event(enable_timing=True)

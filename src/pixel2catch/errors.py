@@ -14,7 +14,6 @@ class UnknownNameError(Pixel2CatchError):
     """A name of a kind, such as "method", that is not among the valid names."""
 
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
-        """Compose the message with the closest name and all valid names."""
         names = list(valid)
         name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]} ..."
         close = get_close_matches(name, names, n=1)

@@ -184,11 +184,7 @@ def printable(text: str, kept: str = "\n\t") -> str:
     return "".join(each if each.isprintable() or each in kept else "\ufffd" for each in text)
 
 
-def shown(value: Any) -> str:
-    """Return a value as a short text for a message, however large the value is."""
-    return reprlib.repr(value)
-
-
+shown = reprlib.repr  #: Returns a value as a short text for a message, however large the value is.
 MISSING = "Object missing required field `"  #: How msgspec's message of a missing field begins.
 
 

@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
@@ -72,8 +72,7 @@ def import_file(name: str) -> None:
             f"'{name}' cannot be imported: {type(error).__name__}{where}: {error}; correct it."
         ) from error
     for kind in _CATALOGUES:
-        for value in defined(module, kind):
-            add(value)
+        _add_all(module, kind)
     _MODULES[str(path)] = module
 
 
@@ -81,8 +80,7 @@ def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
     """Return the package's values of a type, by name; values of user files are added to them."""
     _CATALOGUES[kind] = values, frozenset(values)
     for module in _MODULES.values():
-        for value in defined(module, kind):
-            add(value)
+        _add_all(module, kind)
     return values
 
 
@@ -96,11 +94,12 @@ def add(value: Any) -> str:
     return value.name
 
 
-def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
-    """Yield the values of a type at the top level of a module, alone or in a tuple or list, in order."""
+def _add_all(module: ModuleType, kind: type) -> None:
+    """Add the values of a type at the top level of a module, alone or in a tuple or list, in order."""
     for value in tuple(vars(module).values()):
-        values = value if isinstance(value, tuple | list) else (value,)
-        yield from (each for each in values if isinstance(each, kind))
+        for each in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(each, kind):
+                add(each)
 
 
 def computed(

@@ -75,6 +75,7 @@ def circumstances() -> dict[str, Any]:
     """Return the time, command, versions and machine of this process, and the hashes of behaviour."""
     import torch  # takes seconds
 
+    cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     return {
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "command": shlex.join(["pixel2catch", *sys.argv[1:]]),
@@ -83,7 +84,7 @@ def circumstances() -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES},
         "platform": platform.platform(),
-        "cpu": _cpu_name(),
+        "cpu": next((line.partition(": ")[2] for line in cpu if line.startswith("model name")), None),
         "cpu_cores": os.cpu_count(),
         "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
     }
@@ -96,12 +97,6 @@ def provenance(found: Mapping[str, Any], workcell: str) -> dict[str, str | None]
         "hardware": ", ".join(found.get("gpus", ())) or found.get("cpu"),
         "behaviour": found.get("behaviour", {}).get(workcell),
     }
-
-
-def _cpu_name() -> str | None:
-    """Return the kernel's name of the first processor."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), None)
 
 
 def _version(package: str) -> str | None:

@@ -176,8 +176,7 @@ def prepared(experiment: Experiment, method: str | Method, *, resume: bool = Fal
     """Return a training with the names in it resolved; raise what is wrong with it, before any work."""
     cfg, env = experiment.train, experiment.env
     env = replace(env, objects=select_objects(env.objects))
-    workcell = find_workcell(env.scene.workcell)
-    env = env.for_workcell(workcell)
+    env = env.for_workcell(find_workcell(env.scene.workcell))
     method = _method(method, env).with_weights(cfg.rewards)
     if cfg.start and not resume:
         policy_folder(cfg.start)  # before anything is built
@@ -224,9 +223,8 @@ def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
 
 
 def _selected(objects: Objects) -> tuple[str, ...]:
-    objects = objects.split(",") if isinstance(objects, str) else objects
-    several = objects if isinstance(objects, Sequence) else [objects]
-    return select_objects([_known(each.strip() if isinstance(each, str) else each) for each in several])
+    several = objects if isinstance(objects, Sequence) and not isinstance(objects, str) else [objects]
+    return select_objects(map(_known, several))
 
 
 def _known(value: Any) -> str:

@@ -44,7 +44,13 @@ class CameraFile:
         require_valid(self)
         if len(self.distortion) not in LENS_SIZES:
             raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
-        _require_covariance(self.pose_covariance)
+        rows = self.pose_covariance
+        if len(rows) != 6 or any(len(row) != 6 for row in rows):
+            raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
+        matrix = np.array(rows)
+        is_symmetric, rounding = np.allclose(matrix, matrix.T), 1e-6 * matrix.trace() + 1e-12
+        if not is_symmetric or np.linalg.eigvalsh(matrix)[0] < -rounding:
+            raise InvalidValueError("pose_covariance must be symmetric, without negative variances")
 
     @property
     def pose_std(self) -> tuple[float, ...]:
@@ -96,12 +102,3 @@ def _spread(covariance: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...
     """Return a factor L of a covariance L Lᵀ, 6 x 6."""
     shares, axes = np.linalg.eigh(np.asarray(covariance))
     return tuple(map(tuple, (axes * np.sqrt(shares.clip(min=0.0))).tolist()))
-
-
-def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
-    """Refuse what is not 6 x 6, symmetric and without negative variances."""
-    if len(rows) != 6 or any(len(row) != 6 for row in rows):
-        raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
-    matrix = np.array(rows)
-    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < -1e-6 * matrix.trace() - 1e-12:
-        raise InvalidValueError("pose_covariance must be symmetric, without negative variances")

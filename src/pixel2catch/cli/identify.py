@@ -126,12 +126,12 @@ def _print_result(result: "Identification") -> None:
     """Print errors and parameters as tables, then what is not identified, and warnings."""
     from rich.text import Text
 
-    from pixel2catch.identification.report import error_rows, open_questions, parameter_rows, warnings
+    from pixel2catch.identification import identify, report
 
     console = results_console()
-    console.print(terminal_table("Tracking error, RMS [mrad]", error_rows(result)))
-    console.print(terminal_table("Parameters with 95 % intervals", parameter_rows(result)))
-    for question in open_questions(result.fit):
+    console.print(terminal_table("Tracking error, RMS [mrad]", report.error_rows(result)))
+    console.print(terminal_table("Parameters with 95 % intervals", report.parameter_rows(result)))
+    for question in identify.open_questions(result.fit):
         console.print(Text(f"- {question}"))
-    for warning in warnings(result):
+    for warning in report.warnings(result):
         console.print(Text(warning, style="bold yellow"))

@@ -108,7 +108,6 @@ class OperatorRequests:
     """
 
     def __init__(self, transport: Transport, topics: OperatorTopics, statistics: RunStatistics) -> None:
-        """Subscribe to prompts (where the object is) and to stop requests, which are counted by sender."""
         self._transport, self._topics, self._statistics = transport, topics, statistics
         self._prompts = transport.subscription(topics.prompt, DEPTH)
         self._stops = transport.subscription(topics.stop, DEPTH, only_watches=True)

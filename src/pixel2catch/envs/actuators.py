@@ -45,8 +45,7 @@ class JointActuators:
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
-        speeds = [joint.velocity_limit for joint in joints]
-        numbers = (efforts, speeds, dynamics.frictionloss)
+        numbers = (efforts, [joint.velocity_limit for joint in joints], dynamics.frictionloss)
         self.limits = ActuatorLimits(*(torch.as_tensor(each).to(self._ctrl) for each in numbers))
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)

@@ -96,10 +96,7 @@ class CatchWorld:
         device: str,
         limits_commands: bool = True,
     ) -> None:
-        """Build the model and its copies; joints without `dynamics` are nominal.
-
-        Commands keep the joints' limits of acceleration, unless a servo before it does.
-        """
+        """Build the model and its copies; joints without `dynamics` are nominal. See `JointActuators`."""
         workcell = find_workcell(scene.workcell)
         dynamics = JointDynamics.of(workcell.joints, dynamics)
         dynamics.require(workcell.joints)
@@ -174,8 +171,7 @@ class CatchWorld:
         fields.qvel.masked_fill_(mask[:, None], 0.0)
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self._model["body_mass"][:, self.objects.indices.body]
-        lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
-        write(mask, weight, lift)
+        write(mask, weight, fields.xfrc_applied[:, self.objects.indices.body, 2])
 
     def release(self, mask: Flags, throw: Throw) -> None:
         """Throw the masked objects.

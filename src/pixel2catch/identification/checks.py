@@ -60,8 +60,7 @@ class DataCheck:
     @property
     def verdict(self) -> str:
         """Return one word: BAD forbids a fit, weak makes its result less certain."""
-        words = {None: "unknown", True: "good", False: "BAD" if self.forbids_fit else "weak"}
-        return words[self.is_good]
+        return {None: "unknown", True: "good", False: "BAD" if self.forbids_fit else "weak"}[self.is_good]
 
 
 def check_recording(recording: Recording) -> list[DataCheck]:

@@ -17,15 +17,8 @@ from numpy.random import Generator
 
 from pixel2catch.checks import Fraction, Seed, Within, require_valid
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.identification.recording import (
-    MOTION_RANGES,
-    REST,
-    Trajectory,
-    groups_of,
-    joints_of,
-    largest_step,
-    specs_of,
-)
+from pixel2catch.identification import recording
+from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import Assessment, assess
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -63,7 +56,7 @@ class ExcitationCfg:
     speed: Fraction = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
-        joints_of(self.workcell, self.robot)
+        recording.joints_of(self.workcell, self.robot)
         require_valid(self)
 
 
@@ -84,9 +77,9 @@ class Envelope:
         cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float], workcell: WorkcellSpec
     ) -> "Envelope":
         """Return the envelope of some joints; `speed` and `shrunk`, by joint, are factors on their motion."""
-        known, groups = specs_of(workcell), groups_of(workcell)
+        known, groups = recording.specs_of(workcell), recording.groups_of(workcell)
         specs = [known[name] for name in joints]
-        ranges = [MOTION_RANGES[groups[name].role] for name in joints]
+        ranges = [recording.MOTION_RANGES[groups[name].role] for name in joints]
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
         margin, swing, acceleration = np.array([(e.margin, e.swing, e.acceleration) for e in ranges]).T
@@ -100,7 +93,7 @@ class Envelope:
             swing=swing,
             speed=pace * SPEED_SHARE * np.array([spec.velocity_limit for spec in specs]),
             acceleration=pace * acceleration,
-            step=pace * np.array([largest_step(spec) for spec in specs]),
+            step=pace * np.array([recording.largest_step(spec) for spec in specs]),
         )
 
 
@@ -232,7 +225,7 @@ def find_excitation(
 def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
     """Draw one trajectory without a test in simulation; `shrunk` are factors on the motion, by joint."""
     rng = np.random.default_rng(cfg.seed)
-    joints = joints_of(cfg.workcell, cfg.robot)
+    joints = recording.joints_of(cfg.workcell, cfg.robot)
     envelope = Envelope.of(joints, cfg.speed, shrunk, cfg.workcell)
     parts = _parts(rng, envelope, cfg.seconds)
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
@@ -246,7 +239,7 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
 
 def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str, Offsets]]:
     there = approach(envelope)
-    rest = np.repeat(there[:1], round(REST * RATE) + 1, axis=0)
+    rest = np.repeat(there[:1], round(recording.REST * RATE) + 1, axis=0)
     pause = np.zeros((round(PAUSE * RATE), len(envelope.joints)))
     start, end = np.concatenate((rest, there, pause)), np.concatenate((pause, there[::-1], rest))
     num_left = round(seconds * RATE) + 1 - len(start) - len(end) - (len(SEGMENTS) - 1) * len(pause)

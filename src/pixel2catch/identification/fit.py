@@ -43,7 +43,6 @@ MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away the Jacobian 
 MAX_STEPS = 3  # most steps with one Jacobian (ours; each is about a fifth of the one before, or useless)
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; their steps are tried at once, the best is taken (ours)
 
-
 LINEAR = {"latency": (LATENCY_UNIT, 0.0, 0.2), "play": (1e-3, 0.0, 0.05), "drift": (2e-4, -5e-3, 5e-3)}
 """Parameters that are fitted without a logarithm: the unit that counts as a factor e of others, least and
 largest value. Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by

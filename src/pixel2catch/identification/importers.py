@@ -69,8 +69,6 @@ class _Stream:
 
 @dataclass(frozen=True, kw_only=True)
 class _Bag:
-    """An open bag, with the joints and names to read."""
-
     path: Path
     reader: "Reader"
     workcell: WorkcellSpec
@@ -188,8 +186,7 @@ def _read_topic(bag: _Bag, topic: str, unnamed: tuple[str, ...]) -> _Stream:
     joints = tuple(joint for joint in bag.joints if joint in recorded)
     if twice := [joint for joint in joints if recorded.count(joint) > 1]:
         raise RecordingError(f"{source}: {', '.join(twice)} is twice in a message; name each joint once.")
-    order = [recorded.index(joint) for joint in joints]
-    positions = np.stack(rows)[:, order]
+    positions = np.stack(rows)[:, [recorded.index(joint) for joint in joints]]
     stamps = [message.stamp for message in received]
     is_stamped = all(stamps) and len({*stamps}) > 1
     times = np.array(stamps if is_stamped else [message.received for message in received], dtype=np.int64)

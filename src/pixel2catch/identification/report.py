@@ -11,20 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.identification import identify
 from pixel2catch.identification.checks import DataCheck
 from pixel2catch.identification.fit import LATENCY_UNIT
-from pixel2catch.identification.identify import (
-    RATIOS,
-    REMEDIES,
-    CheckedRecording,
-    Estimate,
-    Identification,
-    estimates,
-    open_questions,
-    short,
-    tracking_errors,
-    worse_than_command,
-)
+from pixel2catch.identification.identify import CheckedRecording, Estimate, Identification, estimates, short
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.reports import Cells, Section, as_markdown
 from pixel2catch.robots.joint_dynamics import PARAMETERS
@@ -73,7 +63,7 @@ def error_rows(result: Identification) -> list[Cells]:
     """Return the tracking error of every joint [mrad], on motion that was held out and on fitted motion."""
     columns = {}
     for group, motions in _groups(result).items():
-        for name, errors in tracking_errors(motions).items() if motions else ():
+        for name, errors in identify.tracking_errors(motions).items() if motions else ():
             columns[f"{group.replace('_', ' ')}: {name}"] = [*errors, np.sqrt(np.mean(errors**2))]
     joints = [*map(short, result.fit.dynamics.joints), "all joints"]
     return [
@@ -91,11 +81,11 @@ def parameter_rows(result: Identification) -> list[Cells]:
         for name in PARAMETERS:
             if name.startswith("filter") and not found.has_filter.any():
                 continue
-            column = f"{name} [{REMEDIES[name][0]}]"
+            column = f"{name} [{identify.REMEDIES[name][0]}]"
             fixed = f"{_number(name, getattr(found, name)[j])} (not fitted)"
             now[column] = _estimate(known[name], j) if name in known else fixed
             old[column] = _number(name, getattr(before, name)[j])
-        now |= {f"{n} [{unit}]": _estimate(known[n], j) for n, unit in RATIOS.items() if n in known}
+        now |= {f"{n} [{unit}]": _estimate(known[n], j) for n, unit in identify.RATIOS.items() if n in known}
         rows += [now, old]
     return rows
 
@@ -125,7 +115,7 @@ def warnings(result: Identification) -> list[str]:
     texts, fit, joints = [], result.fit, result.fit.dynamics.joints
     if not result.of(is_held_out=True):
         texts.append(NOTHING_HELD_OUT)
-    if worse := worse_than_command(result.motions):
+    if worse := identify.worse_than_command(result.motions):
         texts.append(COMMAND_IS_BETTER.format(", ".join(map(short, worse))))
     drifts, deviations = fit.encoders.drift, fit.encoder_deviations.drift
     for motion, row, deviation in zip(result.of(is_held_out=False), drifts, deviations, strict=True):
@@ -177,7 +167,7 @@ def report_sections(result: Identification, circumstances: Mapping[str, Any]) ->
     run += [f"{each.recording.name} ({roles[each.is_held_out]})" for each in result.motions]
     shown = (result.of(is_held_out=True) or result.motions)[-1]
     pictures = {f"{joint}.png": joint_picture(shown, j) for j, joint in enumerate(shown.recording.joints)}
-    questions = open_questions(result.fit) or ["Every direction is identified."]
+    questions = identify.open_questions(result.fit) or ["Every direction is identified."]
     tables = (check_table(each.recording.name, each.checks) for each in result.motions)
     lists = run, warnings(result) or ["none"], questions
     what_was_run, warned, open_ones = ("\n".join(f"- {text}" for text in texts) for texts in lists)
@@ -195,7 +185,7 @@ def report_sections(result: Identification, circumstances: Mapping[str, Any]) ->
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results as numbers in SI units, by joint."""
     fit, joints, known = result.fit, result.fit.dynamics.joints, estimates(result.fit)
-    errors = {group: tracking_errors(own) if own else {} for group, own in _groups(result).items()}
+    errors = {group: identify.tracking_errors(own) if own else {} for group, own in _groups(result).items()}
     parameters: dict[str, dict[str, Any]] = {joint: {} for joint in joints}
     for name in PARAMETERS:
         columns = {"value": getattr(fit.dynamics, name), "before": getattr(result.start.before, name)}
@@ -212,7 +202,7 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> dict[st
             for group, found in errors.items()
         },
         "parameters": parameters,
-        "not_identified": open_questions(fit),
+        "not_identified": identify.open_questions(fit),
         "warnings": warnings(result),
         "worse_than_command": list(result.file.worse_than_command),
         "recordings": [

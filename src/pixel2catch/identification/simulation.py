@@ -201,8 +201,7 @@ class _Grid:
         start, is_first = np.stack((recording.q[0], np.zeros_like(recording.q[0]))), time <= START_WINDOW
         if np.count_nonzero(is_first) >= 5:
             start = np.polynomial.polynomial.polyfit(time[is_first], recording.q[is_first], 2)[:2]
-        weight = settled / dt - index
-        return cls(recording=recording, edges=edges, start=start, index=index, weight=weight)
+        return cls(recording=recording, edges=edges, start=start, index=index, weight=settled / dt - index)
 
     def sample(self, path: Float[np.ndarray, "num_edges num_joints"], drift: PerJoint) -> Settled:
         """Return simulated positions at the measurement times of clocks that drift."""

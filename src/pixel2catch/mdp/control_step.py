@@ -197,7 +197,6 @@ def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
     """Return the tensor with these parts as its columns: the inverse of `take`."""
     placed = []
     for columns, values in parts:
-        sizes = [each.stop - each.start for each in columns]
-        pieces = values.split(sizes, dim=1)
+        pieces = values.split([each.stop - each.start for each in columns], dim=1)
         placed += [(each.start, piece) for each, piece in zip(columns, pieces, strict=True)]
     return torch.cat([piece for _, piece in sorted(placed, key=lambda each: each[0])], dim=1)

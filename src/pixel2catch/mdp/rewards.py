@@ -13,15 +13,9 @@ from torch import Tensor
 
 from pixel2catch.batches import Features, Flags, Scalars
 from pixel2catch.checks import NAMED, require_valid
+from pixel2catch.mdp import terminations
 from pixel2catch.mdp.control_step import Privileged, Transition
-from pixel2catch.mdp.terminations import (
-    SURFACE_REACH,
-    is_dropped,
-    is_near,
-    needs_all,
-    palm_distance,
-    palm_share,
-)
+from pixel2catch.mdp.terminations import SURFACE_REACH, is_near, needs_all
 
 FINGER_SHARE = 0.6  #: Share of its limit above which a finger's torque costs in a hold (ours, small motors).
 ARM_SHARE = 0.9  #: Share of its limit above which the torque of an arm joint costs. Source: ours.
@@ -89,17 +83,17 @@ def success(transition: Transition, part: BodyPart) -> Scalars:
 
     Ours: for an object that needs all palms, the share of the palms that have reached it.
     """
-    return (transition.rested_steps == 1) * palm_share(transition.now)
+    return (transition.rested_steps == 1) * terminations.palm_share(transition.now)
 
 
 def nearness(transition: Transition, part: BodyPart) -> Scalars:
     """Return one while the object is in a palm's reach, or the same share. Source: paper, app."""
-    return is_near(transition.now) * palm_share(transition.now)
+    return is_near(transition.now) * terminations.palm_share(transition.now)
 
 
 def drop(transition: Transition, part: BodyPart) -> Scalars:
     """Return one when the object is lost. Source: paper, drop."""
-    return is_dropped(transition.now).float()
+    return terminations.is_dropped(transition.now).float()
 
 
 def table_contact(transition: Transition, part: BodyPart) -> Scalars:
@@ -166,7 +160,7 @@ def _torque_above(share: float, transition: Transition, part: BodyPart) -> Scala
 
 def _is_nearest_or_needed(transition: Transition, part: BodyPart) -> Flags:
     """Return whether the part has the palm nearest to the object, or the object needs all palms (ours)."""
-    distance = palm_distance(transition.before)
+    distance = terminations.palm_distance(transition.before)
     is_nearest = distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
     return is_nearest | needs_all(transition.before)
 

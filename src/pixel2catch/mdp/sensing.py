@@ -20,7 +20,6 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, without errors.
 
-
 Pixels = Annotated[float, Within(0.0, 100.0)]  #: Largest error of an edge of a box [px].
 
 

@@ -87,8 +87,7 @@ class RoomCamera(AbstractContextManager["RoomCamera"]):
             self._renderer = Renderer(self._room)
             return
         self._room.vis.quality.numslices, self._room.vis.quality.numstacks = COARSE
-        fixed = [self._room.body(name).id for name in SURROUNDINGS]
-        is_fixed = np.isin(self._room.geom_bodyid, fixed)
+        is_fixed = np.isin(self._room.geom_bodyid, [self._room.body(name).id for name in SURROUNDINGS])
         with Renderer(_without(self._room, ~is_fixed), shadows=False) as renderer:
             self._background = renderer.image(self._room.qpos0).reshape(-1, 3)
         self._renderer = Renderer(_without(self._room, is_fixed), shadows=False, sky=False)

@@ -251,7 +251,6 @@ def _grids(
 
 
 def _add_inset(image: Image.Image, other: Pixels) -> None:
-    """Paste a picture with a frame into the lower right corner."""
     width, gap = round(INSET_SHARE * image.width), max(image.height // 30, 4)
     size = (width, width * other.shape[0] // other.shape[1])
     inset = Image.fromarray(other).resize(size, Image.Resampling.BOX)
@@ -261,7 +260,6 @@ def _add_inset(image: Image.Image, other: Pixels) -> None:
 
 
 def _add_caption(image: Image.Image, throw: RecordedThrow, *, is_slow: bool, is_over: bool) -> None:
-    """Write the object, the slow motion while it lasts, and the outcome at the end."""
     gap = max(image.height // 30, 4)
     _write(image, title(throw.object_name), (gap, gap), "la", GROUND)
     if is_slow:

@@ -175,7 +175,6 @@ def _add_path(scene: mujoco.MjvScene, path: np.ndarray) -> None:
 
 
 def _camera(view: Viewpoint) -> mujoco.MjvCamera | str:
-    """Return the camera as `mujoco.Renderer` takes it."""
     if view.camera is not None:
         return view.camera
     camera = mujoco.MjvCamera()

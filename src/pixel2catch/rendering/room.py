@@ -133,7 +133,6 @@ def _add_wall(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
 
 
 def _add_bystanders(spec: mujoco.MjSpec) -> None:
-    """Add thrower and hanging ball, without collisions, to a complete scene."""
     x, y, _ = SHOULDER
     hand = np.array((0.0, 0.0, -HAND_DROP)) - SHOULDER
     thrower = spec.worldbody.add_body(name="thrower")
@@ -158,6 +157,5 @@ def _add_bystanders(spec: mujoco.MjSpec) -> None:
         (arm, hand, 0.97 * hand, HAND_RADIUS, SKIN_RGBA),
         (ball, (0, 0, -BALL_LENGTH), (0, 0, -BALL_LENGTH - 1e-3), BALL_RADIUS, BALL_RGBA),
     ):
-        ends, size = (*start, *end), (radius, 0, 0)
-        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-        body.add_geom(type=capsule, fromto=ends, size=size, rgba=rgba, **ONLY_SEEN)
+        kind, ends = mujoco.mjtGeom.mjGEOM_CAPSULE, (*start, *end)
+        body.add_geom(type=kind, fromto=ends, size=(radius, 0, 0), rgba=rgba, **ONLY_SEEN)

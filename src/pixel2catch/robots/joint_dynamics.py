@@ -151,7 +151,6 @@ class JointDynamics:
 PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if field.name != "joints")
 """Names of the parameters of a joint."""
 
-
 Values = Any  #: A NumPy array or a PyTorch tensor.
 
 

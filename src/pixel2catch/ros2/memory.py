@@ -20,8 +20,7 @@ class MessageQueue(Subscription):
     def put(self, data: bytes, age: float = 0.0, sender: int = 0) -> None:
         """Add a message that arrives now; its age is the time since it was sent [s]."""
         with self._node.arrived:
-            arrival = self._node.clock.now()
-            self.waiting.append(Message(data=data, arrival=arrival, age=age, sender=sender))
+            self.waiting.append(Message(data=data, arrival=self._node.clock.now(), age=age, sender=sender))
             self._node.arrived.notify_all()
 
     def take(self) -> list[Message]:

@@ -11,8 +11,6 @@ from pixel2catch.checks import PhysicsRate, Share, Within
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-Cone = Literal["elliptic", "pyramidal"]
-
 MAX_OBJECT_SCALE = 1.4  #: Largest scale of objects: the largest object must fit into `OBJECT_BOUND`.
 
 PUSH_OUT = 0.2
@@ -33,7 +31,8 @@ class SceneCfg:
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: PhysicsRate = 1.0 / PHYSICS_DT
-    cone: Cone = "elliptic"  #: Friction cone: elliptic, or pyramidal, which is faster and less accurate.
+    #: Friction cone: elliptic, or pyramidal, which is faster and less accurate.
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
     multiccd: bool = True  #: Whether faces and edges touch in several points, or in one, which is faster.
     engine: str = "mujoco"  #: Physics engine: mujoco, or physx or drake for evaluations.
     visuals: bool = False  #: Whether to add lights, textures and visual geoms.

@@ -15,7 +15,6 @@ PHYSICS_DT = 1.0 / 120.0  #: Physics time step [s]. Source: paper, 120 Hz.
 DECIMATION = 4  #: Physics steps in a control step at the paper's 120 Hz. Others: `SceneCfg.decimation`.
 CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
-
 OBJECT_RADIUS = 0.04  #: Of a ball with the volume of the largest object of the paper's task [m] (ours).
 
 SPEED_MARGIN = 0.9

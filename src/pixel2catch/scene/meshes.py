@@ -111,5 +111,4 @@ def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"
     corners = vertices[ConvexHull(vertices).vertices]
     if len(corners) <= most:
         return corners
-    directions = sphere_points(most)
-    return corners[np.unique((corners @ directions.T).argmax(axis=0))]
+    return corners[np.unique((corners @ sphere_points(most).T).argmax(axis=0))]

@@ -198,7 +198,8 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 
     `names` may be one string with commas between them. Raises UnknownNameError for any other name.
     """
-    wanted = [name.strip() for name in names.split(",")] if isinstance(names, str) else list(names)
+    texts = [names] if isinstance(names, str) else names
+    wanted = [name.strip() for text in texts for name in text.split(",")]
     if not wanted:
         raise InvalidValueError("no object was given; give an object or a group: " + ", ".join(OBJECT_GROUPS))
     selected: dict[str, None] = {}

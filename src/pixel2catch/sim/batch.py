@@ -35,7 +35,9 @@ class BatchSimulation(Simulation):
     def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0) -> None:
         """Create the environments at the model's defaults; 0 threads means one for each processor."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
-        _require_memory(num_envs)
+        fits = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / BYTES_PER_ENV)
+        if num_envs > fits:  # the system would kill the process
+            raise InvalidValueError(f"num_envs is {num_envs:,}; at most {fits:,} fit into memory.")
         num_threads = num_threads or len(os.sched_getaffinity(0))
         self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)
         # Rays in the first batch would make its next step recompute positions and contacts.
@@ -72,13 +74,6 @@ class BatchSimulation(Simulation):
             ids=ids,
         )
         return torch.from_numpy(distance)
-
-
-def _require_memory(num_envs: int) -> None:
-    """Refuse more environments than fit into memory, as the system would kill the process."""
-    fits = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / BYTES_PER_ENV)
-    if num_envs > fits:
-        raise InvalidValueError(f"num_envs is {num_envs:,}; at most {fits:,} fit into memory.")
 
 
 def _as_tensor(array: np.ndarray) -> Tensor:

@@ -91,7 +91,7 @@ class EngineSimulation(Simulation):
         self._reach = model.actuator_ctrlrange.T
         self._driven = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         rigid_world(model)  # raises if the model is not supported
-        self._copies: list[EngineCopy | None] = [None] * num_envs  # built at the first step
+        self._copies: dict[int, EngineCopy] = {}  # by environment, built at the first step
         self._known = np.full_like(self._state(), np.nan)  # state of the copies
         self._torque = np.zeros_like(self._force)
 
@@ -112,8 +112,7 @@ class EngineSimulation(Simulation):
         self._push_state()
         self._torque[:] = self._servo_torque()
         ctrl, qfrc, xfrc = np.clip(self._inputs[0], *self._reach), *self._inputs[1:]
-        for i, each in enumerate(self._copies):
-            assert each is not None
+        for i, each in self._copies.items():
             each.step(ctrl[i], qfrc[i], xfrc[i])
             each.read_state(self._qpos[i], self._qvel[i])
         self._known[:] = self._state()
@@ -151,12 +150,11 @@ class EngineSimulation(Simulation):
         """Copy states that were written since the last step to the engine."""
         is_written = (self._state() != self._known).any(axis=1)
         for i in np.flatnonzero(is_written).tolist():
-            if (copied := self._copies[i]) is not None:
-                copied.set_state(self._qpos[i], self._qvel[i])
+            self._copies[i].set_state(self._qpos[i], self._qvel[i])
 
     def _rebuild(self) -> None:
         """Build missing copies, and copies whose model fields were written."""
-        is_stale = np.array([each is None for each in self._copies])
+        is_stale = np.array([i not in self._copies for i in range(self.num_envs)])
         for name, values in self._fields.items():
             if not np.array_equal(values, self._built[name]):
                 is_stale |= (values != self._built[name]).reshape(self.num_envs, -1).any(axis=1)

@@ -29,7 +29,6 @@ ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
 UNTURNED = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_MESH)
 """Shapes with the same axes in both engines."""
 
-
 CONTACT_OFFSET = 1e-3  #: Distance from a surface at which contacts begin [m]. Source of these four: ours.
 BOUNCE_SPEED = 0.1  #: Smallest impact speed with a bounce [m/s]; free fall adds 0.08 in a step at 120 Hz.
 POSITION_ITERATIONS, VELOCITY_ITERATIONS = 16, 1  #: Iterations of the solver for positions and for speeds.

@@ -103,8 +103,7 @@ def rigid_world(model: mujoco.MjModel) -> RigidWorld:
 
 def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
     """Return a frame at the origin whose x axis is a given axis of length 1."""
-    other = np.eye(3)[np.argmin(np.abs(axis))]
-    second = np.cross(axis, other)
+    second = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     second /= np.linalg.norm(second)
     return pose_of(np.zeros(3), np.column_stack((axis, second, np.cross(axis, second))))
 

@@ -137,7 +137,6 @@ class WarpSimulation(Simulation):
     def _recorded(
         self, function: Callable[..., Any], generator: torch.Generator | None = None
     ) -> GraphedFunction[Any]:
-        """Return a CUDA graph of PyTorch's and Warp's operations."""
         return GraphedFunction(
             function,
             device=self.device,

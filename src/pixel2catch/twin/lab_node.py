@@ -115,7 +115,6 @@ class StatusPublisher:
     """Publishes the status of the drivers; latched topics when they change."""
 
     def __init__(self, profile: Profile, transport: Transport) -> None:
-        """Create publishers of the topics that the profile has, with all of its controllers active."""
         topics = [each for status in profile.all_status for each in status.items()]
         self._publishers = [(name, transport.publisher(topic)) for name, topic in topics]
         controllers = [part.controller for part in profile.robots if part.controller]

@@ -129,7 +129,6 @@ def _start_policy(operator: RehearsalOperator, seed: int) -> None:
 
 
 def _start_in_cycle(operator: RehearsalOperator, seed: int) -> None:
-    """Arm the robot if it is not, wait for the object, and point at it."""
     if operator.mode not in MOVING:
         _arm(operator)
     operator.wait_until(lambda: operator.mode == "run" and _waits(operator), "the start pose", CYCLE_TIME)

@@ -87,7 +87,6 @@ class SteppedTwin(AbstractContextManager["SteppedTwin"]):
         return RehearsalOperator(self.broker.node(self.clock), self.profile.operator, self.clock)
 
     def _wait(self, moment: float) -> None:
-        """Run cycles until a moment [s], or shortly after."""
         while self.clock.time < moment - ROUNDING:
             self.clock.time = begin = self._num_cycles * CYCLE
             self._num_cycles += 1

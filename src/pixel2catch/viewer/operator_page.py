@@ -128,8 +128,7 @@ class OperatorPage:
                     self._image = jpeg(pixels)
 
     def _page_state(self, now: float) -> dict[str, Any]:
-        is_heard = now - self._status_time < SILENCE
-        status = self._status if is_heard else {}
+        status = self._status if now - self._status_time < SILENCE else {}
         words = status_words(status)
         return {
             "title": self._title,

@@ -154,7 +154,6 @@ class SceneView:
 
 
 def _move(frame: viser.FrameHandle, pos: np.ndarray, quat: np.ndarray) -> None:
-    """Move a node if its pose changed."""
     if np.abs(frame.position - pos).max() > LEAST_MOVE:
         frame.position = pos.copy()
     if np.abs(frame.wxyz - quat).max() > LEAST_MOVE:

@@ -89,8 +89,7 @@ class ThrowPlayer:
                 break
             time = CONTROL_DT * (len(throw.steps) + 1 - release)
             moment = Moment(qpos=qpos.astype(float), qvel=qvel.astype(float), time=time)
-            name, thrower = throw.object_name, bystanders.joint_pos
-            exposure = Exposure(moment=moment, object_name=name, thrower=thrower)
+            exposure = Exposure(moment=moment, object_name=throw.object_name, thrower=bystanders.joint_pos)
             throw.steps.append(ThrowStep(exposure=exposure, box=step.measurement.box[0].numpy().copy()))
             yield throw
         if last is not None:
@@ -118,5 +117,4 @@ def _flight(episode: Episode) -> FlightPath:
     """Return the path of the object of the only environment up to the aimed height."""
     throw = episode.throw
     drag = torch.zeros(1) if episode.drag is None else episode.drag
-    path = flight_path(throw.pos, throw.lin_vel, drag, throw.flight_time())
-    return path[:, 0].double().numpy()
+    return flight_path(throw.pos, throw.lin_vel, drag, throw.flight_time())[:, 0].double().numpy()

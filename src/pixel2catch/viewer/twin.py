@@ -33,7 +33,6 @@ class TwinPage:
     """The page; `update` refreshes it."""
 
     def __init__(self, cfg: PageCfg, profile: Profile, transport: Transport, clock: Clock) -> None:
-        """Serve the page, with the clock of twin and deployment."""
         #: One operator for page and throws, because the servo obeys only one.
         self.operator = RehearsalOperator(transport, profile.operator, clock)
         self.trial: Thread | None = None  #: Thread of the newest automatic throw.
@@ -64,8 +63,7 @@ class TwinPage:
 
     def _run_throw(self, seed: int) -> None:
         self._problem = ""
-        is_cycle = "cycle" in self.operator.status
-        self._problem = run_trial(self.operator, seed, is_cycle=is_cycle).problem
+        self._problem = run_trial(self.operator, seed, is_cycle="cycle" in self.operator.status).problem
 
     @property
     def _is_in_trial(self) -> bool:

@@ -16,7 +16,6 @@ Source: ours; task and release give none. It is the order of magnitude of a smal
 reduction of about 1:369, and it keeps a finger struck by the object from being lighter than the object.
 """
 
-
 finger_joint = partial(
     JointSpec,
     home=0.0,
