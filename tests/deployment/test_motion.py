@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paper_robot import JOINTS
-from pixel2catch.robots.spec import travel_columns
+from pixel2catch.robots.geometry import travel_columns
 from pixel2catch.servo.laws import (
     braked_position,
     braked_speed,

@@ -31,8 +31,8 @@ from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, s
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import PROPOSED, find_method
+from pixel2catch.robots.geometry import travel_columns
 from pixel2catch.robots.joint_dynamics import JointDynamics, filter_step
-from pixel2catch.robots.spec import travel_columns
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.laws import limited_speed, speed_to

@@ -10,8 +10,9 @@ from torch import Tensor
 from pixel2catch.batches import Flags, Joints
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.tensors import write
+from pixel2catch.robots.geometry import speed_to_end, travel_columns
 from pixel2catch.robots.joint_dynamics import EFFORT_MARGIN, DryFriction, JointDynamics, filter_step
-from pixel2catch.robots.spec import JointSpec, speed_to_end, travel_columns
+from pixel2catch.robots.spec import JointSpec
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 

@@ -1,16 +1,18 @@
-"""Kinematics of arms, poses of palms, and distances of robots from the table.
+"""Kinematics of arms, poses of palms, distances of robots from the table, speeds near the ends of a travel.
 
 The matrix of joint i is K + cos(q) C + sin(q) S. A pose is the product of these homogeneous matrices. No call
 copies between host and device or branches on a value, so kinematics work inside CUDA graphs.
 
-The servo keeps these distances, and training penalises commands that violate them. An arm is a set of
-capsules about its links. A hand is a box that contains it at every position of its fingers. The base and the
-first link stand on the table and are left out.
+The servo keeps these distances and speeds. Training keeps the speeds, and penalises commands that violate the
+distances. An arm is a set of capsules about its links. A hand is a box that contains it at every position of
+its fingers. The base and the first link stand on the table and are left out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate, product
+from typing import Any, no_type_check
 
 import mujoco
 import numpy as np
@@ -21,7 +23,7 @@ from torch import Tensor
 from pixel2catch.batches import Joints, Quaternions, Scalars, Vectors
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.poses import pose_matrix, pose_of, rotation_matrix
-from pixel2catch.robots.spec import Vec3
+from pixel2catch.robots.spec import JointSpec, Vec3
 from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
 TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its sides [m]. Source: ours.
@@ -30,6 +32,7 @@ POINTS_PER_CAPSULE = 5
 """Points on the axis of a capsule that training checks. Source: ours: 9 cm apart on the longest capsule."""
 
 AXIS_WEIGHT = 0.15  #: Weight of the deviation of an axis against that of a point [m]. Source: ours.
+END_MARGIN = 1e-3  #: Distance of commands from where an interface allows no speed [rad]. Source: ours.
 DAMPING = 1e-3  #: Weight of a step against the error that remains [m²/rad²]. Source: ours.
 
 Batch = Float[Tensor, "num_envs _"]
@@ -363,3 +366,25 @@ class _TablePoints:
         is_over = ((place[..., :2] - self._middle).abs() < self._reach).all(dim=-1)
         depth = (self._top - place[..., 2]).clamp(min=0.0)
         return torch.where(is_over, depth, 0.0).amax(dim=-1)
+
+
+@no_type_check  # a check in tests would wrap it, and the servo could not compile it
+def speed_to_end(distance: Any, slope: Any, base: Any) -> Any:
+    """Return the largest speed [rad/s] of a command's step dt towards an end of the travel.
+
+    The distance d to where the interface allows none is 0 or more [rad]; after the step, the rest r is on
+    speed = √(slope r + offset²) - offset. There, commands brake by less than slope / 2 [rad/s²].
+    """
+    return (base * base + slope * distance) ** 0.5 - base
+
+
+def travel_columns(joints: Sequence[JointSpec], acceleration: np.ndarray, dt: float) -> dict[str, np.ndarray]:
+    """Return what `speed_to_end` needs of joints with these accelerations [rad/s²], in steps dt [s].
+
+    At `low_end` and `high_end`, the interface allows no speed [rad]. A slope is that of the acceleration
+    where the interface expects more deceleration: speeds are lower there than it allows.
+    """
+    lower, upper, deceleration, offset = np.array([joint.travel for joint in joints]).T
+    slope = 2.0 * np.minimum(deceleration, acceleration)
+    rest, base = offset**2 / slope + END_MARGIN, offset + 0.5 * slope * dt
+    return {"low_end": lower + rest, "high_end": upper - rest, "end_slope": slope, "end_base": base}

@@ -6,13 +6,10 @@
 Lengths in metres, angles in radians, quaternions (w, x, y, z).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, no_type_check
-
-import numpy as np
+from typing import Annotated, Any, Literal
 
 from pixel2catch.checks import Within
 
@@ -22,7 +19,6 @@ End = Annotated[float, Within(-inf, inf)]  #: End of a joint's travel [rad]; inf
 Range = tuple[float, float]
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-END_MARGIN = 1e-3  #: Distance of commands from where an interface allows no speed [rad]. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,28 +40,6 @@ class JointSpec:
     #: Ends of the travel [rad], deceleration a [rad/s²], offset [rad/s]: at a distance d from an end, speeds
     #: of commands towards it are at most √(2 a d) - offset. Simulated if there is an `acceleration_limit`.
     travel: tuple[End, End, float, float] = (-inf, inf, 1.0, 0.0)
-
-
-@no_type_check  # a check in tests would wrap it, and the servo could not compile it
-def speed_to_end(distance: Any, slope: Any, base: Any) -> Any:
-    """Return the largest speed [rad/s] of a command's step dt towards an end of the travel.
-
-    The distance d to where the interface allows none is 0 or more [rad]; after the step, the rest r is on
-    speed = √(slope r + offset²) - offset. There, commands brake by less than slope / 2 [rad/s²].
-    """
-    return (base * base + slope * distance) ** 0.5 - base
-
-
-def travel_columns(joints: Sequence[JointSpec], acceleration: np.ndarray, dt: float) -> dict[str, np.ndarray]:
-    """Return what `speed_to_end` needs of joints with these accelerations [rad/s²], in steps dt [s].
-
-    At `low_end` and `high_end`, the interface allows no speed [rad]. A slope is that of the acceleration
-    where the interface expects more deceleration: speeds are lower there than it allows.
-    """
-    lower, upper, deceleration, offset = np.array([joint.travel for joint in joints]).T
-    slope = 2.0 * np.minimum(deceleration, acceleration)
-    rest, base = offset**2 / slope + END_MARGIN, offset + 0.5 * slope * dt
-    return {"low_end": lower + rest, "high_end": upper - rest, "end_slope": slope, "end_base": base}
 
 
 def joint_table(columns: str, *rows: tuple[Any, ...], **common: Any) -> tuple[JointSpec, ...]:

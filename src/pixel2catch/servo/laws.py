@@ -27,7 +27,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pixel2catch.robots.spec import speed_to_end
+from pixel2catch.robots.geometry import speed_to_end
 from pixel2catch.servo.link import Fault, Mode
 
 Record = Any  #: An entry of a structured array; numba checks its fields when it compiles.

@@ -11,8 +11,8 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.geometry import travel_columns
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.robots.spec import travel_columns
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.profile import MotionBudget, RobotPart
 from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
