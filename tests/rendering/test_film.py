@@ -8,7 +8,6 @@ from PIL import Image, ImageSequence
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg, RecordedThrow, recorded_throws
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
@@ -58,11 +57,6 @@ def test_drawn_box_by_hand():
     assert not drawn[25, 30]
     draw_box(image, np.array([-50.0, -50.0, -10.0, 90.0]))
     assert drawn.sum() == image.any(axis=-1).sum()
-
-
-def test_a_file_that_cannot_be_written(throws: list[RecordedThrow], tmp_path: Path):
-    with pytest.raises(InvalidValueError, match=r"film\.mov"):
-        film.write_throws(tmp_path / "film.mov", throws, SceneCfg())
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".webp", ".gif"])

@@ -20,11 +20,10 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import uniform_filter1d
 
 from pixel2catch.camera.image import Pixels
-from pixel2catch.checks import OutputFile
 from pixel2catch.evaluation.protocol import CAUGHT, LOST, OUTCOMES, RecordedThrow
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, Viewpoint
 from pixel2catch.rendering.room import Bystanders, build_film_room
-from pixel2catch.rendering.video import FORMATS, draw_box, write_film
+from pixel2catch.rendering.video import draw_box, write_film
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
@@ -221,10 +220,8 @@ def write_throws(
 ) -> int:
     """Write a film of throws in a grid, or stills if the file is a PNG; return the number of pictures.
 
-    Before each throw is drawn, `on_throw` is called with its number. Raises InvalidValueError if the file
-    cannot be written, before anything is drawn.
+    Before each throw is drawn, `on_throw` is called with its number.
     """
-    OutputFile(FORMATS).require("the film", path)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".png":
         with FilmRenderer(scene, WIDTHS[-1]) as renderer:

@@ -15,7 +15,6 @@ from pixel2catch.errors import InvalidValueError
 WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100, and of 6.
 BOX_COLOR = (80, 255, 80)
 BOX_WIDTH = 2  #: Width of a drawn box's edge [px].
-FORMATS = (".mp4", ".webp", ".gif", ".png")  #: Endings of the files of a film; a PNG has stills.
 
 
 def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
-from os import PathLike
 from pathlib import Path
 
 import mujoco
@@ -162,19 +161,16 @@ def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:
     return np.array(values.reshape(len(values), -1) if values.ndim > 2 else values)[indices.rows(field)]
 
 
-def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
-    """Write the model as a self-contained .xml with six digits, or as an exact binary .mjb."""
-    match Path(path).suffix:
-        case ".xml":
-            spec = build_spec(cfg, object_name)
-            spec.compile()
-            write_atomically({Path(path): spec.to_xml()})
-        case ".mjb":
-            model = build_model(cfg, object_name)
-            mujoco.mj_saveModel(model, None, content := np.empty(mujoco.mj_sizeModel(model), np.uint8))
-            write_atomically({Path(path): content.tobytes()})
-        case _:
-            raise InvalidValueError(f"the file is '{path}'; its name must end in .xml or .mjb.")
+def export(path: Path, cfg: SceneCfg, object_name: str = "cube_s") -> None:
+    """Write the model as a self-contained .xml with six digits, else as an exact binary, .mjb."""
+    if path.suffix.lower() == ".xml":
+        spec = build_spec(cfg, object_name)
+        spec.compile()
+        write_atomically({path: spec.to_xml()})
+    else:
+        model = build_model(cfg, object_name)
+        mujoco.mj_saveModel(model, None, content := np.empty(mujoco.mj_sizeModel(model), np.uint8))
+        write_atomically({path: content.tobytes()})
 
 
 def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
