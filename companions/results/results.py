@@ -210,7 +210,7 @@ def _text(rows: list[Row], column: str) -> str:
         if all(str(_at(row, name)) == value for name, value in wanted.items()):
             value, interval = _at(row, key), _at(row, f"{key}_interval")
             if interval is not None:
-                return percent(value, interval)
+                return percent({key: value, f"{key}_interval": interval}, key)
             if isinstance(value, list):  # mean and deviation
                 return " ± ".join(f"{each:.1f}" for each in value)
             if isinstance(value, Mapping):

@@ -56,7 +56,7 @@ def test_a_box_is_false_where_nothing_is_visible_or_it_has_none_of_the_object():
     beside = (120.0, 100.0, 140.0, 110.0)
     boxes = [(here, BOX, True), (here, beside, True), (here, beside, False), (nothing, BOX, True)]
     rows = [score_box(truth, box, is_seen=is_seen) for truth, box, is_seen in boxes]
-    assert [row.is_false for row in rows] == [False, True, False, True]
+    assert [row.is_seen and row.is_apart for row in rows] == [False, True, False, True]
     assert [row.error for row in rows[:2]] == [0.0, 20.0]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.camera.image import Edges, Verdict
-from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.metrics import rate
 from pixel2catch.perception.labels import PHASES, Labels, Phase, Truth
 from pixel2catch.perception.sightings import Sighting
 from pixel2catch.perception.sources import ImageFit
@@ -32,11 +32,6 @@ class Score:
     def is_good(self) -> bool:
         """Whether the box was found and is accurate."""
         return self.is_seen and self.error <= GOOD
-
-    @property
-    def is_false(self) -> bool:
-        """Whether the box that was found is not of the object."""
-        return self.is_seen and self.is_apart
 
 
 def score_box(truth: Truth, box: Edges, *, is_seen: bool = True) -> Score:
@@ -75,13 +70,12 @@ def _summary(rows: list[Score]) -> dict[str, Any]:
     errors = [each.error for each in visible if each.is_seen]
     report: dict[str, Any] = {"images": len(visible), "hidden": len(rows) - len(visible)}
     report["seen_though_hidden"] = sum(each.is_seen for each in rows if not each.is_visible)
-    report["false_boxes"] = sum(each.is_false for each in rows)
+    report["false_boxes"] = sum(each.is_seen and each.is_apart for each in rows)
     if not visible:
         return report
     num_good = sum(each.is_good for each in visible)
     report["detected"] = len(errors) / len(visible)
-    report["within_5px"] = num_good / len(visible)
-    report["within_5px_interval"] = list(wilson_interval(num_good, len(visible)))
+    report |= rate("within_5px", num_good, len(visible))
     pairs = enumerate(pairwise(visible), start=1)
     losses = [i for i, (before, now) in pairs if before.is_good and not now.is_good]
     waits = [wait for i in losses if (wait := reacquisition(visible, i)) is not None]

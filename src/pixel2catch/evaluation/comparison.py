@@ -15,19 +15,11 @@ from numpy import ndarray
 
 from pixel2catch import files
 from pixel2catch.errors import InvalidValueError, StudyError
+from pixel2catch.evaluation import report
 from pixel2catch.evaluation.grid import Json, differences
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics, pooled_counts, welch_difference, wilson_interval
-from pixel2catch.evaluation.report import (
-    CONTACT_RATES,
-    MAIN_RATES,
-    PAPER,
-    RATES,
-    Row,
-    difference,
-    spread,
-    write_report,
-)
+from pixel2catch.evaluation.report import MAIN_RATES, RATES, Row
 from pixel2catch.reports import Cells, Section
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
@@ -92,9 +84,8 @@ class Plan:
 
     def runs(self) -> Iterator[Training]:
         """Yield all trainings; each method has one seed before any has two."""
-        for seed in range(self.seeds):
-            for method in self.methods:
-                yield Training(method=method, seed=seed)
+        for seed, method in product(range(self.seeds), self.methods):
+            yield Training(method=method, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -186,7 +177,7 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
     if changes:
         rows = [
             {name: row[name] for name in ("pair", "objects")}
-            | {title: difference(row[name]) for title, name in RATES.items() if name in row}
+            | {title: report.difference(row[name]) for title, name in RATES.items() if name in row}
             for row in changes
         ]
         sections.append(Section(title="Differences", text=DIFFERENCES_NOTE, rows=rows))
@@ -194,7 +185,7 @@ def write_comparison(folder: ComparisonFolder) -> list[Cells]:
         pictures = {"curves.png": curves_picture(*curves)}
         sections.append(Section(title="Learning curves", text=CURVES_NOTE, pictures=pictures))
     sections.append(Section(title="Configuration", rows=configuration))
-    write_report(folder.path / "report", "Comparison of methods", sections, data)
+    report.write_report(folder.path / "report", "Comparison of methods", sections, data)
     return rates
 
 
@@ -240,15 +231,15 @@ def all_curves(folder: ComparisonFolder, plan: Plan) -> Curves | None:
     return learning_curves({name: logs[name] for name in plan.methods if name in logs}) if logs else None
 
 
-def read_metrics(path: Path, names: Sequence[str] = COLUMNS) -> Columns:
-    """Return columns of a `metrics.csv`, whose last line may be incomplete."""
+def read_metrics(path: Path) -> Columns:
+    """Return the `COLUMNS` of a `metrics.csv`, whose last line may be incomplete."""
     with files.reading("metrics", path, "Train again, or take the file out of the study."):
         try:
             table = csv.DictReader(io.StringIO(files.read_text(path, MOST_METRICS)))
-            rows = [[float(row[name] or "nan") for name in names] for row in table]
+            rows = [[float(row[name] or "nan") for name in COLUMNS] for row in table]
         except csv.Error as error:
             raise InvalidValueError(f"it is no table ({error})") from error
-    return dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
+    return dict(zip(COLUMNS, np.array(rows).reshape(-1, len(COLUMNS)).T, strict=True))
 
 
 def binned(columns: Columns, name: str, edges: Float[ndarray, " num_edges"]) -> Float[ndarray, " num_bins"]:
@@ -293,7 +284,7 @@ def pooled(rates: Sequence[Metrics], name: str) -> Json:
 
 
 def _paper(method: str, group: str) -> Row | None:
-    numbers = PAPER.get((method, OBJECT_GROUPS[group]))
+    numbers = report.PAPER.get((method, OBJECT_GROUPS[group]))
     if numbers is None:
         return None
     return {
@@ -309,9 +300,9 @@ def rates_table(rows: Sequence[Row]) -> list[Cells]:
         line = {name: str(row[name]) for name in ("method", "objects", "seeds")}
         for title, name in MAIN_RATES.items():
             low, high = row[name]["interval"]
-            line[f"{title} [%]"] = spread(row[name])
+            line[f"{title} [%]"] = report.spread(row[name])
             line[f"{title}, 95 % interval"] = f"[{100 * low:.1f}, {100 * high:.1f}]"
-            line[f"{title}, paper"] = spread(row["paper"] and row["paper"][name], digits=2)
+            line[f"{title}, paper"] = report.spread(row["paper"] and row["paper"][name], digits=2)
         lines.append(line)
     return lines
 
@@ -323,7 +314,7 @@ def quality_table(rows: Sequence[Row]) -> list[Cells]:
             "method": row["method"],
             "objects": row["objects"],
             "trials": str(row["trials"]),
-            **{f"{title} [%]": spread(row.get(name)) for title, name in CONTACT_RATES.items()},
+            **{f"{title} [%]": report.spread(row.get(name)) for title, name in report.CONTACT_RATES.items()},
             "largest joint speed [rad/s]": f"{row['max_joint_speed']:.2f}",
             "largest torque [% of limit]": f"{100 * row['max_torque_share']:.1f}",
             "deepest penetration [mm]": f"{1000 * row['max_penetration']:.1f}",

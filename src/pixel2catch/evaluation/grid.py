@@ -110,7 +110,6 @@ class ClusterJob(Slot):
     poll_seconds = 1.0
 
     def __init__(self, kind: str, device: str, executor: "AutoExecutor") -> None:
-        """Submit cells to an executor of submitit."""
         super().__init__(kind, device)
         self._executor, self._deadline = executor, 0.0
         self._job: Any = None
@@ -266,7 +265,7 @@ class StudyGrid:
 def compute(work: Work, device: str, log: Path | None) -> str | None:
     """Compute a cell, and return the text of its error, if there was one."""
     try:
-        with _printing_to(log):
+        with _printing_to(log) if log else contextlib.nullcontext():
             try:
                 work(device)
             except Exception:
@@ -280,11 +279,8 @@ def compute(work: Work, device: str, log: Path | None) -> str | None:
 
 
 @contextlib.contextmanager
-def _printing_to(log: Path | None) -> Iterator[None]:
+def _printing_to(log: Path) -> Iterator[None]:
     """Append the output of this process to a log; raise StudyError if another process writes to it."""
-    if log is None:
-        yield
-        return
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as file, held(log):
         streams = {1: os.dup(1), 2: os.dup(2)}

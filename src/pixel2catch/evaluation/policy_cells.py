@@ -26,7 +26,7 @@ from pixel2catch.evaluation.stress import Axis, Level, Setting, is_trained_on, p
 from pixel2catch.files import as_json, json_text, write_atomically
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
-from pixel2catch.reports import Cells, Section, circumstances, provenance
+from pixel2catch.reports import Section, circumstances, provenance
 from pixel2catch.shipped import shipped_policies
 from pixel2catch.sim.factory import INELASTIC
 from pixel2catch.workcells import find_workcell
@@ -129,7 +129,11 @@ def policy_cells(
             "evaluation": as_json(asdict(evaluation)),
         }
         file = cell_file(out, entry, setting)
-        _require_same(file, origin)
+        if found := read_row(file):
+            before, now = (dict(leaves(each | {"metrics": None})) for each in (found, origin))
+            if changes := differences(before, now, "there"):
+                fix = "give its values, or name another --out"
+                raise StudyError(f"'{file}' was made otherwise ({changes}); {fix}.")
         work = partial(measure, entry.folder, evaluation, is_alone, origin, file)
         cells.append(StudyCell(name=f"{entry.name}-{setting.name}", work=work, is_done=file.exists))
     return cells
@@ -163,15 +167,6 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     finally:
         os.sched_setaffinity(0, processors)
     return evaluate(actor, method, cfg, env=env, is_seeded=True)
-
-
-def _require_same(file: Path, origin: Json) -> None:
-    """Refuse a result that was made otherwise."""
-    if (found := read_row(file)) is None:
-        return
-    before = dict(leaves(found | {"metrics": None}))
-    if changes := differences(before, dict(leaves(origin | {"metrics": None})), "there"):
-        raise StudyError(f"'{file}' was made otherwise ({changes}); give its values, or name another --out.")
 
 
 def result_rows(
@@ -235,19 +230,16 @@ def transfer_sections(rows: Sequence[Row]) -> list[Section]:
         "with their 95 % interval; difference of S.R. from home in points with its 95 % interval, number of "
         "throws lost and won by it, and p value of McNemar's exact test. Failures in % of the throws."
     )
-    lines = [_transfer_line(row) for row in sorted(rows, key=lambda row: row["policy"])]
+    lines = [
+        {"policy": row["policy"], "restitution": row["level"], "engine": row["axis"]}
+        | {title: percent(row, name) for title, name in RATES.items() if name in row}
+        | difference_cells(row.get("success_rate_change"))
+        | {name.replace("_", " "): f"{100.0 * rate:.1f}" for name, rate in row["failures"].items()}
+        for row in sorted(rows, key=lambda row: row["policy"])
+    ]
     return [Section(title="Engines", text=text, rows=lines)]
 
 
 def _percent(row: Row) -> str:
     mark = "" if row["is_trained_on"] else f" {UNTRAINED}"
-    return percent(row["success_rate"], row["success_rate_interval"]) + mark
-
-
-def _transfer_line(row: Row) -> Cells:
-    line = {"policy": row["policy"], "restitution": row["level"], "engine": row["axis"]}
-    line |= {
-        title: percent(row[name], row[f"{name}_interval"]) for title, name in RATES.items() if name in row
-    }
-    line |= difference_cells(row.get("success_rate_change"))
-    return line | {name.replace("_", " "): f"{100.0 * rate:.1f}" for name, rate in row["failures"].items()}
+    return percent(row, "success_rate") + mark

@@ -149,18 +149,17 @@ class RoundState(Trials):
         is_held = self.is_testing & (step.record.held_steps > 0)
         arms, hands = (take(step.torque_share, workcell.of_role(role)) for role in ("arm", "hand"))
         is_limited = is_counted & (arms >= LIMIT_SHARE).any(dim=-1)
-        return RoundState(
+        return replace(
+            self,
             record=record,
             is_running=is_running,
             is_testing=is_running & record.is_success,
             test_steps=test_steps,
             is_firm=is_firm,
-            is_verified=self.is_verified | (is_tested & is_firm & (step.record.held_steps > 0)),
+            is_verified=self.is_verified | (is_tested & is_firm & is_held),
             hold_steps=self.hold_steps + is_held.long(),
             torque_squares=self.torque_squares + is_held[:, None] * hands.square(),
             limit_steps=self.limit_steps + is_limited.long(),
-            closed_loop=self.closed_loop,
-            is_reachable=self.is_reachable,
             action=action,
         )
 
@@ -272,8 +271,7 @@ def round_steps(env: CatchEnv, actor: Actor, observation: Observation) -> Iterat
     """Yield the control steps of a round that has begun; each overwrites what the one before yielded."""
     state, trial_steps = _round_start(env), env.cfg.trial_steps
     for number in range(1, trial_steps + TEST_STEPS + 1):
-        chosen = env.method.joint_actions(actor.act(observation.policy))
-        action = state.chosen(chosen, env.workcell)
+        action = state.chosen(env.method.joint_actions(actor.act(observation.policy)), env.workcell)
         step = _step(env, action, state.is_running)
         state = state.advanced(step, action, env.workcell, is_late=number > trial_steps)
         observation = step.observation

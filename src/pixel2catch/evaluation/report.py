@@ -57,10 +57,10 @@ def table(rows: Sequence[Row], down: str, across: str, text: Callable[[Row], str
     return list(lines.values())
 
 
-def percent(rate: float, interval: Sequence[float]) -> str:
-    """Return a rate with its interval, in percent."""
-    low, high = (100 * bound for bound in interval)
-    return f"{100 * rate:.1f} [{low:.0f}, {high:.0f}]"
+def percent(rates: Row, name: str) -> str:
+    """Return a rate with its interval, in percent, by the name of `metrics.rate`."""
+    low, high = (100 * bound for bound in rates[f"{name}_interval"])
+    return f"{100 * rates[name]:.1f} [{low:.0f}, {high:.0f}]"
 
 
 def spread(rate: Row | None, digits: int = 1) -> str:
@@ -77,7 +77,7 @@ def difference(change: Row) -> str:
     return f"{100 * change['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
 
 
-def difference_cells(change: Row | None) -> Cells:
+def difference_cells(change: Row | None) -> dict[str, str]:
     """Return the cells of a `paired_difference`, in points; of None those of home."""
     if not change:
         return {"difference": "home", "lost, won": "", "p": ""}
@@ -113,11 +113,7 @@ def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table
 
 
 def _cells(rates: Metrics) -> dict[str, str]:
-    texts = {
-        title: percent(rates[name], rates[f"{name}_interval"])
-        for title, name in RATES.items()
-        if name in rates
-    }
+    texts = {title: percent(rates, name) for title, name in RATES.items() if name in rates}
     # Without a space in the interval, a narrow terminal breaks the line before it.
     shown = {title: text.replace(", ", "-") for title, text in texts.items()}
     return {"trials": f"{rates['trials']}", **shown}
@@ -148,6 +144,5 @@ def _quality(result: Metrics) -> dict[str, str]:
 
 
 def _largest(torques: Mapping[str, float] | None) -> str:
-    """Return the largest of several joints' torques, with the name of the joint."""
     share, name = max(((share, name) for name, share in (torques or {}).items()), default=(0.0, ""))
     return f"{100 * share:.1f} % ({name})" if name else "-"

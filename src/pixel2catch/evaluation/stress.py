@@ -154,7 +154,6 @@ def _gains(percent: float) -> FieldChange:
 
 
 def _mass(grams: float) -> FieldChange:
-    """Set the mass [g] of objects that weigh 30 g."""
     return part("randomization", mass_scale=(grams / 30.0, grams / 30.0))
 
 

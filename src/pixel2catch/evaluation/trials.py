@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pixel2catch.evaluation.grid import Json, read_row
-from pixel2catch.evaluation.metrics import paired_difference, rate, wilson_interval
+from pixel2catch.evaluation.metrics import paired_difference, rate
 from pixel2catch.evaluation.report import Row, difference_cells, percent, table, write_report
 from pixel2catch.files import json_text, write_atomically
 from pixel2catch.reports import Section, as_markdown, circumstances
@@ -83,7 +83,7 @@ def write_trials(out: Path, throws: Sequence[Row], plan: Json) -> str:
     rates, pairs = [*rate_rows(throws)], [*paired_rows(throws, next(iter(plan["configuration"]["policies"])))]
     counts = Counter((each["proposed"], each["outcome"]) for each in throws)
     right = sum(count for (proposed, outcome), count in counts.items() if proposed == outcome)
-    share = percent(right / len(throws), wilson_interval(right, len(throws)))
+    share = percent(rate("share", right, len(throws)), "share")
     num_repeated = len([*out.glob("throws/*-repeated-*")])
     cells = [{"proposed": one, "outcome": two, "count": n} for (one, two), n in sorted(counts.items())]
     pair_lines = [
@@ -92,9 +92,7 @@ def write_trials(out: Path, throws: Sequence[Row], plan: Json) -> str:
     ]
     tables = [
         Section(
-            title="Rates",
-            text=RATES,
-            rows=table(rates, "rate", "object", lambda row: percent(row["share"], row["share_interval"])),
+            title="Rates", text=RATES, rows=table(rates, "rate", "object", lambda row: percent(row, "share"))
         ),
         Section(title="Pairs", text=PAIRS, rows=pair_lines),
         Section(

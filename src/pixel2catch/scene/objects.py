@@ -196,7 +196,7 @@ def num_parts() -> int:
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
     """Return the names of objects for names of objects and groups, in the given order without repeats.
 
-    `names` may be one string with commas between them. Raises UnknownNameError for any other name.
+    A string may have several names with commas between them. Raises UnknownNameError for any other name.
     """
     texts = [names] if isinstance(names, str) else names
     wanted = [name.strip() for text in texts for name in text.split(",")]

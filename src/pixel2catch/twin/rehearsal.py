@@ -17,7 +17,7 @@ from typing import Any
 
 from pixel2catch.deployment.operator import DEPTH, OperatorConsole, newest
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.metrics import rate
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import PROFILES, OperatorTopics, Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
@@ -176,7 +176,7 @@ def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow
     num, report = len(outcomes), {"num_throws": len(outcomes)}
     for name, flag in (("tracking_rate", "is_tracked"), ("success_rate", "is_success")):
         count = sum(getattr(outcome, flag) for outcome in outcomes)
-        report |= {name: count / num, f"{name}_interval": wilson_interval(count, num)}
+        report |= rate(name, count, num)
     return {
         **report,
         "stops": dict(Counter(stop for outcome in outcomes for stop in outcome.stops)),
