@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
+from torch.autograd.functional import jacobian
 
 import pixel2catch as p2c
 from pixel2catch.camera.camera_file import CameraFile
@@ -18,10 +19,14 @@ from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.checks import CAMERA_NAMES, InputFile, OutputFile
 from pixel2catch.envs.tasks import PEOPLE_THROWS
 from pixel2catch.evaluation.figures import STYLE, png
-from pixel2catch.mdp.throws import ThrowCfg, sample_paths, sample_throws
-from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.mdp.throws import ThrowCfg, flight_time, sample_paths, sample_throws
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, CameraSpec
 
 NUM_THROWS = 500  #: Drawn throws of a row of the table. Source: ours.
+SEEN_FOR = 0.4  #: Time after the release at which an estimate is judged [s]. Source: ours, half a flight.
+NUM_HELD = 10  #: Images before the release that count. Source: ours.
+NUM_JUDGED = 100  #: Throws over which uncertainties are averaged. Source: ours.
+BOX_ERRORS = (5.0, 1.0)  #: Largest errors of a box's edges [px]. Source: paper; tracked boxes.
 DISTANCES = np.linspace(1.0, 5.0, 17)  #: Distances of the release from the hand in the chart [m].
 PEAKS = np.linspace(1.3, 3.1, 19)  #: Peak heights in the chart [m].
 RELEASE_HEIGHT = 1.2  #: Release height in the chart [m]. Source: ours, of people between hip and chest.
@@ -55,6 +60,36 @@ def sight(camera: CameraSpec, throws: ThrowCfg) -> Sight:
         release_size=float(size[:, 0].mean()),
         catch_size=float(size[:, -1].mean()),
     )
+
+
+def uncertainty(camera: CameraSpec, throws: ThrowCfg, error: float) -> tuple[float, float]:
+    """Return how uncertain the place of the fall through the catch height is, along and across the view [m].
+
+    These are deviations, after `SEEN_FOR`, of the best estimate from the centres of boxes at 30 Hz, whose
+    edges have uniform errors up to `error` [px]. The estimate has the covariance of drawn throws as its prior
+    and is linear about each throw. Air and sizes of boxes do not count.
+    """
+    drawn = sample_throws(throws, NUM_THROWS, torch.Generator().manual_seed(0))
+    start = torch.cat((drawn.pos, drawn.lin_vel), dim=1).double()
+    time = torch.arange(-NUM_HELD, round(SEEN_FOR / CONTROL_DT) + 1).clamp(min=0)[:, None] * CONTROL_DT
+    fall = torch.tensor((0.0, 0.0, -0.5 * GRAVITY))
+
+    def centers(throw: Tensor) -> Tensor:
+        return project(camera, (throw[:3] + throw[3:] * time + fall * time**2)[None])[0][0].flatten()
+
+    def place(throw: Tensor, height: Tensor) -> Tensor:
+        return throw[:2] + throw[3:5] * flight_time(throw[None, 3:], (height - throw[2])[None])
+
+    weight = 6.0 / error**2  # the centre is the mean of two edges, each with a variance of error² / 3
+    prior, total = torch.linalg.inv(torch.cov(start.T)), torch.zeros(2).double()
+    for throw, aim in zip(start[:NUM_JUDGED], drawn.aim, strict=False):
+        views, lands = jacobian(centers, throw), jacobian(lambda each, h=aim[2]: place(each, h), throw)
+        left = lands @ torch.linalg.inv(prior + weight * views.T @ views) @ lands.T
+        along = torch.nn.functional.normalize(place(throw, aim[2]) - torch.tensor(camera.pos[:2]), dim=0)
+        axes = torch.stack((along, along.flip(0) * torch.tensor((-1.0, 1.0))))
+        total += (axes @ left @ axes.T).diagonal() / NUM_JUDGED
+    along, across = total.sqrt().tolist()
+    return along, across
 
 
 def _seen(camera: CameraSpec, paths: Float[Tensor, "num_throws num_points 3"]) -> tuple[Tensor, Tensor]:
@@ -106,6 +141,12 @@ def main(words: list[str] | None = None) -> None:
             f"throws, the catch in {found.catch:.0%}; {found.time:.2f} s from first sight to catch; "
             f"{found.release_size:.1f} px/cm at the release, {found.catch_size:.1f} at the catch"
         )
+        for error in BOX_ERRORS:
+            along, across = uncertainty(camera, throws, error)
+            print(
+                f"  boxes {error:g} px off, {SEEN_FOR} s after the release: the place of the fall is known "
+                f"to {100 * along:.0f} cm along the view, {100 * across:.0f} cm across"
+            )
     args.file.write_bytes(chart(camera))
     print(f"wrote {args.file}")
 
