@@ -39,7 +39,8 @@ class TaskVariant:
 
     def of(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
         """Return the task with these ranges."""
-        return replace(task, throws=self.throws, randomization=self.randomization, sensing=self.sensing)
+        own = {"throws": self.throws, "randomization": self.randomization, "sensing": self.sensing}
+        return replace(task, **own, variants=())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +61,9 @@ class CatchEnvCfg:
 
     def __post_init__(self) -> None:
         require(tuple[TaskVariant, ...], "variants", self.variants)
-        if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
-            raise InvalidValueError(
-                f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "
-                "must not exceed 1"
-            )
+        shares = [variant.share for variant in self.variants]
+        if sum(shares) > 1.0 + 1e-6:
+            raise InvalidValueError(f"the shares of the variants are {shares}; their sum must not exceed 1")
         for variant in self.variants:
             for name in COMMON:
                 if attrgetter(name)(variant) != attrgetter(name)(self):
