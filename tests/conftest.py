@@ -14,7 +14,6 @@ os.environ.pop("COLUMNS", None)
 
 import hypothesis
 import pytest
-import torch
 from jaxtyping import config, install_import_hook
 
 # Where tensors are handed over, shapes and types are checked at run time; the tower lets an int stand for a
@@ -57,6 +56,8 @@ The first alone of the first three needs the compiled servo: the others do not w
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest; skip what needs a CUDA device where there is none."""
+    import torch  # not at the top: the process that leads the workers does not need it
+
     items.sort(key=lambda item: [item.path.stem != f"test_{name}" for name in LONGEST])
     if torch.cuda.is_available():
         return
@@ -109,6 +110,8 @@ def change_cells() -> Iterator[None]:
 
     Forks import nothing; CUDA forbids them. `test_grid` and `test_own_methods` spawn processes as users do.
     """
+    import torch
+
     from pixel2catch.envs.cfg import CatchEnvCfg
     from pixel2catch.evaluation import grid
 

@@ -1,6 +1,7 @@
 """What documents say is true: commands, messages and links; figures and notebook are made anew."""
 
 import ast
+import json
 import re
 import runpy
 import shlex
@@ -10,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from domains import PATIENCE
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import parse
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.learning import experiment
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.own_files import VARIABLE, take_option
@@ -139,20 +140,15 @@ def test_figures_are_small_and_shown():
         assert f"figures/{path.name}" in shown
 
 
-SHORT_TRIALS = "from pixel2catch.envs.cfg import CatchEnvCfg\nCatchEnvCfg.trial_steps = 40"
-
-
-def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for folder in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
-        monkeypatch.setenv(folder, str(tmp_path / folder.lower()))
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    notebook = nbformat.read(ROOT / "docs" / "catching.ipynb", as_version=4)
-    said = [output.get("text") for cell in notebook.cells for output in cell.get("outputs", ())]
-    assert any(text and "S.R." in text for text in said), "the notebook keeps its outputs"
-    for cell in notebook.cells:
-        cell.source = cell.source.replace("num_throws=30", "num_throws=2")
-    notebook.cells.insert(0, nbformat.v4.new_code_cell(SHORT_TRIALS))
-    client = nbclient.NotebookClient(
-        notebook, timeout=int(PATIENCE), resources={"metadata": {"path": str(tmp_path)}}
-    )
-    client.execute()  # raises where a cell does
+def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, opengl: None):
+    """In this process: a kernel takes longer to start than the cells."""
+    monkeypatch.setattr(CatchEnvCfg, "trial_steps", 40)
+    monkeypatch.setattr("matplotlib.pyplot.show", lambda: None)
+    cells = json.loads((ROOT / "docs" / "catching.ipynb").read_text("utf-8"))["cells"]
+    said = ["".join(output.get("text", ())) for cell in cells for output in cell.get("outputs", ())]
+    assert any("S.R." in text for text in said), "the notebook keeps its outputs"
+    names: dict[str, Any] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]).replace("num_throws=30", "num_throws=2"), names)
+    names["plt"].close("all")

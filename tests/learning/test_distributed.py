@@ -41,15 +41,12 @@ def torchrun(*arguments: str | Path) -> subprocess.Popen[str]:
     return start("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments)
 
 
-def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
+def pair(*arguments: str | Path) -> list[tuple[int, str]]:
     """Exit status and output of two processes in the environment of torchrun, which starts slowly itself."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = str(server.getsockname()[1])
     common = {"TORCHELASTIC_RUN_ID": "test", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}
-    processes = [
-        start(SCRIPT, what, folder, device, RANK=rank, LOCAL_RANK=rank, MASTER_PORT=port, **common)
-        for rank in "01"
-    ]
+    processes = [start(*arguments, RANK=rank, LOCAL_RANK=rank, MASTER_PORT=port, **common) for rank in "01"]
     outputs = [process.communicate(timeout=PATIENCE)[0] for process in processes]
     return [(process.returncode, output) for process, output in zip(processes, outputs, strict=True)]
 
@@ -57,7 +54,7 @@ def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
 @pytest.mark.gpu
 @needs_two_gpus
 def test_two_devices_learn_as_one(tmp_path: Path) -> None:
-    outcomes = pair("update", tmp_path, "cuda")
+    outcomes = pair(SCRIPT, "update", tmp_path, "cuda")
     assert [status for status, _ in outcomes] == [0, 0], outcomes
     assert sorted(path.name for path in tmp_path.iterdir()) == ["checked0", "checked1"]
 
@@ -67,7 +64,7 @@ def test_two_processes_learn_as_one_and_an_error_in_one_ends_both(tmp_path: Path
 
     The first tells what befell the second; before that, the episodes of both were counted.
     """
-    (status, output), second = pair("update fail", tmp_path)
+    (status, output), second = pair(SCRIPT, "update fail", tmp_path, "cpu")
     assert {path.name for path in tmp_path.glob("checked*")} == {"checked0", "checked1"}, output
     assert status == 1
     assert "WorkerError: process 1: NaN or infinity in reward of agent 'hand'" in output
@@ -83,10 +80,9 @@ def test_the_command_writes_one_run_which_one_process_resumes(tmp_path: Path) ->
     run = tmp_path / "run"
     size = ("--num-envs", "8", "--rollout-steps", "4", "--hidden", "16", "--checkpoint-seconds", "0")
     command = ("train", "proposed", "--device", "cpu", *size, "--out", str(run))
-    process = torchrun("-m", "pixel2catch", *command, "--transitions", "64")
-    output, _ = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, output
-    assert output.count("finished: 64 transitions") == 1
+    outcomes = pair("-m", "pixel2catch", *command, "--transitions", "64")
+    assert [status for status, _ in outcomes] == [0, 0], outcomes
+    assert str(outcomes).count("finished: 64 transitions") == 1
     assert len(list(run.glob("events.out.tfevents.*"))) == 1
     assert json.loads((run / "config.json").read_text())["train"]["num_envs"] == 8
     assert main([*command, "--transitions", "96", "--resume"]) == 0

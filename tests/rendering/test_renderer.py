@@ -135,6 +135,13 @@ def test_missing_packages_and_a_platform_that_needs_a_display_are_named(
         find_gl_backend.__wrapped__()
 
 
+@pytest.mark.usefixtures("opengl")
+def test_a_device_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(module.EGL_DEVICE, "99")
+    with pytest.raises(DeviceUnavailableError, match=r"MUJOCO_EGL_DEVICE_ID is '99', .* unset it"):
+        find_gl_backend.__wrapped__()
+
+
 def test_an_odd_picture_is_refused(tmp_path: Path):
     with pytest.raises(InvalidValueError, match="even width and height, not 63 x 48"):
         write_video(tmp_path / "odd.mp4", [np.zeros((48, 63, 3), dtype=np.uint8)])
