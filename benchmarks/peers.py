@@ -46,13 +46,14 @@ Truths = Sequence[Truth | None]
 class Ours:
     """The perception of this project, as `track` runs it."""
 
-    def __init__(self, segmenter: Segmenter, robot: RobotMask | None) -> None:
-        self._person = Prompter()
-        self._tracker = ObjectTracker(segmenter, self._person, robot=robot, waits=True)
+    def __init__(self, segmenter: Segmenter, robot: RobotMask | None, *, is_told: bool = True) -> None:
+        self._person, self._is_told = Prompter(), is_told
+        self._tracker = ObjectTracker(segmenter, self._person, robot=robot, waits=is_told)
 
     def start(self, image: Image, box: Edges) -> Edges | None:
-        self._tracker.reset()
-        self._person.give(BoxPrompt(box=box))
+        if self._is_told:
+            self._tracker.reset()
+            self._person.give(BoxPrompt(box=box))
         return self.see(image)
 
     def see(self, image: Image) -> Edges | None:

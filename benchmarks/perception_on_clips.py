@@ -13,10 +13,11 @@ from math import inf
 from pathlib import Path
 
 import av
-from peers import Images, Results, Truths, methods, parser_of
+from peers import Images, Made, Ours, Results, Truths, methods, parser_of
 
 from pixel2catch.camera.image import Image
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.labels import Labels, Truth
 from pixel2catch.perception.sources import ImageFit, on_control_clock, video_images
 
@@ -36,6 +37,8 @@ def main() -> None:
         kinds = kinds_of(images, truths, labels, path)
         results.add(f"{path.stem} ({labels.object})", images, truths, made, seed, kinds)
         results.add(None, compressed(images), truths, made, seed, repeat(f"H.264, crf {STRONG}"))
+        untold: Made = {"background": lambda: Ours(BackgroundSubtraction(), None, is_told=False)}
+        results.add(None, images, truths, untold, seed, repeat("without a prompt"))
         if labels.rate > 20.0:
             results.add(None, images[::2], truths[::2], made, seed, repeat("every second image, 12 to 15 Hz"))
     results.report(options.out)
@@ -70,11 +73,7 @@ def compressed(images: Images) -> list[Image]:
 
 
 def shown(video: Path, labels: Labels) -> tuple[list[Image], list[Truth | None]]:
-    """The images that a control loop gets of a video, each once, in the policies' size; and their truths.
-
-    Raises:
-        InvalidValueError: The labels are of no video, or of another one.
-    """
+    """The images that a control loop gets of a video, each once, in the policies' size; and their truths."""
     fit = ImageFit(own=(labels.width, labels.height))
     notes: list[str] = []
     images = {

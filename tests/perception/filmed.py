@@ -12,7 +12,7 @@ from pixel2catch.files import json_text
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.labels import FORMAT_VERSION, Labels
-from pixel2catch.perception.segmenter import BoxPrompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Prompt, Segmentation, Segmenter
 from pixel2catch.rendering.video import write_video
 from pixel2catch.scene.constants import RGB_CAMERA
 from ros_bags import EPOCH, TYPES, Message, header
@@ -25,8 +25,6 @@ NUM_EMPTY = 40
 
 @dataclass(frozen=True, kw_only=True)
 class Disc:
-    """A disc at one place in every image."""
-
     path: np.ndarray
     radius: float
     color: tuple[int, int, int] = RED
@@ -38,18 +36,12 @@ class Disc:
 
 
 class Follower:
-    """A segmenter with its foreground, as the tracker uses them."""
-
     def __init__(self, segmenter: Segmenter | None = None) -> None:
         self.segmenter = segmenter or BackgroundSubtraction()
         self.foreground = Foreground()
 
     def find(
-        self,
-        image: Pixels,
-        prompt: BoxPrompt | None = None,
-        ignored: Mask | None = None,
-        interval: float = 1.0,
+        self, image: Pixels, prompt: Prompt = None, ignored: Mask | None = None, interval: float = 1.0
     ) -> Segmentation:
         motion = self.foreground.step(image, ignored)
         motion = motion if prompt is None else self.foreground.reveal(motion, prompt)
@@ -87,7 +79,6 @@ def thrown(num_still: int, num_flying: int) -> np.ndarray:
 
 
 def box_of(mask: Mask) -> np.ndarray:
-    """The box around a mask [px]."""
     rows, columns = np.nonzero(mask)
     return np.array((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1), dtype=float)
 

@@ -26,9 +26,10 @@ from pixel2catch.perception.segmenter import (
     LARGEST_GROWTH,
     NOT_FOUND,
     REACH,
-    BoxPrompt,
     ImageMotion,
     ImageTrack,
+    Motion,
+    Prompt,
     Segmentation,
     Segmenter,
 )
@@ -78,7 +79,6 @@ class BackgroundSubtraction(Segmenter):
     uses_motion = True
 
     def __init__(self) -> None:
-        """Start without an object."""
         self._track: ImageTrack | None = None
         self._appearance, self._num_still = Appearance(), inf
         self._size: Size | None = None
@@ -87,11 +87,7 @@ class BackgroundSubtraction(Segmenter):
         self._later: partial[None] | None = None
 
     def find(
-        self,
-        image: Pixels,
-        motion: ImageMotion | None = None,
-        prompt: BoxPrompt | None = None,
-        interval: float = 1.0,
+        self, image: Pixels, motion: Motion = None, prompt: Prompt = None, interval: float = 1.0
     ) -> Segmentation:
         """See `Segmenter.find`. A guess that does not resemble the last object is ignored."""
         self.settle()
@@ -113,8 +109,7 @@ class BackgroundSubtraction(Segmenter):
         """See `Segmenter.reset`."""
         self._track = None
 
-    def _follow(self, motion: ImageMotion | None, prompt: BoxPrompt | None) -> Segmentation:
-        """Find the object in the next image, or at its prompt."""
+    def _follow(self, motion: Motion, prompt: Prompt) -> Segmentation:
         assert motion is not None
         if self._track is None:
             return NOT_FOUND
@@ -315,7 +310,6 @@ class Appearance:
     own_share: float  #: Share of the object that has colours of its own.
 
     def __init__(self) -> None:
-        """Start without colours."""
         self._object = self._other = np.zeros(LEVELS**3, dtype=np.float32)
         self.learn(*[np.zeros((0, 3), dtype=np.uint8)] * 2)
 
@@ -337,7 +331,6 @@ class Appearance:
 
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
-    """Index of every colour in a histogram."""
     levels = colors >> SHIFT
     return (levels[..., 0].astype(np.intp) * LEVELS + levels[..., 1]) * LEVELS + levels[..., 2]
 

@@ -337,7 +337,6 @@ def _percentile(values: np.ndarray, percent: float) -> float:
 
 
 def _replace(image: np.ndarray, other: Pixels, mask: np.ndarray) -> None:
-    """Copy the masked pixels of another image."""
     part = window_of(mask.view(bool))
     if mask[part].size:
         cv2.copyTo(other[part].astype(image.dtype), mask[part], image[part])

@@ -197,7 +197,6 @@ def grown(mask: Mask, shape: np.ndarray) -> Mask:
 
 
 def _relative(window: Window, part: Window) -> Window:
-    """Return a window in the coordinates of a part of the image."""
     top, left = (each.start for each in part)
     rows, columns = window
     return slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)

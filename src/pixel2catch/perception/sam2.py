@@ -25,7 +25,8 @@ from pixel2catch.installation import install_command
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
-    ImageMotion,
+    Motion,
+    Prompt,
     Segmentation,
     Segmenter,
     check_image,
@@ -127,11 +128,7 @@ class Sam2Segmenter(Segmenter):
         return cast("int", self._model.image_size)
 
     def find(
-        self,
-        image: Pixels,
-        motion: ImageMotion | None = None,
-        prompt: BoxPrompt | None = None,
-        interval: float = 1.0,
+        self, image: Pixels, motion: Motion = None, prompt: Prompt = None, interval: float = 1.0
     ) -> Segmentation:
         """See `Segmenter.find`."""
         height, width = self._size or image.shape[:2]
@@ -181,7 +178,6 @@ class Sam2Segmenter(Segmenter):
     @torch.inference_mode()
     @sdpa_kernel(ATTENTION)
     def _segment(self, session: Sam2VideoInferenceSession, image: Pixels) -> Segmentation:
-        """Run the model on the session's next image."""
         if self._has_graphs:
             torch.compiler.cudagraph_mark_step_begin()
         output = self._model(session, frame=self._pixels(image), frame_idx=self._frame_idx)

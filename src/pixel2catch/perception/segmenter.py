@@ -57,6 +57,8 @@ class Segmentation:
     score: float  #: Larger is more certain; each segmenter has its own scale.
 
 
+Motion = ImageMotion | None
+Prompt = BoxPrompt | None
 NOT_FOUND = Segmentation(mask=None, score=0.0)
 """Result of a segmenter without a score of its own where it does not find the object."""
 
@@ -69,11 +71,7 @@ class Segmenter(ABC):
 
     @abstractmethod
     def find(
-        self,
-        image: Pixels,
-        motion: ImageMotion | None = None,
-        prompt: BoxPrompt | None = None,
-        interval: float = 1.0,
+        self, image: Pixels, motion: Motion = None, prompt: Prompt = None, interval: float = 1.0
     ) -> Segmentation:
         """Find the object in the next image; it is not found before the first prompt.
 
@@ -276,16 +274,11 @@ class ColorThreshold(Segmenter):
     """
 
     def __init__(self, colors: ColorRange) -> None:
-        """Follow these colours."""
         self._colors = colors
         self._track: ImageTrack | None = None
 
     def find(
-        self,
-        image: Pixels,
-        motion: ImageMotion | None = None,
-        prompt: BoxPrompt | None = None,
-        interval: float = 1.0,
+        self, image: Pixels, motion: Motion = None, prompt: Prompt = None, interval: float = 1.0
     ) -> Segmentation:
         """See `Segmenter.find`."""
         if prompt is not None:

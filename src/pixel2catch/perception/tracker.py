@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
 
+import numpy as np
+
 from pixel2catch.camera.image import Box, Edges, Image, Mask, Pixels, Verdict
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.foreground import Foreground, Weakness
@@ -24,26 +26,33 @@ from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 PATIENCE = 5  #: Images without the object after which the prompter looks for it again. Source: ours.
 
-LEAST_SPEED, LARGEST_SPEED = 8.0, 90.0
+LEAST_SPEED, LARGEST_SPEED = 7.0, 90.0
 """Smallest and largest motion of a flying thing between two images [px]. Source: ours; a throw begins with 10
 or more, and rendered catches move by 61 at most."""
 
-LARGEST_GROWTH = 2.5  #: Largest ratio of the areas of a flying thing in two of three images. Source: ours.
+LEAST_AREA = 25  #: Of a thing that is found by its flight [px²]. Source: ours; smaller ones are noise.
+LARGEST_GROWTH = 2.5  #: Largest ratio of the areas of a flying thing in two images. Source: ours.
+LARGEST_FLICKER = 0.3  #: Share of the place of a flight that may have moved before. Source: ours.
+STILL_TIME = 10 * CONTROL_DT  #: After which a thing that stands still is not the object [s]. Source: ours.
 
 MOST_CANDIDATES, MOST_IMAGES = 20, 5
-"""Most moving things of an object's size in an image, and most images, in which flights are searched. Source:
+"""Most moving things of about one area in an image, and most images, in which flights are searched. Source:
 ours; a crowd of specks is noise, and the work grows with the square of their number."""
 
-LARGEST_CHANCE = 0.005
-"""Largest number of flights per image that things at random places may make. Source: ours: with three things
-an image, a flight needs three images, with ten it needs four."""
+LARGEST_CHANCE = 0.0002
+"""Largest number of flights per image that things at random places may make. Source: ours: a thing that moves
+alone needs three images, two need four."""
+
+LARGEST_BEND, BEND_REACH = 1.25, 6.0
+"""Largest distance of a flight from a parabola, and that of an image from where the others lead a flight that
+keeps to it [px]. Source: public videos: hands and pieces of people bend more."""
 
 
 class Prompter:
     """Points the object out before it is found, and after a loss.
 
     A person's box comes first, then the largest thing of its colour, then what flies: a thing of an object's
-    size that moved by about the same between three images, or more if many things move.
+    size that moved along a parabola in three images, or up to five if other things move.
     """
 
     def __init__(
@@ -61,7 +70,7 @@ class Prompter:
     def reset(self) -> None:
         """Start a new throw."""
         self._given = self._usual
-        self._recent: deque[tuple[float, list[Blob]]] = deque(maxlen=MOST_IMAGES)  # the newest image first
+        self._recent: deque[Moving] = deque(maxlen=MOST_IMAGES)  # the newest image first
 
     def give(self, prompt: BoxPrompt) -> None:
         """Point the object out in the next image, once."""
@@ -80,17 +89,13 @@ class Prompter:
         return given or (BoxPrompt(box=colored[0].box) if colored else flying)
 
     def _flying(self, motion: ImageMotion | None, interval: float) -> BoxPrompt | None:
-        if motion is None or motion.doubt == Weakness.FEW_IMAGES:
+        if motion is None:
             return None
         things = [blob for blob in motion.things if blob.is_plausible(self.limits)]
         things = self._sized(closed(motion.moving)) if self._region else things
-        self._recent.appendleft((interval, things if len(things) <= MOST_CANDIDATES else []))
-        num_images = _num_images(list(self._recent), motion.moving.size)
-        if num_images is None:
-            return None
-        recent = list(self._recent)[:num_images]
-        (_, newest), (_, middle), *_ = recent
-        flying = (now for now in newest for before in middle if _flies(now, before, recent))
+        self._recent.appendleft((interval, things, motion.moving))
+        large = () if motion.doubt == Weakness.FEW_IMAGES else things
+        flying = (each for each in large if each.area >= LEAST_AREA and _flies(each, list(self._recent)))
         return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
 
     def _sized(self, mask: Mask) -> list[Blob]:
@@ -102,40 +107,50 @@ class Prompter:
         return [blob for blob in blobs if blob.is_plausible(self.limits)]
 
 
-Moving = list[tuple[float, list[Blob]]]
-"""The moving things of successive images, the newest first, each with the time since the image before."""
+Moving = tuple[float, list[Blob], Mask]
+"""What moves in an image: the time since the image before, regions of an object's size, and all pixels."""
 
 
-def _num_images(recent: Moving, area: int) -> int | None:
-    """Images that a flight needs to be distinguished from chance; None if there are too few.
+def _flies(blob: Blob, recent: list[Moving]) -> bool:
+    """Whether a region of the newest image continues a flight that chance does not explain.
 
-    The area is of an image [px²].
+    Only things of about its area can be taken for it. Where it has come to, little moved in the first of the
+    images, beside the thing itself: what flickers in its place is no flight.
     """
-    if len(recent) < 3:
-        return None
-    (interval, newest), (before, middle), *earlier = recent
-    chance = len(newest) * len(middle) * pi * (LARGEST_SPEED * interval) ** 2 / area
-    for number, (next_interval, things) in enumerate(earlier, start=3):
-        chance *= len(things) * pi * largest_change(interval, before) ** 2 / area
-        if chance <= LARGEST_CHANCE:
-            return number
-        interval, before = before, next_interval
-    return None
-
-
-def _flies(now: Blob, middle: Blob, recent: Moving) -> bool:
-    """Whether regions of the newest two images continue a flight through all the earlier ones."""
-    (interval, _), (before, _), (_, firsts), *_ = recent
-    if not LEAST_SPEED * interval <= now.distance(middle.center) <= LARGEST_SPEED * interval:
-        return False
-    change, share = largest_change(interval, before), interval / before
-    for first in firsts:
-        u, v = (at + share * (at - old) for at, old in zip(middle.center, first.center, strict=True))
-        areas = (now.area, middle.area, first.area)
-        is_continued = now.distance((u, v)) <= change and max(areas) <= LARGEST_GROWTH * min(areas)
-        if is_continued and (len(recent) == 3 or _flies(middle, first, recent[1:])):
-            return True
+    low, high = blob.area / LARGEST_GROWTH, LARGEST_GROWTH * blob.area
+    alike = [[each for each in things if low <= each.area <= high] for _, things, _ in recent]
+    steps, flights = [interval for interval, _, _ in recent], [[blob]]
+    chances, reach = np.array((len(recent[0][1]), len(alike[0]))), LARGEST_SPEED * steps[0]
+    for number, (_, every, moving) in enumerate(recent[1:], start=2):
+        things = alike[number - 1]
+        if max(len(flights), len(things)) > MOST_CANDIDATES:
+            return False
+        flights = [[*flight, each] for flight in flights for each in things if _leads(each, flight, steps)]
+        chances = chances * (pi * reach**2 / moving.size) * (len(every), len(things))
+        reach = largest_change(*steps[:2]) if number == 2 else BEND_REACH
+        if chances[number // MOST_IMAGES] <= LARGEST_CHANCE and number > 2:
+            fresh = [blob.pixels(blob.place) & ~first.mask()[blob.place] for *_, first in flights]
+            return any((moving[blob.place] & each).sum() <= LARGEST_FLICKER * each.sum() for each in fresh)
     return False
+
+
+def _leads(blob: Blob, flight: list[Blob], steps: list[float]) -> bool:
+    """Whether a region of an earlier image leads to the rest of a flight, by these times between images."""
+    times, away = np.cumsum((0.0, *steps[: len(flight)])), blob.distance(flight[0].center)
+    if not LEAST_SPEED * times[-1] <= away <= LARGEST_SPEED * times[-1]:
+        return False
+    if len(flight) == 1:
+        return True
+    after, interval = steps[len(flight) - 2 : len(flight)]
+    u, v = (
+        at + after / interval * (at - old) for at, old in zip(flight[-1].center, blob.center, strict=True)
+    )
+    if flight[-2].distance((u, v)) > largest_change(after, interval):
+        return False
+    terms = np.vander(times, 3)
+    centers = np.array([each.center for each in (*flight, blob)])
+    left = centers - terms @ np.linalg.lstsq(terms, centers)[0]  # what no parabola explains
+    return bool(np.hypot(*left.T).max() <= LARGEST_BEND)
 
 
 @dataclass(kw_only=True)
@@ -148,6 +163,8 @@ class TrackState:
     num_lost: int = 0  #: Images since that box, or since the last prompt.
     has_jumped: bool = False  #: Whether a box since the last accepted one was refused as a jump.
     is_prompted: bool = False  #: Whether the segmenter has got a prompt.
+    is_guess: bool = False  #: Whether the object was found by its flight alone.
+    moved: tuple[Edges, float] = ((0.0, 0.0, 0.0, 0.0), -inf)  #: Box and stamp when it last moved [px, s].
     is_continued: bool = False  #: Whether the box is one of the thing of the last prompt.
     is_at_robot: bool = False  #: Whether the box touched the robot: no other object is searched then.
 
@@ -161,6 +178,9 @@ class TrackState:
         self.num_lost, self.is_continued, self.has_jumped = 0, True, False
         xmin, ymin, xmax, ymax = map(int, found.edges)
         self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
+        moved = max(abs(edge - old) for edge, old in zip(found.edges, self.moved[0], strict=True))
+        if moved >= LEAST_SPEED or self.is_at_robot:
+            self.moved = found.edges, stamp
 
 
 class ObjectTracker:
@@ -250,7 +270,6 @@ class ObjectTracker:
         return found
 
     def _find(self, image: Image) -> Box:
-        """Find the object in an image of the camera's size, and update the state."""
         ignored = None
         if self._robot and image.joint_pos is not None:
             with self._stage("robot"):
@@ -262,6 +281,10 @@ class ObjectTracker:
         with self._stage("box"):
             found = replace(self._judge(segmentation, image.stamp), doubt=doubt)
         self._state.update(found, image.stamp, ignored)
+        is_still = found.verdict is Verdict.SEEN and image.stamp - self._state.moved[1] >= STILL_TIME
+        if is_still and self._state.is_guess:
+            self._segmenter.reset()
+            self._state.is_prompted, found = False, Box(verdict=Verdict.NO_PROMPT, doubt=doubt)
         return found
 
     def _segment(self, image: Pixels, ignored: Mask | None, interval: float) -> tuple[Segmentation, str]:
@@ -275,9 +298,11 @@ class ObjectTracker:
         prompt = self._prompter.look(image, motion, interval) if needs_prompt else None
         prompt = prompt if self._has_begun else None
         if prompt is not None:
+            state.is_guess = prompt.is_guess and (state.is_guess or not state.is_prompted)
             state.is_prompted, state.is_continued, state.num_lost = True, False, 0
-            if not prompt.is_guess:
-                self._set_limits(self._usual.including(prompt.box))
+            state.moved = prompt.box, state.image_stamp
+            limits = self._limits if prompt.is_guess else self._usual
+            self._set_limits(limits.including(prompt.box))
             motion = self._foreground.reveal(motion, prompt)
         segmentation = self._segmenter.find(image, motion, prompt, interval)
         self._foreground.keep(segmentation.mask)

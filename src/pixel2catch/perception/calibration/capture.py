@@ -52,7 +52,6 @@ class Capture:
     """Judges one image after another, and writes the suitable ones and their table at once."""
 
     def __init__(self, folder: Path, board: CharucoBoard, joints: Sequence[str]) -> None:
-        """Start without images."""
         self.taken: list[BoardView] = []
         self._folder, self._board = folder, board
         self._rows: list[list[str]] = [["image", *joints]]
@@ -81,7 +80,6 @@ class Capture:
         return f"{len(self.taken)} of {NUM_VIEWS}: wrote {name}"
 
     def _is_still(self, image: Image, view: BoardView | None) -> bool:
-        """Whether board and arm have been still for `STILL_TIME`."""
         before, self._before = self._before, (image, view) if view else None
         if before is None or view is None or len(before[1].pixels) != len(view.pixels):
             self._still_since = image.stamp
@@ -95,7 +93,6 @@ class Capture:
         return image.stamp - self._still_since >= STILL_TIME
 
     def _write(self, name: str, pixels: Pixels, joint_pos: np.ndarray) -> None:
-        """Write an image, then the table with its row."""
         content = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
         write_atomically({self._folder / name: content})
         self._rows.append([name, *map(repr, joint_pos.tolist())])

@@ -198,7 +198,6 @@ def _lens(size: tuple[int, int], matrix: np.ndarray, distortion: Iterable[float]
 
 
 def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> CameraFile:
-    """The lens of a CameraInfo of ROS, in this project's image coordinates."""
     if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
         raise PerceptionError(
             f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "

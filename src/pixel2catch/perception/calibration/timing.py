@@ -98,7 +98,6 @@ class BoardMotion:
 
 
 def _polynomial(values: Float[np.ndarray, "num size"]) -> Float[np.ndarray, "num terms"]:
-    """Return all products of up to three values."""
     choices = [each for n in range(4) for each in combinations_with_replacement(range(values.shape[1]), n)]
     return np.stack([values[:, each].prod(axis=1) for each in choices], axis=1)
 
