@@ -36,11 +36,6 @@ def start(*arguments: str | Path, **environment: str) -> subprocess.Popen[str]:
     )
 
 
-def torchrun(*arguments: str | Path) -> subprocess.Popen[str]:
-    """Start two processes on this machine, as a user does."""
-    return start("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments)
-
-
 def pair(*arguments: str | Path) -> list[tuple[int, str]]:
     """Exit status and output of two processes in the environment of torchrun, which starts slowly itself."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -95,7 +90,8 @@ def test_the_command_writes_one_run_which_one_process_resumes(tmp_path: Path) ->
 @pytest.mark.slow
 def test_interruption(tmp_path: Path) -> None:
     """Ctrl-C reaches torchrun, which passes it on: both leave after the same update, and it can go on."""
-    process = torchrun(SCRIPT, "endless", tmp_path, "cpu")
+    torchrun = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+    process = start(*torchrun, SCRIPT, "endless", tmp_path, "cpu")
     assert process.stdout is not None
     while "transitions" not in process.stdout.readline():
         pass
