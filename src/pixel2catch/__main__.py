@@ -1,8 +1,14 @@
-"""`python -m pixel2catch`: the command `pixel2catch`, for launchers that start modules, such as torchrun."""
+"""The command `pixel2catch`, and `python -m pixel2catch`. Ctrl-C while it loads prints no traceback."""
 
+import signal
 import sys
 
-from pixel2catch.cli.main import main
+PREVIOUS = signal.getsignal(signal.SIGINT)
+signal.signal(signal.SIGINT, PREVIOUS if PREVIOUS is signal.SIG_IGN else signal.SIG_DFL)
+
+from pixel2catch.cli.main import main  # noqa: E402 (Python's own handler raises, wherever it is)
+
+signal.signal(signal.SIGINT, PREVIOUS)
 
 if __name__ == "__main__":
     sys.exit(main())

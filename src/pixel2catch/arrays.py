@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.lib import format as npy
 
+from pixel2catch.checks import OutputFile
 from pixel2catch.errors import InvalidValueError, RecordingError
-from pixel2catch.files import read_bytes, read_text, reading, require_free_file, shown, write_atomically
+from pixel2catch.files import read_bytes, read_text, reading, shown, write_atomically
 
 MOST_NUMBERS = 2**24
 """Most numbers in all arrays of a file: 20 minutes of an arm at 500 Hz, 128 MiB. Source: ours."""
@@ -45,7 +46,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:
     """Write arrays to a new .npz file; raise InvalidValueError if it exists."""
-    require_free_file(path)
+    OutputFile(is_new=True).require("file", path)
     buffer = BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     write_atomically({path: buffer.getvalue()})

@@ -15,7 +15,6 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, final, get_args, get_origin
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import require_free_file, require_free_folder, require_place
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
@@ -79,9 +78,8 @@ class InputFile(Requirement):
     def require(self, name: str, value: Path) -> None:  # noqa: D102
         if not value.is_file() and (value.exists() or str(value) not in self.names):
             found = "a folder; name a file in it" if value.is_dir() else "a pipe or a device; name a file"
-            raise InvalidValueError(
-                f"{name} is '{value}', {found if value.exists() else 'which is not there'}."
-            )
+            found = found if value.exists() else "which is not there"
+            raise InvalidValueError(f"{name} is '{value}', {found}.")
 
 
 @final
@@ -98,11 +96,10 @@ class OutputFile(Requirement):
             raise InvalidValueError(f"{name} is '{value}'; end the file's name in {valid}.")
         if value.exists():
             InputFile().require(name, value)
-        if self.is_new:
-            require_free_file(value)
-        require_place(name, value.parent)
-        if value.exists() and not os.access(value, os.W_OK):
-            raise InvalidValueError(f"{name} is '{value}', which cannot be written; name another file.")
+            if self.is_new or not os.access(value, os.W_OK):
+                found = "exists" if self.is_new else "cannot be written"
+                raise InvalidValueError(f"{name} is '{value}', which {found}; name another file.")
+        _require_place(name, value.parent)
 
 
 @final
@@ -113,11 +110,18 @@ class OutputFolder(Requirement):
     is_empty: bool = False  #: Whether nothing may be in it.
 
     def require(self, name: str, value: Path) -> None:  # noqa: D102
-        if self.is_empty:
-            require_free_folder(value, f"--{name}")
+        if self.is_empty and value.exists() and (not value.is_dir() or any(value.iterdir())):
+            raise InvalidValueError(f"{name} is '{value}', which is not an empty folder; name another.")
         if value.is_file():
             raise InvalidValueError(f"{name} is '{value}', a file; name a folder.")
-        require_place(name, value)
+        _require_place(name, value)
+
+
+def _require_place(name: str, folder: Path) -> None:
+    """Raise InvalidValueError if nothing can be written in a folder, which may have to be made."""
+    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InvalidValueError(f"{name}: nothing can be written in '{there}'; choose another place.")
 
 
 Count = Annotated[int, Within(1, 10_000_000)]  #: How many of something.
@@ -181,6 +185,16 @@ def require_used(values: Any, names: Sequence[str], is_used: bool, when: str) ->
             raise InvalidValueError(f"{name}, which does nothing {when}; change one of the two.")
 
 
+def require_only(values: Any, names: Sequence[str], when: str) -> None:
+    """Raise as `require_used` does for all other fields, and for those of dataclasses in it."""
+    for field in fields(values):
+        value, is_used = getattr(values, field.name), field.name in names
+        if is_dataclass(value) and not is_used:
+            require_only(value, names, when)
+        else:
+            require_used(values, (field.name,), is_used, when)
+
+
 def typed(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """Return a function that refuses arguments of another type than it declares."""
 
@@ -207,7 +221,7 @@ def _contents(kind: Any, name: str, value: Any) -> Iterator[tuple[Any, str, Any]
         yield from ((inner, f"{name}.{key}", entry) for key, entry in value.items())
     elif isinstance(value, tuple) and get_origin(kind) in (tuple, None):
         for index, (each, entry) in enumerate(zip(_entries(kind, len(value)), value, strict=True)):
-            yield each, f"{name}[{index}]" if is_dataclass(entry) else name, entry
+            yield each, f"{name}[{index}]" if is_dataclass(each) else name, entry
 
 
 def _fields(values: Any, path: str) -> Iterator[tuple[Any, str, Any]]:

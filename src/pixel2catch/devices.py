@@ -33,12 +33,10 @@ def keeping(constants: Constants) -> Iterator[None]:
 def constant(values: tuple[Any, ...], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
     """Return a tensor of numbers, or of nested tuples of numbers. Do not write to it."""
     kept, key = _KEPT.get(), (values, dtype, device)
-    if kept is not None and key in kept:
-        return kept[key]
-    made = torch.tensor(values, dtype=dtype, device=device)
-    if kept is not None:
-        kept[key] = made
-    return made
+    kept = {} if kept is None else kept
+    if key not in kept:
+        kept[key] = torch.tensor(values, dtype=dtype, device=device)
+    return kept[key]
 
 
 def uniform(

@@ -20,6 +20,7 @@ from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameE
 
 MOST_JSON = 2 * 2**20  #: Largest JSON file [bytes]; the largest that are written have some hundred thousand.
 MOST_YAML = 2**17  #: Largest YAML file [bytes]; profiles have some thousand.
+MOST_NESTED = 64  #: Most levels of a YAML file; more take long to read. Profiles have some four.
 MOST_WEIGHTS = 2**28  #: Largest file of a policy's networks, or checkpoint [bytes]; ours have a few million.
 LONGEST_REASON = 1000  #: Most characters of a file's content that a message repeats.
 
@@ -148,8 +149,13 @@ def parse_yaml(text: str) -> Any:
         "tag:yaml.org,2002:float", re.compile(r"[-+]?[\d.]*\d\.?[eE][-+]?\d+$"), None
     )
     try:
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise InvalidValueError("it has an alias, such as '*name'; write out what it stands for")
+        depth = 0
+        for event in yaml.parse(text):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > MOST_NESTED:
+                raise InvalidValueError(
+                    f"it has an alias ('*name') or over {MOST_NESTED} levels; write it out"
+                )
         return _bounded(yaml.load(text, Loader))
     except (yaml.YAMLError, RecursionError, *DAMAGE) as error:
         raise InvalidValueError(f"it cannot be read as YAML ({' '.join(str(error).split())})") from error
@@ -243,24 +249,3 @@ def free_folder(name: str) -> Path:
     """Return the first of NAME, NAME-2, NAME-3 and so on that is not there."""
     names = chain([name], (f"{name}-{number}" for number in count(2)))
     return next(path for path in map(Path, names) if not path.exists())
-
-
-def require_free_folder(folder: Path, option: str = "--out") -> None:
-    """Raise InvalidValueError if the folder that an option names is not empty, or cannot be made."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidValueError(f"'{folder}' is not an empty folder; choose another {option}, or empty it.")
-    require_place(f"'{folder}'", folder)
-
-
-def require_place(name: str, folder: Path) -> None:
-    """Raise InvalidValueError if nothing can be written in a folder, which may have to be made."""
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InvalidValueError(f"{name}: nothing can be written in '{there}'; choose another place.")
-
-
-def require_free_file(path: Path) -> None:
-    """Raise InvalidValueError if a file exists; make its folder if it does not."""
-    if path.exists():
-        raise InvalidValueError(f"{path} exists; choose another name or remove it.")
-    path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,8 +8,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from multiprocessing import parent_process
 from types import FrameType
 
-Handler = Callable[[int, FrameType | None], None]
-
 
 class Terminated(KeyboardInterrupt):
     """A termination signal arrived; handled like Ctrl-C."""
@@ -25,7 +23,7 @@ def raise_on_termination() -> AbstractContextManager[None]:
 
 
 @contextmanager
-def on_signals(handler: Handler, *numbers: signal.Signals) -> Iterator[None]:
+def on_signals(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
     """Call a handler in this context for signals, or else for each that ends a program in order.
 
     Only the main thread receives signals. A SIGHUP that is ignored, as by `nohup`, stays ignored.

@@ -151,10 +151,8 @@ def remembering(method: Method, memory: str) -> Method:
 ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
 
 
-def _seeing(
-    agents: tuple[AgentSpec, ...], *observation: observations.ObservationTerm
-) -> tuple[AgentSpec, ...]:
-    return tuple(replace(agent, observation=observation) for agent in agents)
+def _seeing(agents: tuple[AgentSpec, ...], *terms: observations.ObservationTerm) -> tuple[AgentSpec, ...]:
+    return tuple(replace(agent, observation=terms) for agent in agents)
 
 
 def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
@@ -211,9 +209,8 @@ def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
     base, *memories = name.split("+")
     if base not in METHODS:
         raise UnknownNameError("method", base, METHODS)
-    method = METHODS[base]
-    if workcell != UR5E_ALLEGRO:
-        method = methods_of(workcell).get(base, method)
+    others = {} if workcell == UR5E_ALLEGRO else methods_of(workcell)
+    method = others.get(base, METHODS[base])
     num_joints = sum(agent.num_joints for agent in method.agents)
     if num_joints != len(workcell.joints):
         raise InvalidValueError(

@@ -62,15 +62,9 @@ def import_file(name: str) -> None:
     sys.modules[path.stem] = module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except BaseException as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[path.stem]
-        if isinstance(error, Pixel2CatchError) or not isinstance(error, Exception | SystemExit):
-            raise
-        lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
-        where = f" in line {lines[-1]}" if lines else ""
-        raise InvalidValueError(
-            f"'{name}' cannot be imported: {type(error).__name__}{where}: {error}; correct it."
-        ) from error
+        raise InvalidValueError(f"'{name}' cannot be imported: {in_words(error)}; correct it.") from error
     for kind in _CATALOGUES:
         _add_all(module, kind)
     _MODULES[str(path)] = module
@@ -115,9 +109,7 @@ def computed(
     try:
         value = term(*given)
     except Exception as error:
-        last = extract_tb(error.__traceback__)[-1]
-        where = f"in line {last.lineno} of '{last.filename}'"
-        raise InvalidValueError(f"{name}: {type(error).__name__} {where}: {error}; correct it.") from error
+        raise InvalidValueError(f"{name}: {in_words(error)}; correct it.") from error
     if not hasattr(value, "isfinite") or value.is_complex():
         raise InvalidValueError(f"{name} returns {value!r:.200}; it must return a tensor of real numbers.")
     sizes = zip(shape, found := tuple(value.shape), strict=False)
@@ -125,8 +117,20 @@ def computed(
         words = ", ".join(map(str, shape))
         raise InvalidValueError(f"{name} returns the shape {found}; it must be ({words}).")
     if not is_blank and not value.isfinite().all():
-        raise InvalidValueError(f"{name} returns NaN or infinity in the first control step; correct it.")
+        raise InvalidValueError(f"{name} returns NaN or infinity; it must return finite numbers.")
     return value
+
+
+def place_of(error: BaseException) -> str:
+    """Return function, file and line of the user's that an error comes from; nothing if from no such file."""
+    passed = [each for each in extract_tb(error.__traceback__) if each.filename in announced()]
+    return "'{0.name}' ('{0.filename}', line {0.lineno}): ".format(passed[-1]) if passed else ""
+
+
+def in_words(error: BaseException) -> str:
+    """Return what an error says, behind its place in a file of the user, and its type if it is not ours."""
+    kind = "" if isinstance(error, Pixel2CatchError) else f"{type(error).__name__}: "
+    return f"{place_of(error)}{kind}{error}".rstrip(".")
 
 
 def announced() -> list[str]:

@@ -46,11 +46,8 @@ def policy_folder(folder: Path | None) -> Path:
     if not folder.is_dir():
         raise PolicyMismatchError(f"'{folder}' is a file; give a policy's folder, as runs/NAME, or a name.")
     found = folder / "policy" if (folder / "policy").is_dir() else folder
-    if not (found / "policy.json").is_file():
-        raise PolicyMismatchError(
-            f"'{folder}' has no policy: {found / 'policy.json'} is missing; a training writes it with its "
-            "first checkpoint."
-        )
+    if not (file := found / "policy.json").is_file():
+        raise PolicyMismatchError(f"'{folder}' has no policy; a training writes '{file}' with a checkpoint.")
     return found
 
 

@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 import training_costs
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.cli.console import TABLE_WIDTH, prepare, results_console
+from pixel2catch.cli.console import TABLE_WIDTH, results_console
 from pixel2catch.cli.fields import HIDDEN
 from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.cli.reproduce import METHODS
@@ -48,23 +47,6 @@ def test_a_default_folder_that_is_there_gets_a_number(tmp_path: Path, monkeypatc
     for name in ("track", "track-2", "track-3"):
         assert parse(["track", "0"]).out == Path(name)
         Path(name).mkdir()
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
-@pytest.mark.parametrize("command", ["train", "evaluate"])
-def test_absent_cuda(command: str, capsys: pytest.CaptureFixture[str]):
-    assert main([command, "--device", "cuda"]) == 2
-    assert "--device cpu" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("device", "index"), [("cuda", 0), ("cuda:1", 1)])
-def test_a_cuda_device_is_named_in_full(device: str, index: int, monkeypatch: pytest.MonkeyPatch):
-    """PyTorch takes no device without its number for the one to use."""
-    used: list[int] = []
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    monkeypatch.setattr(torch.cuda, "set_device", used.append)
-    assert prepare(device) == f"cuda:{index}"
-    assert used == [index]
 
 
 @pytest.mark.parametrize("name", shipped_policies())

@@ -40,6 +40,23 @@ brick = make_object("brick", box(0.04, 0.05, 0.06), mass=0.1)
 heavy = Axis(name="heavy", unit="g", levels=(Level(label="60", change=heavier, source="ours"),))
 with_height = replace(PROPOSED, name="with_height", agents=seeing)
 """
+LATE = """
+import os, signal
+from dataclasses import replace
+from pixel2catch.methods import METHODS
+from pixel2catch.mdp.rewards import RewardTerm
+calls = []
+
+def late(transition, part):
+    calls.append(0)
+    if len(calls) > 3:
+        WHAT
+    return transition.now.object_pos[:, 0]
+
+(agent,) = METHODS["single_agent"].agents
+part = replace(agent.parts[0], reward=(RewardTerm(function=late, weight=1.0),))
+mine = replace(METHODS["single_agent"], name="mine", agents=(replace(agent, parts=(part, *agent.parts[1:])),))
+"""
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
 THROWS = ("--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "30", "--objects", "cube_s")
@@ -125,6 +142,24 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
         assert cell["method"] == name
         assert cell["evaluation"]["objects"] == ["brick"]
         assert cell["evaluation"]["task"]["randomization"]["mass_scale"] == [2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("what", "status", "ended", "words"),
+    [
+        ("calls.none", 2, "failed", r"'late' \(.*late.py', line 11\): AttributeError: .*; correct it"),
+        ("return transition.now.object_pos", 2, "failed", r"'late' \(.*late.py', line 8\) returns the shape"),
+        ("os.kill(os.getpid(), signal.SIGTERM)", 143, "interrupted", "pixel2catch: terminated"),
+    ],
+)
+def test_what_a_term_does_late_is_named(what, status, ended, words, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("late.py").write_text(LATE.replace("WHAT", what))
+    assert run("train", "mine", "--import", "late.py", *TRAINING, "--out", "run") == status
+    output = capsys.readouterr()
+    assert re.search(words, output.err)
+    assert json.loads(Path("run", "summary.json").read_text())["status"] == ended
+    assert Path("run", "checkpoint.pt").exists() == ("--resume" in output.out) == (status == 143)
 
 
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):

@@ -156,7 +156,7 @@ def test_bad_input_leaves_nothing(recordings: list[str], out: Path, tmp_path: Pa
         ([*recordings, "--robot", "ur5e"], "--robot and --out are needed"),
         ([*SMALL, *new], "give at least one"),
         (["nowhere.npz", *SMALL, *new], "nowhere.npz"),
-        ([*recordings, *SMALL, "--out", str(out)], "is not an empty folder; choose another --out"),
+        ([*recordings, *SMALL, "--out", str(out)], "is not an empty folder; name another"),
     ):
         assert words in refusal("identify", *args)
     assert not (tmp_path / "out").exists()

@@ -33,7 +33,7 @@ def test_parts_are_robots_groups_and_everything():
 def test_a_file_keeps_every_bit_and_is_not_overwritten(tmp_path: Path):
     path = tmp_path / "motion.npz"
     short().save(path)
-    with pytest.raises(InvalidValueError, match="exists; choose another name"):
+    with pytest.raises(InvalidValueError, match="exists; name another file"):
         clean().save(path)
     assert_same(Recording.load(path), short())
 

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import json
-import signal
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -135,6 +134,10 @@ def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
         train(SMALL, ReachingEnv, dataclasses.replace(CONTRACT, method="other"), tmp_path, resume=True)
     with pytest.raises(CheckpointError, match=r"(?s)does not fit this configuration.*size mismatch"):
         train(dataclasses.replace(SMALL, hidden=(64, 32)), ReachingEnv, CONTRACT, tmp_path, resume=True)
+    for name in ("metrics.csv", "sessions.json"):
+        (tmp_path / name).write_text("{\n{")
+        with pytest.raises(CheckpointError, match=rf"{name}.*Remove this file"):
+            train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True)
     checkpoint = tmp_path / "checkpoint.pt"
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
     with pytest.raises(CheckpointError, match="is damaged"):
@@ -224,17 +227,6 @@ def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:
     assert [row["transitions"] for row in rows(tmp_path)] == ["10"]
     log.write()
     assert [row["transitions"] for row in rows(tmp_path)] == ["10", "20", "30"]
-
-
-def test_interruption(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """After one Ctrl-C there are checkpoint, policy and summary, and the training can go on."""
-    env = during_step(2 * SMALL.rollout_steps + 3, partial(signal.raise_signal, signal.SIGINT))
-    result = train(SMALL, env, CONTRACT, tmp_path)
-    assert (result.status, result.transitions) == ("interrupted", 2048)
-    assert "--resume" in capsys.readouterr().out
-    assert summary(tmp_path)["status"] == "interrupted"
-    assert Policy.load(tmp_path / "policy").contract == CONTRACT
-    assert train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 4096
 
 
 def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:

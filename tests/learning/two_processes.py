@@ -72,7 +72,7 @@ def check_halves_learn_as_the_whole(workers: Workers) -> None:
     for name in expected:
         assert not torch.equal(start[name], found[name]), name
         torch.testing.assert_close(found[name], expected[name], rtol=rtol, atol=atol)
-    half.close()
+    half.drop_recordings()
 
 
 def check_networks_stay_the_same(workers: Workers) -> None:
@@ -87,7 +87,7 @@ def check_networks_stay_the_same(workers: Workers) -> None:
         mappo.update(0.0)
     for name, tensor in all_tensors(mappo).items():
         assert torch.equal(workers.max(tensor.clone()), -workers.max(-tensor)), name
-    mappo.close()
+    mappo.drop_recordings()
 
 
 class CountingEnv(ReachingEnv):

@@ -14,11 +14,11 @@ import numpy as np
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, require_used
+from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, require_only, require_used
 from pixel2catch.cli.console import results_console, say, saying_changes, suggest
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import free_folder, require_free_file, write_atomically
+from pixel2catch.files import free_folder, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.reports import terminal_table
@@ -76,18 +76,20 @@ class Calibrate:
         with needs_extra("perception"):
             from pixel2catch.perception.calibration.lens import sheet
         if self.print_marker is not None:
+            require_only(self, ("print_marker",), "with --print-marker")
             page = io.BytesIO()
             sheet().savefig(page, format=self.print_marker.suffix.lower().lstrip("."))
             write_atomically({self.print_marker: page.getvalue()})
             say(f"wrote {self.print_marker}: print it at 100 %, then measure a square for --square")
             return
         if self.timing:
+            require_only(self, ("timing", "link", "workcell", "square"), "with --timing")
             self._measure_timing()
             return
         require_used(self, ("capture",), self.live, "without --live")
         require_used(self, ("views",), not self.live, "with --live")
         require_used(self.link, ("robot", "network", "clock"), self.live, "without --live or --timing")
-        require_free_file(self.out)
+        OutputFile(is_new=True).require("out", self.out)
         table = self.capture / "views.csv" if self.live else self.views
         if table is None or not (self.live or self.intrinsics):
             raise InvalidValueError(

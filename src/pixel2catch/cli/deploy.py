@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder, OutputFile, require_used
+from pixel2catch.checks import NewFolder, OutputFile, require_only, require_used
 from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.files import json_text, printable
@@ -87,6 +87,7 @@ class Deploy:
             from pixel2catch.servo import link
             from pixel2catch.servo.status_words import sentence
         if self.write_profile:
+            require_only(self, ("write_profile", "profile"), "with --write-profile")
             self.link.robot.write_copy(self.write_profile)
             return
         is_check_due = self._is_check_due()

@@ -3,7 +3,6 @@
 import importlib
 import importlib.metadata
 import importlib.util
-import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -135,15 +134,13 @@ class Doctor:
         if self.json:
             print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
-            rows = [
-                {"check": each.name, "state": each.state, "found": printable(each.found)} for each in checks
-            ]
+            rows = [{"check": c.name, "state": c.state, "found": printable(c.found)} for c in checks]
             fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
             console = results_console()
             console.print(terminal_table("checks", rows))
             console.print(f"To correct: {', '.join(bad)}." if bad else fine)
         if bad:
-            sys.exit(EXIT_BAD)
+            raise SystemExit(EXIT_BAD)
 
     def _laboratory(self, profile: str) -> list[Check]:
         from pixel2catch.camera.camera_file import CameraFile

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 from pixel2catch.checks import DynamicsPath, Fraction, NewFolder, OutputFile, Positive, Seed, Within
 from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.cli.identify import print_checks
-from pixel2catch.files import require_free_file
 
 if TYPE_CHECKING:
     from pixel2catch.identification.recording import Trajectory
@@ -55,7 +54,7 @@ class Excite:
         outs = [self.out.with_stem(f"{self.out.stem}-{i}") for i in numbers] if self.out else []
         outs = [self.out] if self.out and self.recordings == 1 else outs
         for path in outs:
-            require_free_file(path)
+            OutputFile(is_new=True).require("out", path)
         workcell, found = find_workcell(self.workcell), []
         known = DynamicsFile.load(self.dynamics, workcell).dynamics if self.dynamics else None
         dynamics = JointDynamics.of(workcell.joints, known).select(joints_of(workcell, self.robot))

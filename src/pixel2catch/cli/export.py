@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import OutputFile
 from pixel2catch.cli.console import prepare, suggest
-from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.files import write_atomically
 from pixel2catch.shipped import DEFAULT_POLICY, PolicyPath
 
 
@@ -34,7 +34,7 @@ class Export:
         out = self.out or Path(f"{name}{SUFFIX}")
         prepare("cpu")
         policy, _ = load_policy(self.policy)
-        require_free_file(out)
+        OutputFile(is_new=True).require("out", out)
         data = to_onnx(policy)
         write_atomically({out: data})
         difference = largest_difference(policy, data)

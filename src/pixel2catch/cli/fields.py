@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import is_dataclass, replace
 from functools import partial
+from itertools import takewhile
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import tyro
@@ -140,19 +141,25 @@ Given = tyro.conf.Suppress[tyro.conf.Fixed[tuple[str, ...]]]
 """Names of the fields of the task that are given."""
 
 
-def given_fields(args: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the task's fields among arguments, such as sensing.latency_steps."""
-    options = (arg.removeprefix(PREFIX).partition("=")[0] for arg in args if arg.startswith(PREFIX))
-    return tuple(option.replace("-", "_") for option in options)
+def given_options(args: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return options with what stands behind each; as for the parser, `_` is `-`, and `--` ends them."""
+    found: list[tuple[str, list[str]]] = []
+    for arg in takewhile(lambda arg: arg != "--", args):
+        if arg.startswith("--"):
+            name, sign, value = arg.partition("=")
+            found.append((name.replace("_", "-"), [value] if sign else []))
+        elif found:
+            found[-1][1].append(arg)
+    return found
 
 
 def require_once(args: Sequence[str]) -> None:
     """Raise InvalidValueError for an option that is given twice, or a reward term."""
-    options = [arg.partition("=")[0].replace("_", "-") for arg in args if arg.startswith("--")]
-    terms = " ".join(args).partition("--rewards ")[2].partition(" --")[0].split()[::2]
-    for each in (*options, *terms):
-        if (options + terms).count(each) > 1 and each != "--sweep":
-            raise InvalidValueError(f"{each} is given twice; leave out one of them.")
+    options = [option for option in given_options(args) if option[0] != "--sweep"]
+    terms = [term for name, values in options if name == "--rewards" for term in values[::2]]
+    names = [name for name, _ in options] + terms
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InvalidValueError(f"{twice} is given twice; leave out one of them.")
 
 
 def default_of(command: Any, args: Sequence[str]) -> Any:
@@ -163,12 +170,12 @@ def default_of(command: Any, args: Sequence[str]) -> Any:
     """
     if hasattr(command, "default_for"):
         return command.default_for(args)
-    if not (given := given_fields(args)):
+    options = (name for name, _ in given_options(args) if name.startswith(PREFIX))
+    given = tuple(name.removeprefix(PREFIX).replace("-", "_") for name in options)
+    if not given or SimulatedTask not in (field.default_factory for field in dataclasses.fields(command)):
         return None
     from pixel2catch.envs.cfg import CatchEnvCfg
 
-    if SimulatedTask not in (field.default_factory for field in dataclasses.fields(command)):
-        return None
     return command(task=SimulatedTask(env=CatchEnvCfg(), given=given))
 
 

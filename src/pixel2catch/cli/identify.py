@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import DynamicsPath, NewFolder
+from pixel2catch.checks import NOT_EMPTY, DynamicsPath, NewFolder, require_used
 from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.reports import circumstances, terminal_table
@@ -34,7 +34,7 @@ class Identify:
     """
 
     #: Files or folders: rosbag2 (.mcap, .db3), .npz or tables (.csv).
-    recordings: Positional[tuple[Path, ...]]
+    recordings: Positional[Annotated[tuple[Path, ...], NOT_EMPTY]]
     #: Part whose joints are fitted: ur5e, allegro, ur5e_allegro; of another work cell, an arm or a hand by
     #: its name, or arm, hand, or the work cell's name. Optional with --check: all recorded joints are
     #: checked.
@@ -60,14 +60,14 @@ class Identify:
         from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
         from pixel2catch.workcells import find_workcell
 
-        if self.check and (self.out or self.start):
-            raise InvalidValueError("--check fits nothing: leave out --out and --start, or --check.")
         workcell, cfg, start = find_workcell(self.workcell), FitCfg(free=self.free), None
-        if not self.check:
+        if self.check:
+            require_used(self, ("out", "start", "free"), False, "with --check")
+        else:
             if self.robot is None or self.out is None:
                 raise InvalidValueError("--robot and --out are needed for a fit; --check needs neither.")
-            fits_filter = not {*FILTER_PARAMETERS[:2]}.isdisjoint(cfg.free)
-            start = start_of_fit(self.robot, self.start, fits_filter, workcell)
+            has_filter = not {*FILTER_PARAMETERS[:2]}.isdisjoint(cfg.free)
+            start = start_of_fit(self.robot, self.start, has_filter, workcell)
         with working() as report:
             recordings = self._read(workcell, report)
             report("checking the data")
@@ -89,8 +89,6 @@ class Identify:
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
         from pixel2catch.identification.recording import Recording, joints_of
 
-        if not self.recordings:
-            raise InvalidValueError("there is no recording; give at least one.")
         joints, found = joints_of(workcell, self.robot), []
         if self.profile and self.command_topic:
             raise InvalidValueError("--profile has the topics of the commands; leave out --command-topic.")

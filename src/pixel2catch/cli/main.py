@@ -19,7 +19,7 @@ from pixel2catch.cli.fields import default_of, option_rules, require_once
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.installation import GL_VARIABLE
 from pixel2catch.interruption import Terminated, raise_on_termination
-from pixel2catch.own_files import import_files, take_option
+from pixel2catch.own_files import announced, import_files, in_words, place_of, take_option
 
 GROUPS = {
     "Learning and simulation": ("train", "evaluate", "stress", "reproduce", "play", "catch"),
@@ -70,24 +70,22 @@ def main(args: Sequence[str] | None = None) -> int:
             import_files()
             command.run()
             sys.stdout.flush()
-    except (Pixel2CatchError, OSError, MemoryError, RuntimeError) as error:
+    except (Exception, SystemExit) as error:
         if isinstance(error, BrokenPipeError):
             return 0
         say(f"pixel2catch: error: {_sentence(error)}")
         return EXIT_ERROR
-    except Terminated:
-        print("pixel2catch: terminated", file=sys.stderr)
-        return EXIT_TERMINATED
-    except KeyboardInterrupt:
-        print("pixel2catch: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as error:
+        is_terminated = isinstance(error, Terminated)
+        say(f"pixel2catch: {'terminated' if is_terminated else 'interrupted'}")
+        return EXIT_TERMINATED if is_terminated else EXIT_INTERRUPTED
     return 0
 
 
 def _prepare_environment() -> None:
     """Set encodings, the width of help and what MuJoCo draws with; refuse a closed standard output."""
-    if sys.stdout is None:
-        raise InvalidValueError("standard output is closed; redirect it to a file or to /dev/null.")
+    if None in (sys.stdout, sys.stderr):
+        raise InvalidValueError("standard output or error is closed; redirect it to a file or to /dev/null.")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -97,17 +95,21 @@ def _prepare_environment() -> None:
         os.environ[GL_VARIABLE] = backend
 
 
-def _sentence(error: Exception) -> str:
+def _sentence(error: Exception | SystemExit) -> str:
     """What an error says to a user; one that is our mistake is raised again."""
+    is_known = isinstance(error, Pixel2CatchError | OSError | SystemExit)
+    is_short = not is_known and any(words in str(error).lower() for words in OUT_OF_MEMORY)
+    if is_short or isinstance(error, MemoryError):
+        first = next(iter(str(error).splitlines()), "")
+        return f"memory is short ({first or 'none left'}); give fewer --num-envs, --throws or --jobs"
+    if place_of(error) or (announced() and not is_known):
+        return f"{in_words(error)}; correct {', '.join(announced())}."
     if isinstance(error, OSError) and error.strerror:
         place = f"'{error.filename}': " if error.filename else ""
         fix = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
         return f"{place}{error.strerror}{fix}"
     if isinstance(error, Pixel2CatchError | OSError):
         return str(error)
-    if isinstance(error, MemoryError) or any(words in str(error).lower() for words in OUT_OF_MEMORY):
-        first = next(iter(str(error).splitlines()), "")
-        return f"memory is short ({first or 'none left'}); give fewer --num-envs, --throws or --jobs"
     raise error
 
 
@@ -136,9 +138,8 @@ def parse_options(name: str, args: Sequence[str]) -> Any:
     kind = load_command(name)
     require_once(args)
     options = {"default": default_of(kind, args), "description": cleandoc(kind.__doc__)}
-    is_brief = bool({*HELP} & {*args})
-    args = HELP[:1] if {*HELP_ALL} & {*args} else args
-    return _parsed(kind, f"pixel2catch {name}", args, is_brief=is_brief, **options)
+    asked = HELP[:1] if {*HELP_ALL} & {*args} else args
+    return _parsed(kind, f"pixel2catch {name}", asked, is_brief=bool({*HELP} & {*args}), **options)
 
 
 def _parsed(kind: Any, prog: str, args: Sequence[str], *, is_brief: bool = True, **options: Any) -> Any:

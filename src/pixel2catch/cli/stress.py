@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, Device, JobOptions, ResultsFolder, Seed, Share
+from pixel2catch.checks import Count, Device, JobOptions, ResultsFolder, Seed, Share, require_used
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
@@ -56,8 +56,9 @@ class Stress:
         from pixel2catch.evaluation.report import write_report
         from pixel2catch.scene.objects import select_objects
 
-        if (self.axes and self.engines) or (self.restitution and not self.engines):
-            raise InvalidValueError("give --axes, or --engines and --restitution")
+        require_used(self, ("axes",), not self.engines, "with --engines")
+        require_used(self, ("restitution",), bool(self.engines), "without --engines")
+        require_used(self, ("jobs",), not self.slurm, "with --slurm")
         if self.jobs > 1 and self.device != "cpu":
             raise InvalidValueError(f"jobs is {self.jobs} on '{self.device}'; give --jobs 1 or --device cpu")
         device = prepare(self.device, is_here=not self.slurm)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import NewFolder, NotNegative, Positive, require_used
+from pixel2catch.checks import NewFolder, NotNegative, Positive, require_only, require_used
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.files import free_folder, json_text, write_atomically
@@ -65,6 +65,8 @@ class Track:
             from pixel2catch.ros2.bags import is_bag
 
         if self.source == "self-test":
+            used = ("source", "segmenter", "color", "checkpoint", "image_size", "device", "compile")
+            require_only(self, used, "with self-test")
             from pixel2catch.perception.self_test import agreement
 
             for line in agreement(self.perception.make_segmenter(), self.perception.segmenter):

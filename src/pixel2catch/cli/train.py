@@ -1,6 +1,5 @@
 """`pixel2catch train`: learn a policy."""
 
-import argparse
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -12,8 +11,9 @@ from tyro.conf import Fixed, Positional, Suppress
 
 from pixel2catch.checks import CameraPath, DynamicsPath, JobOptions, ResultsFolder, require_valid
 from pixel2catch.cli.console import say, suggest
-from pixel2catch.cli.fields import TaskFields, given_fields
+from pixel2catch.cli.fields import TaskFields, given_options
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.interruption import Terminated
 from pixel2catch.learning.config import PRESETS, PresetName, TrainCfg
 from pixel2catch.own_files import import_files
 
@@ -66,45 +66,42 @@ class Train:
     @classmethod
     def default_for(cls, args: Sequence[str]) -> "Train":
         """Return the command with the values that hold where options are not given."""
-        given = _scanned(args)
+        given = {name[2:]: next(iter(values), None) for name, values in given_options(args)}
         if {"--help", "-h", "--help-all"} & {*args}:  # at once, without the task
-            return cls(train=PRESETS.get(given.preset, TrainCfg()))
+            return cls(train=PRESETS.get(given.get("preset") or "", TrainCfg()))
         import torch
 
         from pixel2catch.learning.experiment import preset, preset_for, require_run
-        from pixel2catch.workcells import find_workcell
 
         import_files()
-        files: dict[str, Any] = {
-            name: Path(file) for name in ("dynamics", "camera") if (file := getattr(given, name))
-        }
+        given_files = ((name, given.get(name)) for name in ("dynamics", "camera"))
+        files: dict[str, Any] = {name: Path(file) for name, file in given_files if file}
         require_valid(cls(**files))
         method = args[0] if args and not args[0].startswith("-") else None
         name: Any
-        folder = Path(given.out or _folder(method or METHOD, given.seed or 0))
-        if given.resume:
-            workcell = find_workcell(given.workcell).name if given.workcell else None
-            names = {"method": method, "preset": given.preset, "task": given.task, "workcell": workcell}
-            run = require_run(folder, **files, **names)
+        folder = Path(given.get("out") or _folder(method or METHOD, given.get("seed") or 0))
+        if "resume" in given:
+            names: Any = {name: given.get(name) for name in ("preset", "task", "workcell")}
+            run = require_run(folder, **files, method=method, **names)
             experiment, method, name = run.experiment, run.method, run.preset
         else:
-            device = given.device or ("cuda" if torch.cuda.is_available() else "cpu")
-            name = given.preset or preset_for(device)
-            start = {"start": Path(given.start)} if given.start else {}
+            device = given.get("device") or ("cuda" if torch.cuda.is_available() else "cpu")
+            name = given.get("preset") or preset_for(device)
+            start = {"start": Path(file)} if (file := given.get("start")) else {}
             experiment = preset(
                 name,
-                "nominal" if given.task is None else given.task,
-                workcell=given.workcell,
+                "nominal" if (task := given.get("task")) is None else task,
+                workcell=given.get("workcell"),
                 device=device,
                 **start,
                 **files,
             )
-        for one, other in (("workcell", "scene.workcell"), ("physics_stages", "scene.physics_hz")):
-            if other in given_fields(args) and getattr(given, one) is not None:
-                raise InvalidValueError(f"give --{one} or --env.{other}, not both.".replace("_", "-"))
-        if "scene.physics_hz" in given_fields(args):  # one rate throughout
+        for one, other in (("workcell", "env.scene.workcell"), ("physics-stages", "env.scene.physics-hz")):
+            if {one, other} <= given.keys():
+                raise InvalidValueError(f"give --{one} or --{other}, not both.")
+        if "env.scene.physics-hz" in given:  # one rate throughout
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
-        resumed = folder if given.resume else None
+        resumed = folder if "resume" in given else None
         method, train, env = method or METHOD, experiment.train, experiment.env
         return cls(method=method, preset=name, train=train, env=env, resumed=resumed)
 
@@ -130,7 +127,7 @@ class Train:
             return
         result = run(training, folder, resume=self.resume, preset=self.preset)
         if result.status == "interrupted":
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt if result.stopped_by == "SIGINT" else Terminated
         suggest("evaluate", folder)
 
     def _submit(self, folder: Path) -> None:
@@ -166,13 +163,3 @@ def train_on(train: Train, device: str) -> None:
 
 def _folder(method: str, seed: int | str) -> Path:
     return Path("runs") / f"{method}-seed{seed}"
-
-
-def _scanned(args: Sequence[str]) -> argparse.Namespace:
-    """Return the options that decide what the defaults of the others are."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for name in ("preset", "task", "workcell", "dynamics", "camera", "out", "device", "seed", "start"):
-        parser.add_argument(f"--{name}", nargs="?")
-    parser.add_argument("--physics-stages", nargs="*")
-    parser.add_argument("--resume", action="store_true")
-    return parser.parse_known_args(args)[0]

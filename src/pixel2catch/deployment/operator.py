@@ -29,12 +29,10 @@ class OperatorConsole:
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
         """Announce the requests, with the switch released."""
-        self._clock = clock
-        self._switch, self._arm, self._stop, self._prompt = (
-            transport.publisher(topic) for topic in (topics.dead_man, topics.arm, topics.stop, topics.prompt)
-        )
-        self._transport, self._status_topic = transport, topics.status
+        requests = topics.dead_man, topics.arm, topics.stop, topics.prompt
+        self._switch, self._arm, self._stop, self._prompt = map(transport.publisher, requests)
         self._statuses = transport.subscription(topics.status, DEPTH)
+        self._clock, self._transport, self._status_topic = clock, transport, topics.status
         self._sent, self._next_switch = False, -inf
         self.holds = False  #: Whether the dead-man's switch is held.
         self.status: dict[str, Any] = {}  #: Newest status of the deployment; empty before the first.
@@ -113,14 +111,16 @@ class Switches(AbstractContextManager["Switches"]):
 
     def __init__(self, device: Path) -> None:
         """Open a device such as /dev/input/by-id/usb-…-event-kbd; raise DeploymentError if that fails."""
+        found = ", ".join(sorted(map(str, DEVICES.glob("*-event-*")))) or f"there is none in {DEVICES}"
         try:
             self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
-            found = ", ".join(sorted(map(str, DEVICES.glob("*-event-*")))) or f"there is none in {DEVICES}"
-            fix = f"name an input device: {found}"
-            if error.errno == errno.EACCES:
-                fix = "add yourself to the group 'input', and log in again"
+            denied = "add yourself to the group 'input', and log in again"
+            fix = denied if error.errno == errno.EACCES else f"name an input device: {found}"
             raise DeploymentError(f"{device} cannot be opened ({error.strerror}); {fix}") from error
+        with suppress(OSError):
+            os.lseek(self._file, 0, os.SEEK_CUR)  # an input device cannot seek
+            raise DeploymentError(f"{device} is no input device; name one: {found}")
         self.pressed: set[int] = set()  #: Codes of the keys that are pressed.
 
     def poll(self) -> list[Press]:
@@ -144,8 +144,8 @@ class Switches(AbstractContextManager["Switches"]):
         if not data:
             self.pressed.clear()
             raise DeploymentError("the input device with the dead-man's switch is gone; plug it in again")
-        for *_, kind, code, value in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
-            yield kind, code, value
+        for event in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
+            yield event[2:]
 
     def __exit__(self, *exception: object) -> None:
         os.close(self._file)

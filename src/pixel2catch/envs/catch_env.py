@@ -121,9 +121,7 @@ class CatchEnv:
         self.episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
         self._sensors = self._first_sensor_state()
-        now, log = self._sensors.history.now, self.world.quiet_log()
-        begun = self._transition((now.action, now.joint_pos_target), log, ~self._everywhere)
-        require_terms(method, begun, now, now)
+        self._require_terms()
         step = fused(self._control_step, self.world.simulation) if is_fused else self._control_step
         self._advance = self.world.simulation.record(step, self._generator)
         observation = self.reset()
@@ -142,8 +140,7 @@ class CatchEnv:
         With `is_staggered`, the objects of these episodes hover up to `STAGGER_STEPS` longer, so that short
         rollouts hold all parts of episodes. Source: Bharthulwar et al. 2025; by hovering (ours).
         """
-        longer = STAGGER_STEPS if is_staggered else 0
-        assign(self.episode, self._draw_episode(self.cfg.with_longer_hovering(longer)))
+        assign(self.episode, self._draw_episode(self.cfg.with_longer_hovering(is_staggered * STAGGER_STEPS)))
         self.world.reset(self._everywhere, self.episode.parameters, self.episode.throw)
         self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
@@ -159,9 +156,13 @@ class CatchEnv:
         require_shapes("action", actions, shapes, self.device.type)
         action = self.method.joint_actions(actions)
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
-        if self.device.type == "cpu":
-            self._require_numbers()
-        step = self._advance(action.clamp(-1.0, 1.0))
+        try:
+            if self.device.type == "cpu":
+                self._require_numbers()
+            step = self._advance(action.clamp(-1.0, 1.0))
+        except Exception:
+            self._require_terms()  # names the term that is the cause
+            raise
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
     @property
@@ -195,6 +196,12 @@ class CatchEnv:
     def close(self) -> None:
         """Free the simulation."""
         self.world.simulation.close()
+
+    def _require_terms(self) -> None:
+        past = self._sensors.history
+        command = past.now.action, past.now.joint_pos_target
+        reached = self._transition(command, self.world.quiet_log(), ~self._everywhere)
+        require_terms(self.method, reached, past.before, past.now)
 
     def _require_numbers(self) -> None:
         found = zip(self.method.agents, self._is_nan.tolist(), strict=True)
@@ -288,8 +295,7 @@ class CatchEnv:
         detection = detected.held(begun | detected.is_seen, sensors.detections.ages[0])
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, sensors.detections.pushed(detection))
-        joint_pos = self.world.joint_pos
-        started = (torch.zeros_like(joint_pos), joint_pos)
+        started = (torch.zeros_like(self.world.joint_pos), self.world.joint_pos)
         delivered = detections.delivered(latency)
         boxes = sensors.history.now.boxes.advanced(
             self._measured_box(delivered), self._age(delivered), delivered.stale == 0.0

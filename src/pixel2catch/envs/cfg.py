@@ -109,9 +109,8 @@ class CatchEnvCfg:
 
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
         """Return the task with a calibrated camera; each episode draws it within its uncertainty."""
-        return replace(
-            self.with_sensing(camera=file, any_camera=False), scene=replace(self.scene, camera=file.camera)
-        )
+        task = self.with_sensing(camera=file, any_camera=False)
+        return replace(task, scene=replace(self.scene, camera=file.camera))
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
         """Return the task with other fields of `SensingCfg` in all variants."""

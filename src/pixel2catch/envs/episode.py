@@ -116,6 +116,7 @@ class EpisodeRecord:
         `arms` are the columns of arm joints, `palms` those of palms in `StepExtremes.is_touching`.
         """
         touched, now = log.is_touching.any(dim=-1), transition.now
+        force = torch.where(touched, log.object_force, 0.0)
         speed = take(now.joint_vel, arms).abs().mean(dim=-1)
         return replace(
             self,
@@ -135,9 +136,7 @@ class EpisodeRecord:
             max_penetration=torch.maximum(self.max_penetration, log.penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
-            max_object_force=torch.maximum(
-                self.max_object_force, torch.where(touched, log.object_force, 0.0)
-            ),
+            max_object_force=torch.maximum(self.max_object_force, force),
             hold_speed=self._at_rest(self.hold_speed, speed, transition),
             hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
         )
@@ -263,8 +262,7 @@ def _side_force(ranges: RandomizationCfg, throw: Throw, generator: torch.Generat
 @cache
 def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[float, ...]:
     """Return the drag of every object in air of 1 kg/m³ [1/m], in the order of the object table."""
-    thrown = [each.scaled(scale) for each in objects]
-    return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
+    return tuple(0.5 * each.scaled(scale).drag_area / each.mass for each in objects)
 
 
 RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")

@@ -246,9 +246,8 @@ class CatchWorld:
     def surface_points(self, origin: Places) -> tuple[Points, PointFlags]:
         """Return surface points of the object, world frame [m], and which are seen from a place [m]."""
         pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
-        points = torch.baddbmm(
-            pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
-        )
+        turned = rotation_matrix(quat).transpose(1, 2)
+        points = torch.baddbmm(pos[:, None], self._surface[self._object_id], turned)
         may_hide = None
         if self.device.type == "cpu":  # a GPU casts all rays at once
             geoms = _snapshot(self._fields.geom_xpos)
@@ -265,10 +264,8 @@ class CatchWorld:
             factor = parameters.mass_scale.to(value.dtype) ** MASS_POWER.get(name, 0)
             scaled = value * factor.view(-1, *(1,) * (value.ndim - 1)) if name in MASS_POWER else value
             self._write(mask, name, rows(name), scaled)
-        stiffness, damping = contact_solref(
-            parameters.restitution, self._scene.physics_dt, parameters.push_out
-        )
-        solref = torch.stack((stiffness, damping), dim=-1)
+        solref = contact_solref(parameters.restitution, self._scene.physics_dt, parameters.push_out)
+        solref = torch.stack(solref, dim=-1)
         self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
         friction = self._model["geom_friction"][:, rows("geom_friction"), 0]
         write(mask, parameters.friction[:, None].expand_as(friction), friction)

@@ -22,11 +22,11 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from pixel2catch.errors import Pixel2CatchError, StudyError
+from pixel2catch.errors import StudyError
 from pixel2catch.files import read_json_object
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest, Terminated, end_with_parent
-from pixel2catch.own_files import import_files
+from pixel2catch.own_files import import_files, in_words
 
 if TYPE_CHECKING:
     from submitit import AutoExecutor
@@ -266,15 +266,9 @@ def compute(work: Work, device: str, log: Path | None) -> str | None:
     """Compute a cell, and return the text of its error, if there was one."""
     try:
         with _printing_to(log) if log else contextlib.nullcontext():
-            try:
-                work(device)
-            except Exception:
-                traceback.print_exc()
-                raise
-    except (Pixel2CatchError, OSError) as error:
-        return str(error)
+            work(device)
     except Exception as error:
-        return f"{type(error).__name__}: {error}"
+        return in_words(error)
     return None
 
 
@@ -288,6 +282,9 @@ def _printing_to(log: Path) -> Iterator[None]:
             os.dup2(file.fileno(), number)
         try:
             yield
+        except Exception:
+            traceback.print_exc()
+            raise
         finally:
             sys.stdout.flush()
             sys.stderr.flush()

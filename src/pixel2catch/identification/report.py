@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.identification import identify
 from pixel2catch.identification.checks import DataCheck
 from pixel2catch.identification.fit import LATENCY_UNIT
@@ -148,13 +148,11 @@ def warnings(result: Identification) -> list[str]:
 
 
 def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> None:
-    """Write all files to a new or empty folder, the dynamics file last; else raise InvalidValueError."""
+    """Write all files to a folder, the dynamics file last."""
     sections = report_sections(result, circumstances)
-    files = {REPORT: as_markdown(f"System identification: {result.start.robot}", sections).encode()}
-    files[NUMBERS] = json_text(numbers(result, circumstances)).encode()
-    for each in sections:
-        files |= each.pictures
-    require_free_folder(folder)
+    report = as_markdown(f"System identification: {result.start.robot}", sections)
+    files: dict[str, str | bytes] = {REPORT: report, NUMBERS: json_text(numbers(result, circumstances))}
+    files |= {name: picture for each in sections for name, picture in each.pictures.items()}
     write_atomically({folder / name: content for name, content in files.items()})
     result.file.save(folder / DYNAMICS)
 

@@ -147,11 +147,14 @@ class RunFolder:
 
     def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
         """Write the resolved configuration, append this session's circumstances."""
+        file, before = self.path / "sessions.json", list[dict[str, Any]]()
+        if file.exists():
+            with files.reading("sessions", file, "Remove this file; nothing else needs it.", CheckpointError):
+                content = files.parse_json(files.read_text(file, files.MOST_WEIGHTS))
+                before = files.decoded(list[dict[str, Any]], content)
+        session = {**circumstances(), "processes": num_processes, "config": config}
         self.write_json(CONFIG_FILE, config)
-        sessions_file = self.path / "sessions.json"
-        sessions = files.parse_json(files.read_text(sessions_file)) if sessions_file.exists() else []
-        session = {**circumstances(), "processes": num_processes}
-        self.write_json("sessions.json", [*sessions, {**session, "config": config}])
+        self.write_json("sessions.json", [*before, session])
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""

@@ -20,6 +20,7 @@ from torch import distributed as dist
 
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, WorkerError
 from pixel2catch.learning.config import TrainCfg
+from pixel2catch.own_files import in_words
 from pixel2catch.sim.factory import require_cuda
 
 
@@ -98,8 +99,7 @@ class Workers:
         if self.size == 1 or not self.any(failure is not None):
             return
         messages: list[str | None] = [None] * self.size
-        kind = "" if isinstance(failure, Pixel2CatchError) else f"{type(failure).__name__}: "
-        dist.all_gather_object(messages, failure and f"{kind}{failure}")
+        dist.all_gather_object(messages, failure and in_words(failure))
         failed = [f"process {rank}: {each}" for rank, each in enumerate(messages) if each is not None]
         self.is_agreed = True
         if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):

@@ -22,7 +22,6 @@ FAST_CONTACTS: dict[str, Any] = {"cone": "pyramidal", "multiccd": False}
 """Contacts of named tasks in training, except with the preset `paper`: faster to compute, and policies learn
 as much with them. Evaluations have elliptic cones and several points. Source: ours."""
 
-
 LARGE_BYTES = 16 * 2**30
 """Memory [bytes] from which several GPUs have the preset large. Source: ours, from bench_h100.json."""
 

@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
-from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import as_json, write_atomically
+from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.files import MOST_WEIGHTS, as_json, read_text, reading, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.progress import ProgressBar
@@ -125,7 +125,8 @@ class CsvLog:
     def __init__(self, path: Path, transitions: int = 0) -> None:
         """Keep the rows of the file up to `transitions`; later ones are repeated."""
         self._path = path
-        self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
+        with reading("metrics", path, "Remove this file; the training goes on without it.", CheckpointError):
+            self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
 
     def add(self, row: Row) -> None:
         """Add a row, which `write` writes."""
@@ -147,5 +148,5 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a file of metrics; none if there is no file."""
     if not path.exists():
         return []
-    with open(path, newline="") as file:
-        return [*csv.DictReader(file)]
+    names, *rows = (line.split(",") for line in read_text(path, MOST_WEIGHTS).splitlines())
+    return [dict(zip(names, row, strict=True)) for row in rows]

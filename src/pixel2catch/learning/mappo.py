@@ -95,10 +95,10 @@ class Mappo:
             agent: self._recorded(torch.compile(networks.act, dynamic=False)) if cfg.fuse else networks.act
             for agent, networks in self.networks.items()
         }
-        self._record_update()
+        self.drop_recordings()
 
-    def _record_update(self) -> None:
-        """Record the parts of the next update again: advantages, first epoch, other epochs."""
+    def drop_recordings(self) -> None:
+        """Drop recorded advantages and epochs; their collectives would keep the process group from ending."""
         self._estimate = self._recorded(self._estimate_advantages)
         self._epochs = [self._recorded(partial(self._epoch, is_first=is_first)) for is_first in (False, True)]
 
@@ -137,10 +137,8 @@ class Mappo:
             for joint, action in zip(teacher.contract.agents[agent].joints, actions.unbind(-1), strict=True)
         }
         for agent, batch in self.rollout.items():
-            joints = self.contract.agents[agent].joints
-            batch.teacher_actions[self._num_steps] = torch.stack(
-                [teacher_actions[joint] for joint in joints], dim=-1
-            )
+            taught = [teacher_actions[joint] for joint in self.contract.agents[agent].joints]
+            batch.teacher_actions[self._num_steps] = torch.stack(taught, dim=-1)
 
     def record(self, step: Step) -> None:
         """Record the outcome of the last actions. A time-out ends an episode like any other end (paper)."""
@@ -285,11 +283,7 @@ class Mappo:
         for agent in self.agents:
             self.networks[agent].load_state_dict(state[agent]["networks"])
             self.steps[agent].load_state_dict(state[agent]["optimizer"])
-        self._record_update()
-
-    def close(self) -> None:
-        """Drop recordings, whose collectives would keep the process group from ending."""
-        self._record_update()
+        self.drop_recordings()
 
 
 def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:

@@ -40,6 +40,7 @@ class TrainResult:
     """How a training ended."""
 
     status: Status
+    stopped_by: str  #: Signal that ended it early, such as SIGTERM; empty if none did.
     transitions: int  #: Transitions that were used.
     seconds: float  #: Wall-clock time over all sessions [s].
     policy: Path  #: Folder of the policy.
@@ -121,18 +122,18 @@ class _Training:
 
     def close(self) -> None:
         """Close the environments, and release what would keep the process group from ending."""
-        self.mappo.close()
+        self.mappo.drop_recordings()
         self.env.close()
 
     def run(self, console: Console, begin_step: BeginStep) -> TrainResult:
         """Train to the end; in any case write how it ended."""
         status: Status = "failed"
+        stop = StopRequest()
         with contextlib.ExitStack() as stack:
             with self.workers.sync_errors():
                 log = stack.enter_context(self._open_log(console))
             try:
-                stop = stack.enter_context(StopRequest())
-                status = self._loop(log, stop, begin_step)
+                status = self._loop(log, stack.enter_context(stop), begin_step)
                 with self.workers.sync_errors():
                     self._save_last(log, status)
             finally:
@@ -140,7 +141,7 @@ class _Training:
                 if self.workers.is_first:
                     with contextlib.suppress(OSError):
                         self.folder.write_json("summary.json", result)
-        return TrainResult(policy=self.folder.policy, **result)
+        return TrainResult(policy=self.folder.policy, stopped_by=stop.by, **result)
 
     def _open_log(self, console: Console) -> TrainingLog:
         is_first, run = self.workers.is_first, None

@@ -73,7 +73,7 @@ class SensingCfg:
     def __post_init__(self) -> None:
         """Refuse a camera of another resolution than that of policies, and one that would not be used."""
         require(CameraFile, "sensing.camera", self.camera)
-        if self.any_camera and self.camera != RELEASE_CAMERA:
+        if self.any_camera is True and self.camera != RELEASE_CAMERA:
             raise InvalidValueError("any_camera draws the camera, but sensing.camera is given: drop one.")
         camera = self.camera.camera
         if (camera.width, camera.height) != (RGB_CAMERA.width, RGB_CAMERA.height):

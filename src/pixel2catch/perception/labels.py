@@ -197,7 +197,7 @@ def _cvat(text: str, num_images: int) -> tuple[Size, list[_Mark]]:
         for mark, following in pairwise(found):
             marks += _between(mark, following, num_images, is_visible=mark.box is not None)
     sizes = [{side.tag: side.text or "" for side in each} for each in root.iter("original_size")]
-    first = sizes[0] if sizes else next(root.iter("image")).attrib
+    first = sizes[0] if sizes else next(root.iter("image"), root).attrib
     return (int(first["width"]), int(first["height"])), marks
 
 

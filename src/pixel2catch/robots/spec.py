@@ -11,7 +11,7 @@ from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pixel2catch.checks import Within
+from pixel2catch.checks import UNIT_LENGTH, Within
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -117,5 +117,5 @@ class Placed:
 
     robot: RobotSpec
     pos: Vec3  #: Position of its root in the parent frame [m].
-    quat: Quat = IDENTITY  #: Orientation of its root in the parent frame.
+    quat: Annotated[Quat, UNIT_LENGTH] = IDENTITY  #: Orientation of its root in the parent frame.
     prefix: str = ""  #: Prefix of all its names, so that a work cell can hold several.

@@ -4,11 +4,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 from xml.etree import ElementTree
 
 import mujoco
 
+from pixel2catch.checks import NOT_EMPTY, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.files import read_bytes, reading
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
@@ -51,16 +52,16 @@ class WorkcellSpec:
     """Robots with their poses, and the table under them."""
 
     name: str
-    robots: tuple[Placed, ...]  #: The robots; joint order is the joints of the first, then of the second, ...
+    robots: Annotated[tuple[Placed, ...], NOT_EMPTY]  #: In joint order: the joints of the first, then ...
     table: TableSpec = field(default_factory=lambda: TABLE)  #: The table under them.
 
     def __post_init__(self) -> None:
+        require_valid(self)
         names = self.joint_names
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
                 raise InvalidValueError(f"'{placed.robot.name}' in '{self.name}' has no palm; give a hand.")
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InvalidValueError(f"joint '{twice[0]}' is twice in '{self.name}'; give robots prefixes.")
 
     @cached_property
@@ -163,9 +164,8 @@ def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, prefix: str, frame: mujoc
     for element in (*spec.bodies, *spec.joints, *spec.geoms, *spec.sites):
         element.name = element.name.removeprefix(temporary)
     for pair in spec.excludes:
-        pair.bodyname1, pair.bodyname2 = (
-            name.removeprefix(temporary) for name in (pair.bodyname1, pair.bodyname2)
-        )
+        names = pair.bodyname1, pair.bodyname2
+        pair.bodyname1, pair.bodyname2 = (name.removeprefix(temporary) for name in names)
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
@@ -194,6 +194,6 @@ def require_simple(content: bytes) -> None:
             if any("%" in value for value in element.attrib.values()):
                 raise InvalidValueError(f"element '{element.tag}' has a '%', a format of MuJoCo; rename it")
             if element.tag in GROWING:
-                raise InvalidValueError(f"replace '{element.tag}' by the elements that it creates")
+                raise InvalidValueError(f"'{element.tag}' makes elements that are unchecked; list them")
     except (ElementTree.ParseError, LookupError) as error:
         raise InvalidValueError(f"it is not XML ({error})") from error

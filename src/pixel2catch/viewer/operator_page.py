@@ -211,5 +211,5 @@ def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
     ends = (camera.width, camera.height, camera.width, camera.height)
     xmin, ymin, xmax, ymax = (float(min(max(edge, 0), end)) for edge, end in zip(box, ends, strict=True))
     if min(xmax - xmin, ymax - ymin) < LEAST_SIDE:
-        raise DeploymentError(f"the box is {xmax - xmin:.0f} x {ymax - ymin:.0f} px: drag a larger one")
+        raise DeploymentError(f"box {box} has a side below {LEAST_SIDE:g} px; drag it round the object")
     return [xmin, ymin, xmax, ymax]

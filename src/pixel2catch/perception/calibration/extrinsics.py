@@ -171,7 +171,7 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     poses = _fit(used, rough.camera, rough.board, rough.common, weights)
     moves = poses.jacobian[:, :NUM_POSES]
     if np.linalg.cond(moves / np.linalg.norm(moves, axis=0)) > LARGEST_CONDITION:
-        raise PerceptionError("the hand turned about one axis only; add images with other turns.")
+        raise PerceptionError("the pose is unclear: the hand turned about one axis; add other turns.")
     square_ratio = _square_ratio(used, poses)
     fit = _fit_with_common(used, poses, used.stds)
     errors = used.errors(fit.camera, fit.board, fit.common)
