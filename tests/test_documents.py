@@ -141,7 +141,6 @@ def test_figures_are_small_and_shown():
 
 
 def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, opengl: None):
-    """In this process: a kernel takes longer to start than the cells."""
     monkeypatch.setattr(CatchEnvCfg, "trial_steps", 40)
     monkeypatch.setattr("matplotlib.pyplot.show", lambda: None)
     cells = json.loads((ROOT / "docs" / "catching.ipynb").read_text("utf-8"))["cells"]

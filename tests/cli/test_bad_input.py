@@ -181,7 +181,6 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
 
 
 def test_what_is_terminated_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    """`test_reproduce.py` has what Ctrl-C does, `test_grid.py` what workers do."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Stress, "run", lambda _: signal.raise_signal(signal.SIGTERM))
     assert main(["stress"]) == 143

@@ -38,10 +38,10 @@ def start(*arguments: str | Path, **environment: str) -> subprocess.Popen[str]:
 
 def pair(*arguments: str | Path) -> list[tuple[int, str]]:
     """Exit status and output of two processes in the environment of torchrun, which starts slowly itself."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = str(server.getsockname()[1])
-    common = {"TORCHELASTIC_RUN_ID": "test", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}
-    processes = [start(*arguments, RANK=rank, LOCAL_RANK=rank, MASTER_PORT=port, **common) for rank in "01"]
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        ports = {"MASTER_PORT": str(one.getsockname()[1]), "NEXT_PORT": str(other.getsockname()[1])}
+    common = {"TORCHELASTIC_RUN_ID": "test", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", **ports}
+    processes = [start(*arguments, RANK=rank, LOCAL_RANK=rank, **common) for rank in "01"]
     outputs = [process.communicate(timeout=PATIENCE)[0] for process in processes]
     return [(process.returncode, output) for process, output in zip(processes, outputs, strict=True)]
 

@@ -139,3 +139,4 @@ WHAT = {"update": update, "fail": fail_in_the_second, "endless": train_endlessly
 if __name__ == "__main__":
     for what in sys.argv[1].split():
         WHAT[what](Path(sys.argv[2]), sys.argv[3])
+        os.environ["MASTER_PORT"] = os.environ.get("NEXT_PORT", "")  # the old one's group may still end
