@@ -17,9 +17,8 @@ class Release:
     On the way to a place the fingers keep their hold. Path, speed and operator are as with `home`.
     """
 
-    place: Positional[Annotated[str, NOT_EMPTY] | None] = (
-        None  #: Name of a place under `places` in the profile. Default: here.
-    )
+    #: Name of a place under `places` in the profile. Default: here.
+    place: Positional[Annotated[str, NOT_EMPTY] | None] = None
     link: Link = field(default_factory=Link)  #: The network of the robot, and the limits of its motion.
 
     def run(self) -> None:
