@@ -150,6 +150,7 @@ def test_own_methods_are_trained_and_evaluated(tmp_path: Path, monkeypatch, caps
         ("calls.none", 2, "failed", r"'late' \(.*late.py', line 11\): AttributeError: .*; correct it"),
         ("return transition.now.object_pos", 2, "failed", r"'late' \(.*late.py', line 8\) returns the shape"),
         ("os.kill(os.getpid(), signal.SIGTERM)", 143, "interrupted", "pixel2catch: terminated"),
+        ("os.kill(os.getpid(), signal.SIGINT)", 130, "interrupted", "pixel2catch: interrupted"),
     ],
 )
 def test_what_a_term_does_late_is_named(what, status, ended, words, tmp_path: Path, monkeypatch, capsys):
@@ -159,7 +160,7 @@ def test_what_a_term_does_late_is_named(what, status, ended, words, tmp_path: Pa
     output = capsys.readouterr()
     assert re.search(words, output.err)
     assert json.loads(Path("run", "summary.json").read_text())["status"] == ended
-    assert Path("run", "checkpoint.pt").exists() == ("--resume" in output.out) == (status == 143)
+    assert Path("run", "checkpoint.pt").exists() == ("--resume" in output.out) == (ended == "interrupted")
 
 
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path, monkeypatch, capsys):
