@@ -51,7 +51,7 @@ BAD = [
     ("rehearse --lockstep --perception-ms 1001 --out {new}", "perception_ms is 1001; it must be from 0 to"),
     ("rehearse --plain --out {new}", "plain is True, which does nothing without --lockstep"),
     ("rehearse --lockstep --clock 0.5 --out {new}", "clock is 0.5, which does nothing with --lockstep"),
-    ("rehearse --lockstep --plain --out {new} --camera people", "camera.fx: policy 618.163, here 417.03"),
+    ("rehearse --lockstep --plain --out {new} --camera people", "leave out --camera if yours stands at"),
     ("track {text} --topic /images --out {new}", "topic is '/images', which does nothing with a source"),
     ("operate /dev/zero", "/dev/zero is no input device; name one"),
     ("operate /dev/null --keys 35 35 1", "give three different ones"),

@@ -99,6 +99,9 @@ class PolicyContract:
         if fields:
             lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
             fix = "the policy does not fit; give one with the values here, or train it:\n"
+            if all(name.startswith("camera.") for name in fields):
+                fix = "the policy is for another camera; leave out --camera if yours stands at that place, "
+                fix += "take catch_alone+anycamera, or train it for yours:\n"
             rest = f"\n  {len(fields)} fields differ" if len(fields) > MOST_LINES else ""
             raise PolicyMismatchError(fix + "\n".join(lines[:MOST_LINES])[:LONGEST_MESSAGE] + rest)
 

@@ -254,7 +254,7 @@ class ServoLimits:
         return records(
             **{**vars(joints), "speed": np.minimum(joints.speed, joints.step / self.dt)},
             **motion,
-            **travel_columns(self.workspace.workcell.joints, joints.acceleration, self.dt),
+            **travel_columns(self.workspace.workcell.joints[: self.num_joints], joints.acceleration, self.dt),
             ramp_time=self.ramp_time,
             control_dt=CONTROL_DT,
             is_first=np.diff(group, prepend=-1) > 0,  # of its arm or hand
