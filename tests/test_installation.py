@@ -5,11 +5,13 @@ import json
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
 import yaml
 from packaging.utils import canonicalize_name
 
-from pixel2catch.installation import requirements
+from pixel2catch.installation import install_command, requirements
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
@@ -32,6 +34,21 @@ def test_everything_that_make_setup_installs_has_its_hash():
                 pins.add(canonicalize_name(pin.partition("==")[0]))
     for extra in ("", "deployment", "perception", "sam2", "docs"):
         assert {canonicalize_name(name) for name in requirements(extra)} <= pins
+
+
+@pytest.mark.parametrize(
+    ("origin", "what"),
+    [
+        (None, "'pixel2catch[sam2]'"),
+        ({"url": "file:///a%20b", "dir_info": {"editable": True}}, "-e '/a b[sam2]'"),
+        ({"url": "file:///x.whl", "archive_info": {}}, "'pixel2catch[sam2] @ file:///x.whl'"),
+        ({"url": "https://x/y", "vcs_info": {"vcs": "git"}}, "'pixel2catch[sam2] @ git+https://x/y'"),
+    ],
+)
+def test_extras_come_from_where_the_package_came_from(origin, what, monkeypatch):
+    found = SimpleNamespace(read_text=lambda _: json.dumps(origin) if origin else None)
+    monkeypatch.setattr("importlib.metadata.distribution", lambda _: found)
+    assert install_command("sam2").endswith(f"install {what}")
 
 
 def test_there_is_one_version():

@@ -2,10 +2,12 @@
 
 import importlib.metadata
 import importlib.util
+import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
+from urllib.parse import unquote, urlparse
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -19,9 +21,16 @@ GL_VARIABLE = "PIXEL2CATCH_GL"
 
 
 def install_command(extra: str = "") -> str:
-    """Return the command that installs this package, or the packages of an extra."""
-    program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
-    return f"{program} '{PACKAGE}[{extra}]'" if extra else f"{program} {PACKAGE}"
+    """Return the command that installs this package, or the packages of an extra, from where it came from."""
+    program, what = "pip install" if importlib.util.find_spec("pip") else "uv pip install", ""
+    with suppress(importlib.metadata.PackageNotFoundError):
+        what = importlib.metadata.distribution(PACKAGE).read_text("direct_url.json") or ""
+    origin, extras = json.loads(what or "{}"), f"[{extra}]" if extra else ""
+    if origin.get("dir_info", {}).get("editable"):
+        return f"{program} -e '{unquote(urlparse(origin['url']).path)}{extras}'"
+    vcs = "".join(f"{kind}+" for key, kind in origin.get("vcs_info", {}).items() if key == "vcs")
+    place = f" @ {vcs}{origin['url']}" if origin else ""  # else the package index
+    return f"{program} '{PACKAGE}{extras}{place}'"
 
 
 @contextmanager
