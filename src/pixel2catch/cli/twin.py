@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class Twin:
     """Simulate robot, camera and thrower on this machine's network.
 
-    For `deploy` it is like the laboratory; its topics are those of the profile ur5e_allegro_v4, in the domain
-    ROS_DOMAIN_ID. Requests for throws go to /twin/command, the true state comes on /twin/state. See
-    docs/deployment.md.
+    For `deploy` it is like the laboratory; its topics are those of the robot's profile, ur5e_allegro_v4 or
+    fr3_allegro, in the domain ROS_DOMAIN_ID. Requests for throws go to /twin/command, the true state comes
+    on /twin/state. See docs/deployment.md.
     """
 
     #: Policy with the robot and camera to simulate. Default: catch_alone+fit.

@@ -33,7 +33,7 @@ class PerceptionArgs:
     region: Annotated[Edges, Within(0.0, 8192.0)] | None = None
     #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
     color: Annotated[tuple[float, float], Within(0.0, 360.0)] | None = None
-    #: Camera file of `calibrate`. Default: the camera of the policies.
+    #: Camera file of `calibrate`, with a policy for it, +anycamera or analytic. Default: the release's.
     camera: CameraPath | None = None
     checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint in the format of transformers.
     #: Side of the square image of SAM 2 [px], a multiple of 32. Default: the checkpoint's.
