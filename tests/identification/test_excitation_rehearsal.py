@@ -130,7 +130,7 @@ def test_wrong_options_are_named_and_nothing_is_overwritten(tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     Path("motion-2.npz").write_text("old")
     for options, words in (
-        (("--recordings", 2, "--out", "motion.npz"), "motion-2.npz exists"),
+        (("--recordings", 2, "--out", "motion.npz"), "'motion-2.npz', which exists"),
         (("--rehearse", "."), "is not an empty folder"),
     ):
         assert words in refusal("excite", "--robot", "ur5e", "--seconds", 14, *options)
