@@ -3,10 +3,14 @@
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from multiprocessing import parent_process
+from multiprocessing import parent_process, resource_tracker
+from traceback import walk_stack
 from types import FrameType
+
+LONGEST_IMPORT = 10.0  #: Time for which a signal waits for the end of an import [s]. Source: ours.
 
 
 class Terminated(KeyboardInterrupt):
@@ -14,12 +18,19 @@ class Terminated(KeyboardInterrupt):
 
 
 def raise_on_termination() -> AbstractContextManager[None]:
-    """Raise `Terminated` in this context, in the main thread, when a termination signal arrives."""
+    """Raise `Terminated` in this context, in the main thread, for a termination signal, after imports."""
+    begin: dict[int, float] = {}
 
-    def terminate(number: int, frame: FrameType | None) -> None:
-        raise Terminated
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        is_importing = any(each.f_code.co_name == "_find_and_load" for each, _ in walk_stack(frame))
+        # an exception in the initialisation of a compiled module can abort the process
+        if is_importing and time.monotonic() - begin.setdefault(number, time.monotonic()) < LONGEST_IMPORT:
+            threading.Timer(0.05, os.kill, (os.getpid(), number)).start()
+        else:
+            raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
-    return on_signals(terminate, signal.SIGTERM, signal.SIGHUP)
+    is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return on_signals(interrupt, signal.SIGTERM, signal.SIGHUP, *[signal.SIGINT] * is_usual)
 
 
 @contextmanager
@@ -55,6 +66,17 @@ class StopRequest(ExitStack):
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.is_set, self.by = True, signal.Signals(number).name
         self.close()
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Start processes in this context that never receive Ctrl-C, also while they load."""
+    resource_tracker.ensure_running()  # its start ends what is blocked
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> None:

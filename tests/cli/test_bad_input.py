@@ -1,7 +1,6 @@
 """Whatever is given to a command: one line that says what is right, the right exit status, no traceback."""
 
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +9,6 @@ import pytest
 
 from pixel2catch.checks import require_valid
 from pixel2catch.cli.main import COMMANDS, main, parse
-from pixel2catch.cli.stress import Stress
 from pixel2catch.own_files import VARIABLE
 
 EVALUATE = "evaluate --num-envs 1 --trials 1"
@@ -178,13 +176,6 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
     assert type(parsed).__name__.lower() == name
     if name not in ("record", "identify"):  # their inputs are not there
         require_valid(parsed)
-
-
-def test_what_is_terminated_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Stress, "run", lambda _: signal.raise_signal(signal.SIGTERM))
-    assert main(["stress"]) == 143
-    assert "pixel2catch: terminated" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

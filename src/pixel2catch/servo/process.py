@@ -21,6 +21,7 @@ import numpy as np
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import install_command
+from pixel2catch.interruption import without_interrupts
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Columns, Profile
 from pixel2catch.ros2.transport import POLL_TIME, Clock, Message, Publisher, RealClock, Topic, Transport
@@ -336,7 +337,7 @@ def start_servo(
         process = multiprocessing.get_context("spawn").Process(
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
-        with link.scheduled(os.SCHED_OTHER, 0):  # starting takes seconds
+        with link.scheduled(os.SCHED_OTHER, 0), without_interrupts():  # starting takes seconds
             process.start()
     try:
         yield loop

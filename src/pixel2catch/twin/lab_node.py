@@ -2,7 +2,6 @@
 
 import gc
 import json
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -18,7 +17,7 @@ from jaxtyping import Float, Int
 from pixel2catch.camera.image import Pixels
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
-from pixel2catch.interruption import end_with_parent
+from pixel2catch.interruption import end_with_parent, without_interrupts
 from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -248,12 +247,12 @@ def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure],
     """Yield a function that begins to draw an image of a room, by its seed, in another process."""
     find_gl_backend()
     with ProcessPoolExecutor(1, get_context("spawn"), _open_camera, (scene, seed)) as process:
-        process.submit(bool).result()  # the camera is open
+        with without_interrupts():
+            process.submit(bool).result()  # the camera is open
         yield lambda exposure: process.submit(_draw, exposure)
 
 
 def _open_camera(scene: SceneCfg, seed: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     set_niceness(SECOND)
     end_with_parent()
     torch.set_num_threads(1)

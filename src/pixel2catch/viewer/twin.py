@@ -4,7 +4,6 @@ One button does all steps of a throw, others do one step each. Two more buttons 
 collision, and run their programs again.
 """
 
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from typing import Any, final
 import torch
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.interruption import end_with_parent
+from pixel2catch.interruption import end_with_parent, without_interrupts
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
@@ -109,7 +108,8 @@ def twin_page(cfg: PageCfg, profile: Profile, rate: float) -> Iterator[None]:
     """Serve the page in a process that ends with the context."""
     listening_address(cfg.host)
     process = get_context("spawn").Process(target=_serve, args=(cfg, profile, rate), daemon=True)
-    process.start()
+    with without_interrupts():
+        process.start()
     try:
         yield
     finally:
@@ -118,7 +118,6 @@ def twin_page(cfg: PageCfg, profile: Profile, rate: float) -> Iterator[None]:
 
 
 def _serve(cfg: PageCfg, profile: Profile, rate: float) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     end_with_parent()
     torch.set_num_threads(1)
     clock = RealClock(rate)
