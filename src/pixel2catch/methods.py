@@ -104,13 +104,17 @@ class Method:
         return observed
 
 
-def require_terms(method: Method, transition: Transition, before: Measurement, now: Measurement) -> None:
-    """Compute each term of a method once, before a device records or compiles them; raise as `computed`."""
+def require_terms(
+    method: Method, transition: Transition, before: Measurement, now: Measurement, widths: dict[str, int]
+) -> None:
+    """Compute each term once, before a device records it; raise as `computed`, or if `widths` are others."""
     num_envs = len(transition.episode_steps)
     for agent in method.agents:
         inputs = method.inputs(agent, before, now)
-        for term in (*agent.observation, *agent.memory):
-            computed("observation term", term, (inputs,), num_envs, "any")
+        for i, term in enumerate((*agent.observation, *agent.memory)):
+            key = f"{agent.name} {i}"
+            shape = num_envs, widths.get(key, "any")
+            widths[key] = computed("observation term", term, (inputs,), *shape).shape[1]
         for part in (*agent.parts, *agent.teammates):
             for reward in part.reward:
                 computed("reward term", reward.function, (transition, part), num_envs)

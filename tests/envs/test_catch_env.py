@@ -10,6 +10,7 @@ from torch import Tensor
 from paper_robot import JOINTS
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
@@ -145,6 +146,17 @@ def test_box_and_tracked_position_are_as_late_as_the_latency():
         torch.testing.assert_close(step.measurement.object_pos, path[-3])
         assert torch.equal(step.measurement.initial_object_pos, path[0])
     assert (boxes[-1] - boxes[0]).abs().max() > 50
+
+
+def test_a_term_that_changes_its_width_is_named():
+    width, method = 1, find_method("catch_alone")
+    term = (lambda frame: frame.now.palm_pos[:, 0, 2:].repeat(1, width),)
+    agent = replace(method.agents[0], observation=term)
+    env = CatchEnv(CatchEnvCfg(), replace(method, name="mine", agents=(agent,)), num_envs=3)
+    width = 2
+    for act in (env.reset, lambda: env.step({agent.name: torch.zeros(3, agent.num_joints)})):
+        with pytest.raises(InvalidValueError, match=r"'<lambda>' \(.*shape \(3, 2\).*be \(3, 1\)"):
+            act()
 
 
 def test_snapshots_do_not_follow_the_simulation():

@@ -21,21 +21,9 @@ from pixel2catch.envs.tasks import TASKS
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation import policy_cells as cells
 from pixel2catch.evaluation.metrics import rate
-from pixel2catch.evaluation.policy_cells import (
-    AS_TRAINED,
-    EVENTS,
-    PolicyEntry,
-    cell_file,
-    find_policies,
-    result_rows,
-    stress_sections,
-    throw_rounds,
-    transfer_sections,
-    transfer_settings,
-)
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Row
-from pixel2catch.evaluation.stress import AXES, Setting, select_settings
+from pixel2catch.evaluation.stress import AXES, Axis, Level, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.reports import as_markdown
@@ -72,6 +60,9 @@ def test_every_level_is_for_every_work_cell(name: str):
 
 
 def test_values_by_hand():
+    level = Level(label="1", change=lambda task: replace(task, objects=("cube_s",)), source="ours")
+    with pytest.raises(InvalidValueError, match="axis 'mine' changes objects; leave"):
+        Setting(axis=Axis(name="mine", unit="", levels=(level,)), level=level).changed(TASK)
     assert changed("camera_position-2").sensing == replace(TASK.sensing, camera_offset=0.02)
     assert changed("camera_rotation-1").sensing.camera_turn == pytest.approx(0.0174533)
     assert changed("mass-60").randomization.mass_scale == (2.0, 2.0)
@@ -103,11 +94,11 @@ def test_every_round_has_the_throws_of_its_seed_whatever_the_policy_and_the_sett
     disturbed = SETTINGS["together-camera_mount"].level.change(task)
     cfg = EvaluationCfg(objects=SEEN, num_envs=8, trials=2, task=task)
     processors = os.sched_getaffinity(0)
-    both = throw_rounds(still(), PROPOSED, cfg).record
+    both = cells.throw_rounds(still(), PROPOSED, cfg).record
     other = replace(cfg, trials=1, seed=1)
     wild, disturbed = Scripted(lambda _: (1.0, 1.0)), replace(other, task=disturbed)
-    second = throw_rounds(wild, PROPOSED, disturbed, is_alone=False).record
-    same = throw_rounds(still(), PROPOSED, other, is_alone=False).record
+    second = cells.throw_rounds(wild, PROPOSED, disturbed, is_alone=False).record
+    same = cells.throw_rounds(still(), PROPOSED, other, is_alone=False).record
     assert os.sched_getaffinity(0) == processors
     for record in (second, same):
         assert torch.equal(both.object_id[8:], record.object_id)
@@ -186,16 +177,16 @@ def test_a_damaged_cell_and_another_policy_are_refused(policies: list[str], tmp_
 
 def test_policies_have_names_of_their_own(policies: list[str]):
     with pytest.raises(InvalidValueError, match="'first'"):
-        find_policies([Path(policies[0]), Path(policies[0]) / "policy"])
-    assert "proposed" in {each.method for each in find_policies([])}
+        cells.find_policies([Path(policies[0]), Path(policies[0]) / "policy"])
+    assert "proposed" in {each.method for each in cells.find_policies([])}
 
 
 def content(caught: str) -> dict[str, Any]:
     """A cell in which throws are caught or dropped."""
     found: dict[str, Any] = {"trials": len(caught), "failures": {"dropped": caught.count("0") / len(caught)}}
-    for name in EVENTS:
+    for name in cells.EVENTS:
         found |= rate(name, caught.count("1"), len(caught))
-    return {"metrics": found | {"throws": dict.fromkeys(EVENTS.values(), caught)}}
+    return {"metrics": found | {"throws": dict.fromkeys(cells.EVENTS.values(), caught)}}
 
 
 def rows_of(
@@ -203,14 +194,16 @@ def rows_of(
 ) -> list[Row]:
     """Rows of policies with their methods, whose throws are given setting by setting."""
     policies = [
-        PolicyEntry(name=name, folder=Path(name), method=method, task=TASKS[task])
+        cells.PolicyEntry(name=name, folder=Path(name), method=method, task=TASKS[task])
         for name, method in methods.items()
     ]
     for (setting, policy), each in zip(product(settings, policies), caught, strict=True):
-        file = cell_file(folder, policy, setting)
+        file = cells.cell_file(folder, policy, setting)
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(content(each)))
-    return result_rows(policies, settings, folder, lambda each: replace(each, axis=settings[0].axis).name)
+    return cells.result_rows(
+        policies, settings, folder, lambda each: replace(each, axis=settings[0].axis).name
+    )
 
 
 def of_200(number: int) -> str:
@@ -221,7 +214,7 @@ def test_a_table_by_hand(tmp_path: Path):
     """Means over two settings; 180 of 200 is 90.0 % with the interval 85 to 93."""
     methods, settings = {"one": "proposed", "two": "only_wh"}, select_settings(("nominal", "edge_noise"))
     rows = rows_of(tmp_path, methods, settings, *map(of_200, (180, 10, 20, 0)))
-    text = as_markdown("Stress suite", stress_sections(rows))
+    text = as_markdown("Stress suite", cells.stress_sections(rows))
     assert "| nominal | 90.0 [85, 93] | 5.0 [3, 9] |" in text
     assert "| mean over settings | 50.0 | 2.5 |" in text
 
@@ -233,27 +226,32 @@ def test_what_a_policy_was_not_trained_on_is_marked(task: str, mount: bool, tmp_
     rows = rows_of(tmp_path, {"one": "proposed"}, settings, *[of_200(180)] * 5, task=task)
     marks = {row["setting"]: row["is_trained_on"] for row in rows}
     assert (marks["edge_noise-10"], marks["together-camera_mount"]) == (False, mount)
-    text = as_markdown("Stress suite", stress_sections(rows))
+    text = as_markdown("Stress suite", cells.stress_sections(rows))
     assert "| edge noise 10 px | 90.0 [85, 93] † |" in text
     assert ("| together camera mount | 90.0 [85, 93] |" in text) == mount
 
 
 def test_settings_change_the_engine_and_the_restitution_alone():
-    settings = transfer_settings(ENGINES, (0.0, 0.25))
+    settings = cells.transfer_settings(ENGINES, (0.0, 0.25))
     assert [each.name for each in settings] == ["mujoco-0", "physx-0", "mujoco-0.25", "physx-0.25"]
     changed = settings[3].level.change(TASK)
     assert (changed.scene.engine, changed.randomization.restitution) == ("physx", (0.25, 0.25))
     assert (changed.sensing, changed.throws) == (TASK.sensing, TASK.throws)
-    home, other = transfer_settings(ENGINES, ())
+    home, other = cells.transfer_settings(ENGINES, ())
     assert home.level.change(TASK) == TASK
-    assert (other.level.label, other.level.change(TASK).randomization) == (AS_TRAINED, TASK.randomization)
+    assert (other.level.label, other.level.change(TASK).randomization) == (
+        cells.AS_TRAINED,
+        TASK.randomization,
+    )
 
 
 def test_the_tables_compare_each_engine_with_home(tmp_path: Path):
     """Intervals are Wilson's, of four throws."""
     methods = {"one": "proposed", "two": "proposed"}
-    rows = rows_of(tmp_path, methods, transfer_settings(ENGINES, (0.5,)), "1111", "1100", "0111", "1110")
-    text = as_markdown("Transfer", transfer_sections(rows))
+    rows = rows_of(
+        tmp_path, methods, cells.transfer_settings(ENGINES, (0.5,)), "1111", "1100", "0111", "1110"
+    )
+    text = as_markdown("Transfer", cells.transfer_sections(rows))
     assert "| one | 0.5 | mujoco | 100.0 [51, 100] |" in text
     assert "| one | 0.5 | physx | 75.0 [30, 95] | 75.0 [30, 95] | 75.0 [30, 95] | -25.0 [" in text
     assert "| 0, 1 | 1 |" in text.splitlines()[-1]
@@ -261,17 +259,17 @@ def test_the_tables_compare_each_engine_with_home(tmp_path: Path):
 
 def test_nothing_bounces_in_drake(tmp_path: Path):
     """Its cells at other restitutions are left out, unless home has no other engine's restitution then."""
-    settings = transfer_settings(("mujoco", "drake"), (0.0, 0.25))
+    settings = cells.transfer_settings(("mujoco", "drake"), (0.0, 0.25))
     assert [each.name for each in settings] == ["mujoco-0", "drake-0", "mujoco-0.25"]
     for engines, restitutions in ((("mujoco", "drake"), (0.25,)), (("drake", "mujoco"), (0.0, 0.25))):
         with pytest.raises(InvalidValueError, match="'drake': give --restitution 0"):
-            transfer_settings(engines, restitutions)
+            cells.transfer_settings(engines, restitutions)
     rows = rows_of(tmp_path, {"one": "proposed"}, settings, "11", "10", "01")
-    assert "| one | 0 | drake | 50.0 [" in as_markdown("Transfer", transfer_sections(rows))
+    assert "| one | 0 | drake | 50.0 [" in as_markdown("Transfer", cells.transfer_sections(rows))
 
 
 @NEEDS_PHYSX
 def test_transfer_away(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     size = ("--num-envs", "2", "--trials", "1", "--objects", "cube_s", "--env.scene.physics-hz", "120")
     assert main(["stress", policies[1], *size, "--out", str(tmp_path), "--engines", *ENGINES]) == 0
-    assert f"| second | {AS_TRAINED} | physx |" in capsys.readouterr().out
+    assert f"| second | {cells.AS_TRAINED} | physx |" in capsys.readouterr().out

@@ -19,7 +19,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method, methods_of
 from pixel2catch.own_files import import_file
 from pixel2catch.policy import contract_of
-from pixel2catch.robots.geometry import WorkcellGeometry, chain_of
+from pixel2catch.robots.geometry import WorkcellGeometry, bare_model, chain_of
 from pixel2catch.robots.spec import Placed
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -215,3 +215,6 @@ def test_faults_are_named():
     (robot,) = UR5E_ALLEGRO.robots
     with pytest.raises(InvalidValueError, match="give robots prefixes"):
         replace(UR5E_ALLEGRO, robots=(robot, robot))
+    palm = replace(UR5E_ALLEGRO.palms[0].spec, site="nowhere")
+    with pytest.raises(InvalidValueError, match="its MJCF has no site 'nowhere'"):
+        bare_model(replace(UR5E_ALLEGRO, robots=(replace(robot, robot=replace(UR5E, palms=(palm,))),)))

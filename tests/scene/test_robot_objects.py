@@ -32,11 +32,6 @@ def test_surface_points_lie_on_the_hull_of_their_part(name):
         assert (np.abs(points[:, None] - part.vertices).sum(-1).min(axis=0) < 1e-12).all()
 
 
-def test_too_few_surface_points_are_refused():
-    with pytest.raises(InvalidValueError, match="at least 64"):
-        surface_points(OBJECTS["sphere_s"], 10)
-
-
 def test_selection_by_group_name_and_list():
     assert select_objects("seen") == SEEN
     assert len(SEEN) == 10
@@ -57,9 +52,8 @@ def test_table_rows_turn_one_model_into_another(name):
     model, expected = build_model(cfg, "cube_s"), build_model(cfg, name)
     for field, values in table.fields.items():
         array = getattr(model, field)
-        array[table.indices.rows(field)] = values[table.names.index(name)].reshape(
-            array[table.indices.rows(field)].shape
-        )
+        rows = table.indices.rows(field)
+        array[rows] = values[table.names.index(name)].reshape(array[rows].shape)
     model.body_subtreemass[0] = expected.body_subtreemass[0]  # of the whole world, which never moves
     for field in dir(model):
         values = getattr(model, field)
@@ -139,6 +133,10 @@ def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path, monkeypatch: p
         mesh_object("mesh", l_mesh(tmp_path / "l.obj"), scale=0.0)
     with pytest.raises(InvalidValueError, match=r"mass of -0\.1 kg"):
         make_object("cube", shapes.box(0.05, 0.05, 0.05), mass=-0.1)
+    with pytest.raises(InvalidValueError, match="at least 64"):
+        surface_points(OBJECTS["sphere_s"], 10)
+    with pytest.raises(InvalidValueError, match=r"y is -0\.05; it must be greater than 0"):
+        shapes.box(0.05, -0.05, 0.05)
     with pytest.raises(InvalidValueError, match="has no parts"):
         make_object("nothing")
     monkeypatch.setitem(sys.modules, "coacd", None)

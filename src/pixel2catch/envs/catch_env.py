@@ -121,13 +121,14 @@ class CatchEnv:
         self.episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
         self._sensors = self._first_sensor_state()
+        self._widths: dict[str, int] = {}
         self._require_terms()
+        observed = method.observe(self._sensors.history)
+        self.observation_sizes = {name: value.shape[1] for name, value in observed.items()}
         step = fused(self._control_step, self.world.simulation) if is_fused else self._control_step
         self._advance = self.world.simulation.record(step, self._generator)
-        observation = self.reset()
-        self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
-        self.state_size = observation.state.shape[1]
+        self.state_size = self.reset().state.shape[1]
 
     @typed
     def seed(self, seed: Seed) -> None:
@@ -145,7 +146,8 @@ class CatchEnv:
         self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
         assign(self._sensors, self._first_sensor_state())
-        return self._observe()
+        with self._naming_terms():
+            return self._of_known_sizes(self._observe())
 
     def step(self, actions: ByAgent) -> Step:
         """Act for one control step; what lies outside [-1, 1] is clipped, NaN raises, on a device in `check`.
@@ -156,13 +158,11 @@ class CatchEnv:
         require_shapes("action", actions, shapes, self.device.type)
         action = self.method.joint_actions(actions)
         self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
-        try:
+        with self._naming_terms():
             if self.device.type == "cpu":
                 self._require_numbers()
             step = self._advance(action.clamp(-1.0, 1.0))
-        except Exception:
-            self._require_terms()  # names the term that is the cause
-            raise
+            self._of_known_sizes(step.observation)
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
     @property
@@ -197,11 +197,25 @@ class CatchEnv:
         """Free the simulation."""
         self.world.simulation.close()
 
+    @contextmanager
+    def _naming_terms(self) -> Iterator[None]:
+        """Raise the error of the term that is the cause of another error, if one is."""
+        try:
+            yield
+        except Exception:
+            self._require_terms()
+            raise
+
+    def _of_known_sizes(self, observation: Observation) -> Observation:
+        sizes = {name: (self.num_envs, size) for name, size in self.observation_sizes.items()}
+        require_shapes("observation", observation.policy, sizes)
+        return observation
+
     def _require_terms(self) -> None:
         past = self._sensors.history
         command = past.now.action, past.now.joint_pos_target
         reached = self._transition(command, self.world.quiet_log(), ~self._everywhere)
-        require_terms(self.method, reached, past.before, past.now)
+        require_terms(self.method, reached, past.before, past.now, self._widths)
 
     def _require_numbers(self) -> None:
         found = zip(self.method.agents, self._is_nan.tolist(), strict=True)

@@ -120,7 +120,7 @@ def policy_cells(
     cells = []
     for setting, entry in product(settings, policies):
         policy, method = load_policy(entry.folder)
-        evaluation = replace(cfg, task=setting.level.change(task_of(policy)))
+        evaluation = replace(cfg, task=setting.changed(task_of(policy)))
         origin = {
             "policy": entry.name,
             "method": method.name,

@@ -14,7 +14,7 @@ from pixel2catch.camera import region
 from pixel2catch.checks import require_valid
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import LIGHT, OUTSIDE_CAMERA, PEOPLE_ROBOT, PEOPLE_THROWS
-from pixel2catch.errors import UnknownNameError
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import RELEASE_CAMERA
 from pixel2catch.own_files import catalogue
@@ -134,6 +134,14 @@ class Setting:
     def name(self) -> str:
         """Name of its files: letters, digits, dots and hyphens."""
         return f"{self.axis.name}-{self.level.label}".replace(" ", "_").replace("±", "").rstrip("-")
+
+    def changed(self, task: CatchEnvCfg) -> CatchEnvCfg:
+        """Return the task at this level; raise InvalidValueError if it changes what an evaluation sets."""
+        changed = self.level.change(task)
+        for name in ("objects", "episode"):
+            if getattr(changed, name, None) not in (None, getattr(task, name)):
+                raise InvalidValueError(f"axis '{self.axis.name}' changes {name}; leave that to the command.")
+        return changed
 
     @property
     def title(self) -> str:

@@ -136,6 +136,9 @@ def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> No
     for placed in workcell.robots:
         frame = spec.worldbody.add_frame(pos=placed.pos, quat=placed.quat)
         _attach(spec, robot_mjcf(placed.robot, visuals), placed.prefix, frame)
+    for palm in (placed.spec for placed in workcell.palms):
+        if spec.site(palm.site) is None:
+            raise InvalidValueError(f"palm '{palm.name}': its MJCF has no site '{palm.site}'; add the site.")
 
 
 def robot_mjcf(robot: RobotSpec, visuals: bool = True) -> mujoco.MjSpec:

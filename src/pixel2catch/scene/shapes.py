@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import ConvexHull
 
+from pixel2catch.checks import Count, Positive, typed
 from pixel2catch.robots.poses import sphere_points
 
 RING_POINTS = 32  #: Vertices of a circle. Source: ours.
@@ -69,13 +70,15 @@ def inertia(solid: Float[ndarray, "4 4"], mass: float) -> Float[ndarray, "3 3"]:
     return np.trace(covariance) * np.eye(3) - covariance
 
 
-def box(x: float, y: float, z: float) -> ConvexPart:
+@typed
+def box(x: Positive, y: Positive, z: Positive) -> ConvexPart:
     """Return a box with these edge lengths [m]."""
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
     return ConvexPart(vertices=0.5 * signs * (x, y, z))
 
 
-def prism(num_corners: int, edge: float, height: float) -> ConvexPart:
+@typed
+def prism(num_corners: Count, edge: Positive, height: Positive) -> ConvexPart:
     """Return a regular polygon with this edge length [m] in the xy plane, extruded along z."""
     angles = 2 * pi * np.arange(num_corners) / num_corners
     outline = edge / (2 * np.sin(pi / num_corners)) * np.column_stack((np.cos(angles), np.sin(angles)))
@@ -92,17 +95,20 @@ def _ring(
     return np.column_stack((outer * np.cos(angles), outer * np.sin(angles), np.full(num_points, z)))
 
 
-def cylinder(radius: float, height: float) -> ConvexPart:
+@typed
+def cylinder(radius: Positive, height: Positive) -> ConvexPart:
     """Return a cylinder along z [m]."""
     return ConvexPart(vertices=np.concatenate([_ring(radius, z) for z in (-height / 2, height / 2)]))
 
 
-def cone(radius: float, height: float) -> ConvexPart:
+@typed
+def cone(radius: Positive, height: Positive) -> ConvexPart:
     """Return a cone along z with its tip up [m]."""
     return ConvexPart(vertices=np.concatenate((_ring(radius, -height / 2), [(0.0, 0.0, height / 2)])))
 
 
-def capsule(radius: float, length: float) -> ConvexPart:
+@typed
+def capsule(radius: Positive, length: Positive) -> ConvexPart:
     """Return a cylinder of this length [m] along z between half-spheres with rings at 0°, 32°, 64°."""
     rings = ((0.0, 16), (32.0, 10), (64.0, 5))
     caps = []
@@ -116,7 +122,8 @@ def capsule(radius: float, length: float) -> ConvexPart:
     return ConvexPart(vertices=np.concatenate((*caps, [(0, 0, pole), (0, 0, -pole)])))
 
 
-def ellipsoid(x: float, y: float, z: float) -> ConvexPart:
+@typed
+def ellipsoid(x: Positive, y: Positive, z: Positive) -> ConvexPart:
     """Return an ellipsoid with these semi-axes [m]."""
     points = sphere_points(SPHERE_POINTS)
     nearest_face = ConvexHull(points).equations[:, 3].max()
