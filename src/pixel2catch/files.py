@@ -1,5 +1,6 @@
 """Read and write files: writing is all or nothing, reading is bounded in size and memory."""
 
+import fcntl
 import json
 import math
 import os
@@ -7,7 +8,7 @@ import re
 import reprlib
 import stat
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -31,27 +32,62 @@ DAMAGE = (AttributeError, EOFError, LookupError, OSError, OverflowError, TypeErr
 def write_atomically(contents: Mapping[Path, str | bytes]) -> None:
     """Write one or several files, and make their folders; if any write fails, all keep their old content.
 
-    Each file is first written beside its place (`<name>.tmp`) and flushed to the disk, then the old files are
-    replaced. Raises InvalidValueError for a path that is no regular file, OSError for what the disk refuses.
+    Each file is first written beside its place and flushed to the disk, then the old files are replaced.
+    Raises InvalidValueError for a path that is no regular file, OSError for what the disk refuses.
     """
     for path in contents:
         if path.exists() and not path.is_file():
             raise InvalidValueError(f"'{path}' is a folder, a pipe or a device; name a file.")
-    temporaries = {path: path.with_name(path.name + ".tmp") for path in contents}
     try:
-        for path, content in contents.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with open(temporaries[path], "wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
-                file.flush()
-                os.fsync(file.fileno())
-        for path, temporary in temporaries.items():
-            os.replace(temporary, path)
+        with ExitStack() as stack:
+            for path, content in contents.items():
+                with open(stack.enter_context(replacing(path)), "wb") as file:
+                    file.write(content.encode() if isinstance(content, str) else content)
+                    file.flush()
+                    os.fsync(file.fileno())
     except OSError as error:
         raise OSError(error.errno, error.strerror, error.filename or str(next(iter(contents)))) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a new path beside a file; what is written there replaces the file, unless there is an error."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.stem}.tmp{os.getpid()}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
     finally:
-        for temporary in temporaries.values():
-            temporary.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Hold a file or a folder for this process; raise InvalidValueError if another process holds it."""
+    place = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
+    try:
+        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise InvalidValueError(f"'{path}' is in use by another command; end it, or name another.") from error
+    finally:
+        os.close(place)
+
+
+@contextmanager
+def held_folder(path: Path, *, is_new: bool = True) -> Iterator[None]:
+    """Make and hold a folder, which is empty if `is_new`; at the end remove it if it is made and empty."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        with held(path):
+            if is_new and any(path.iterdir()):
+                raise InvalidValueError(f"'{path}' was filled by another command; name another.")
+            yield
+    finally:
+        with suppress(OSError):  # the first that is not empty ends it
+            for folder in made:
+                folder.rmdir()
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:

@@ -19,7 +19,6 @@ from pixel2catch.evaluation.grid import (
     StudyGrid,
     Worker,
     cluster_executor,
-    held,
 )
 
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
@@ -125,13 +124,6 @@ def test_ctrl_c_lets_workers_end_in_order(tmp_path: Path):
         grid.run([Worker("", "x")], watch)
     assert grid.status == {"a": STOPPED, "b": WAITING}
     assert (tmp_path / "saved").exists()
-
-
-def test_a_folder_is_held_by_one_process(tmp_path: Path):
-    with held(tmp_path), pytest.raises(StudyError, match="in use"), held(tmp_path):
-        pass
-    with held(tmp_path):
-        pass
 
 
 def test_cells_are_jobs_of_a_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

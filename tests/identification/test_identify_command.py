@@ -15,6 +15,7 @@ from recorded import ARM, NOISE, clean, position, simulated
 from paths import BUDGETS, files_run
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.main import main
+from pixel2catch.files import held_folder
 from pixel2catch.identification import fit
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import behind_play
@@ -159,6 +160,8 @@ def test_bad_input_leaves_nothing(recordings: list[str], out: Path, tmp_path: Pa
         ([*recordings, *SMALL, "--out", str(out)], "is not an empty folder; name another"),
     ):
         assert words in refusal("identify", *args)
+    with held_folder(tmp_path / "out"):
+        assert "is in use by another command" in refusal("identify", *recordings, *SMALL, *new)
     assert not (tmp_path / "out").exists()
     assert DynamicsFile.load(out / "dynamics.json").dynamics.joints == ARM
 

@@ -142,6 +142,8 @@ def test_a_device_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch):
         find_gl_backend.__wrapped__()
 
 
-def test_an_odd_picture_is_refused(tmp_path: Path):
+def test_an_odd_picture_is_refused_and_the_old_film_stays(tmp_path: Path):
+    (tmp_path / "odd.mp4").write_text("before")
     with pytest.raises(InvalidValueError, match="even width and height, not 63 x 48"):
-        write_video(tmp_path / "odd.mp4", [np.zeros((48, 63, 3), dtype=np.uint8)])
+        write_video(tmp_path / "odd.mp4", [np.zeros((48, size, 3), dtype=np.uint8) for size in (64, 63)])
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["before"]

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NOT_EMPTY, DynamicsPath, NewFolder, require_used
 from pixel2catch.cli.console import results_console, say, suggest, working
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import held_folder
 from pixel2catch.reports import circumstances, terminal_table
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class Identify:
             if any(check.forbids_fit for source in sources for check in source.checks):
                 raise SystemExit(EXIT_UNFIT)
             return
-        with working() as report:
+        with held_folder(self.out), working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
             write_report(self.out, result, circumstances())

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, require_used
 from pixel2catch.cli.console import prepare, say
 from pixel2catch.cli.deploy import summary_lines
-from pixel2catch.files import free_folder, json_text, write_atomically
+from pixel2catch.files import free_folder, held_folder, json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.reports import circumstances
 from pixel2catch.shipped import PolicyPath
@@ -59,19 +59,19 @@ class Rehearse:
         task = cfg.task.make(policy, cfg.seed)
         for remark in region_remark(method, task.sensing.camera.camera):
             say(remark)
-        if cfg.lockstep:
-            from pixel2catch.twin.stepped import rehearse_stepped
+        with held_folder(self.out):
+            if cfg.lockstep:
+                from pixel2catch.twin.stepped import rehearse_stepped
 
-            prepare("cpu")
-            report = rehearse_stepped(cfg, task, policy, show)
-        else:
-            say(f"starting twin and deployment; clock {cfg.clock:g}")
-            profile = twin_profile(find_workcell(policy.contract.workcell))
-            self.out.mkdir(parents=True, exist_ok=True)
-            report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
-        report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
-        print("\n".join(_lines(report)), flush=True)
-        write_atomically({self.out / REPORT: json_text(report)})
+                prepare("cpu")
+                report = rehearse_stepped(cfg, task, policy, show)
+            else:
+                say(f"starting twin and deployment; clock {cfg.clock:g}")
+                profile = twin_profile(find_workcell(policy.contract.workcell))
+                report = rehearse(cfg, self.policy and str(self.policy), profile, self.out, show)
+            report |= {"workcell": policy.contract.workcell, "circumstances": circumstances()}
+            print("\n".join(_lines(report)), flush=True)
+            write_atomically({self.out / REPORT: json_text(report)})
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
 
 

@@ -16,7 +16,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, NotNegative, Positive, require_only, require_used
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.files import free_folder, json_text, write_atomically
+from pixel2catch.files import free_folder, held_folder, json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
@@ -83,7 +83,7 @@ class Track:
             problem = f"{self.source} has no images; name another video, rosbag2 or camera."
             raise PerceptionError(" ".join((problem, *notes)))
         end = inf if self.seconds is None else self.seconds
-        with StopRequest() as stop:
+        with held_folder(self.out), StopRequest() as stop:
             rows = self._write(
                 takewhile(lambda each: each.time <= end and not stop.is_set, chain([first], found)), camera
             )
@@ -143,7 +143,6 @@ class Track:
         from pixel2catch.perception.sightings import COLUMNS, annotated
         from pixel2catch.rendering.video import write_video
 
-        self.out.mkdir(parents=True, exist_ok=True)
         rows = list[dict[str, Any]]()
         with open(self.out / TABLE, "w", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, COLUMNS)

@@ -5,7 +5,6 @@ goes on with the same command. A cell that fails holds up only the cells that ne
 """
 
 import contextlib
-import fcntl
 import os
 import pickle
 import sys
@@ -23,9 +22,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from pixel2catch.errors import StudyError
-from pixel2catch.files import read_json_object
+from pixel2catch.files import held, read_json_object
 from pixel2catch.installation import needs_extra
-from pixel2catch.interruption import StopRequest, Terminated, end_with_parent
+from pixel2catch.interruption import StopRequest, Terminated, end_with_parent, without_interrupts
 from pixel2catch.own_files import import_files, in_words
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ class Worker(Slot):
             self.close()
         self._pool = self._pool or ProcessPoolExecutor(1, get_context("spawn"), _begin)
         before = set(active_children())
-        with _environment(self._environment):
+        with _environment(self._environment), without_interrupts():
             self._task = self._pool.submit(function, *args)
         self._processes |= set(active_children()) - before
         return self._task
@@ -274,7 +273,7 @@ def compute(work: Work, device: str, log: Path | None) -> str | None:
 
 @contextlib.contextmanager
 def _printing_to(log: Path) -> Iterator[None]:
-    """Append the output of this process to a log; raise StudyError if another process writes to it."""
+    """Append the output of this process to a log; raise InvalidValueError if another process does, too."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as file, held(log):
         streams = {1: os.dup(1), 2: os.dup(2)}
@@ -291,20 +290,6 @@ def _printing_to(log: Path) -> Iterator[None]:
             for number, stream in streams.items():
                 os.dup2(stream, number)
                 os.close(stream)
-
-
-@contextlib.contextmanager
-def held(path: Path) -> Iterator[None]:
-    """Hold a file or a folder for this process. Raise StudyError if another process holds it."""
-    with open(path / ".lock" if path.is_dir() else path, "ab") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise StudyError(
-                f"'{path}' is in use by another process of this study; wait for it or end it, then run the "
-                "command again."
-            ) from error
-        yield
 
 
 def read_row(file: Path) -> Json | None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
+from pixel2catch.files import held_folder
 from pixel2catch.identification.checks import DataCheck, check_recording
 from pixel2catch.identification.recording import Recording, Trajectory, groups_of, specs_of
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, is_settled, step_commands
@@ -66,10 +67,10 @@ def simulated_recordings(
 def rehearse(folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, seed: int) -> None:
     """Write recordings of a simulated robot, recording-1.npz and so on, and its dynamics file truth.json."""
     recordings = simulated_recordings(trajectories, truth, np.random.default_rng((seed, 1)))
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, recording in enumerate(recordings, start=1):
-        recording.save(folder / f"recording-{number}.npz")
-    exact_file(truth, trajectories[0].workcell).save(folder / "truth.json")
+    with held_folder(folder):
+        for number, recording in enumerate(recordings, start=1):
+            recording.save(folder / f"recording-{number}.npz")
+        exact_file(truth, trajectories[0].workcell).save(folder / "truth.json")
 
 
 def exact_file(truth: JointDynamics, workcell: WorkcellSpec) -> DynamicsFile:

@@ -3,14 +3,12 @@
 The environments are not part of a checkpoint: a resumed training begins with new episodes.
 """
 
-import contextlib
 import dataclasses
-import fcntl
 import io
 import json
-import os
 import pickle
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -121,29 +119,15 @@ class RunFolder:
         """The policy, for every other command."""
         return self.path / "policy"
 
-    @contextlib.contextmanager
+    @contextmanager
     def open(self, *, resume: bool) -> Iterator[None]:
         """Make the folder, or check that it can be resumed; at the end remove folders that stayed empty."""
         if resume and not self.checkpoint.exists():
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
         if not resume and (self.path / CONFIG_FILE).exists():
             raise CheckpointError(f"'{self.path}' holds a run already; name another folder, or add --resume.")
-        made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise CheckpointError(f"cannot make the run folder '{self.path}': {error.strerror}.") from error
-        place = os.open(self.path, os.O_RDONLY)
-        try:
-            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with files.held_folder(self.path, is_new=False):
             yield
-        except BlockingIOError as error:
-            raise CheckpointError(f"'{self.path}' is used by another training; name another one.") from error
-        finally:
-            os.close(place)
-            with contextlib.suppress(OSError):  # the first that is not empty ends it
-                for folder in made:
-                    folder.rmdir()
 
     def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
         """Write the resolved configuration, append this session's circumstances."""

@@ -222,11 +222,10 @@ def write_throws(
 
     Before each throw is drawn, `on_throw` is called with its number.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".png":
         with FilmRenderer(scene, WIDTHS[-1]) as renderer:
             strips = [renderer.strip(throw) for throw in throws]
-        Image.fromarray(np.concatenate(strips)).save(path)
+        write_film(path, [np.concatenate(strips)], FPS)
         return STILLS * len(throws)
     return write_film(path, _grids(throws, scene, on_throw), FPS)
 

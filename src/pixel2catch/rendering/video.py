@@ -11,6 +11,7 @@ from numpy import ndarray
 from PIL import Image
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import replacing
 
 WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100, and of 6.
 BOX_COLOR = (80, 255, 80)
@@ -23,7 +24,8 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
         return write_video(path, pictures, fps=fps)
     first, *others = (Image.fromarray(picture) for picture in pictures)
     options: Any = {"duration": 1000 // fps, "loop": 0, "quality": WEBP_QUALITY, "method": WEBP_EFFORT}
-    first.save(path, save_all=True, append_images=others, **options)
+    with replacing(path) as temporary:
+        first.save(temporary, save_all=True, append_images=others, **options)
     return 1 + len(others)
 
 
@@ -48,7 +50,7 @@ def write_video(
     A lower `crf` is better and gives a larger file. The format cannot store an odd height or width.
     """
     number = 0
-    with av.open(str(path), "w") as container:
+    with replacing(path) as temporary, av.open(str(temporary), "w") as container:
         stream: Any = container.add_stream("libx264", rate=Fraction(fps), options={"crf": str(crf)})
         stream.pix_fmt = "yuv420p"
         for number, picture in enumerate(pictures, start=1):
