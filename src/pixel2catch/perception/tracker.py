@@ -136,8 +136,8 @@ def _flies(blob: Blob, recent: list[Moving]) -> bool:
 
 def _leads(blob: Blob, flight: list[Blob], steps: list[float]) -> bool:
     """Whether a region of an earlier image leads to the rest of a flight, by these times between images."""
-    times, away = np.cumsum((0.0, *steps[: len(flight)])), blob.distance(flight[0].center)
-    if not LEAST_SPEED * times[-1] <= away <= LARGEST_SPEED * times[-1]:
+    time_ago, away = sum(steps[: len(flight)]), blob.distance(flight[0].center)
+    if not LEAST_SPEED * time_ago <= away <= LARGEST_SPEED * time_ago:
         return False
     if len(flight) == 1:
         return True
@@ -147,7 +147,7 @@ def _leads(blob: Blob, flight: list[Blob], steps: list[float]) -> bool:
     )
     if flight[-2].distance((u, v)) > largest_change(after, interval):
         return False
-    terms = np.vander(times, 3)
+    terms = np.vander(np.cumsum((0.0, *steps[: len(flight)])), 3)
     centers = np.array([each.center for each in (*flight, blob)])
     left = centers - terms @ np.linalg.lstsq(terms, centers)[0]  # what no parabola explains
     return bool(np.hypot(*left.T).max() <= LARGEST_BEND)
