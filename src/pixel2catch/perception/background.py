@@ -229,13 +229,13 @@ class BackgroundSubtraction(Segmenter):
         The latter is the difference of its sides or its area in logarithms, the larger of the two. A region
         that is clear of what can be a shadow needs the object's size.
         """
-        distance, change = 0.5 * blob.distance(track.expected) / REACH, 0.0
+        distance, change = blob.distance(track.expected) / REACH, 0.0
         if self._size is not None:
             width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
             change = max(width + height, AREA_WEIGHT * area)
         if is_clear:
             change = change + CLEAR_COST if change <= LARGEST_CLEAR_CHANGE else inf
-        return track.is_far(blob), distance + change
+        return distance > max(track.interval, 1.0), 0.5 * distance + change
 
     def _resize(self, blob: Blob, num_seen: int) -> None:
         """Update the size of an object that was seen so often, as a mean in which later images count more.

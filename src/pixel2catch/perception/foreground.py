@@ -96,19 +96,16 @@ class Foreground:
 
     def __init__(self) -> None:
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
-        self._num_images = 0
         self._later: partial[None] | None = None
         self._kept: Mask | None = None
-        self._shift: Shift = (0.0, 0.0)
-        self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
     def weakness(self) -> Weakness | None:
         """Why the last image is less reliable than usual; None without a reason."""
         if self._num_images < LEARNING_IMAGES:
             return Weakness.FEW_IMAGES
-        is_unsteady = len(self._light) > FLICKER_IMAGES and np.median(np.abs(np.diff(self._light))) > FLICKER
-        return Weakness.FLICKER if is_unsteady else None
+        steps = np.abs(np.diff(self._light)) if len(self._light) > FLICKER_IMAGES else np.zeros(1)
+        return Weakness.FLICKER if _percentile(steps, 50.0) > FLICKER else None
 
     def step(self, image: Pixels, ignored: Mask | None) -> ImageMotion:
         """Return the motion in the next image; the motion of ignored pixels has no meaning."""
@@ -124,11 +121,10 @@ class Foreground:
         shift = shift_between(smooth, self._background, (counted * self._num_seen).view(bool))
         smooth, self._shift = shifted(smooth, (-shift[0], -shift[1])), (round(shift[0]), round(shift[1]))
         first = counted * (self._num_seen == 0)
-        _replace(self._mean, smooth, first)
-        _replace(self._background, smooth, first)
+        for learned in (self._mean, self._background) if first.any() else ():
+            _replace(learned, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        red, green, blue = cv2.split(cv2.absdiff(smooth, self._background))
-        difference = cv2.max(cv2.max(red, green, dst=red), blue, dst=red)
+        difference = largest_difference(smooth, self._background)
         noise = DEVIATIONS * _percentile(difference[::SAMPLING, ::SAMPLING].ravel(), 50.0)
         least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
         differs = (difference > self._tolerance) & (difference > least)
@@ -171,7 +167,7 @@ class Foreground:
         self._usual, self._tolerance = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         self._num_images = 0
-        self._light.clear()
+        self._light = deque[float](maxlen=FLICKER_IMAGES + 1)
 
     def _with_background_light(self, image: Pixels, counted: np.ndarray) -> Pixels:
         """Return the image, scaled to the brightness of the background; record its relative brightness."""
@@ -199,7 +195,7 @@ class Foreground:
         learned = free * ~differs
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
-        cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
+        cv2.add(self._num_seen, cv2.min(counted, cv2.max(free, self._num_seen)), self._num_seen)
         self._last = image
         cv2.convertScaleAbs(self._mean, dst=self._background)
         cv2.threshold(self._usual, LARGEST_TOLERANCE / DEVIATIONS, 0.0, cv2.THRESH_TRUNC, dst=self._usual)
@@ -277,7 +273,14 @@ def prompted(box: Edges, image: Pixels) -> tuple[Mask, Mask]:
 
 def steady(image: Pixels, before: Pixels) -> Mask:
     """Return the pixels that are the same in two images, but for noise."""
-    return cv2.inRange(cv2.absdiff(image, before), (0.0,) * 3, (LARGEST_NOISE,) * 3) > 0
+    return largest_difference(image, before) <= LARGEST_NOISE
+
+
+def largest_difference(image: Pixels, before: Pixels) -> np.ndarray:
+    """Return by how much two images differ in the channel in which they differ most [levels]."""
+    planes = [np.empty(image.shape[:2], dtype=np.uint8) for _ in range(3)]  # `split` makes slower ones
+    red, green, blue = cv2.split(cv2.absdiff(image, before), planes)
+    return cv2.max(cv2.max(red, green, dst=red), blue, dst=red)
 
 
 def shift_between(image: Pixels, before: Pixels, known: Mask) -> Shift:
@@ -332,7 +335,7 @@ def _percentile(values: np.ndarray, percent: float) -> float:
     """The same as `np.percentile`, but ten times as fast for a few hundred values."""
     rank = 0.01 * percent * (len(values) - 1)
     low = int(rank)
-    pair = np.partition(values, (low, min(low + 1, len(values) - 1)))[low : low + 2].astype(float)
+    pair = np.sort(values.astype(np.result_type(values, np.float32)))[low : low + 2].astype(float)
     return float(pair[0] + (rank - low) * (pair[-1] - pair[0]))
 
 

@@ -219,10 +219,6 @@ class ImageTrack:
         share = min(max((du * (at_u - u) + dv * (at_v - v)) / max(du * du + dv * dv, 1.0), 0.0), 1.0)
         return hypot(at_u - u - share * du, at_v - v - share * dv) <= self.nearness
 
-    def is_far(self, blob: Blob) -> bool:
-        """Return whether a region is farther from the expected place than a release moves the object."""
-        return blob.distance(self.expected) > REACH * max(self.interval, 1.0)
-
     def _are_others(self, blobs: list[Blob]) -> Bool[np.ndarray, " num_blobs"]:
         """Whether each region is the nearest one to another thing's last place, and not at the object's."""
         gaps, boxes = self._gaps(blobs), np.array([blob.box for blob in blobs]).reshape(-1, 4)
