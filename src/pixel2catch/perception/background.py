@@ -361,7 +361,7 @@ def _touches(blob: Blob, mask: Mask) -> bool:
 def _extended(mask: Mask, more: Mask) -> Mask:
     """The connected regions of a mask and of more, as far as a sufficient share of each is in the mask."""
     num, labels = cv2.connectedComponents((mask | more).view(np.uint8))
-    own = np.bincount(labels[mask], minlength=num)
-    is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
+    own, size = (np.bincount(labels[each], minlength=num) for each in (mask, mask | more))
+    is_own = own >= LEAST_KNOWN * size
     is_own[0] = False
     return np.take(is_own, labels.astype(np.intp))

@@ -30,6 +30,7 @@ HIDDEN = 0.002  #: A geom that protrudes less from another one of its body is le
 LARGEST_APPROACH = 3.0  #: Size of an object at its catch over that at its release. Source: ours: 3 m and 1 m.
 
 Window = tuple[slice, slice]  #: Rows and columns of a part of an image.
+WHOLE: Window = (slice(0, None), slice(0, None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,17 +142,17 @@ class Blob:
         return hypot(self.center[0] - point[0], self.center[1] - point[1])
 
 
-def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
+def find_blobs(mask: Mask, window: Window = WHOLE, shape: tuple[int, int] | None = None) -> list[Blob]:
     """Return the connected regions of a mask, the largest first.
 
     The mask is of an image, or of a window of an image with a shape [px].
     """
-    part = window_of(mask)
+    whole, window = window, window_of(mask, window)
+    part = _relative(window, whole)
     if not mask[part].size:
         return []
     way = NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT  # a third of the time of the usual algorithm
     labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask[part].view(np.uint8), *way)[1:]
-    window = window_of(mask, window)
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
     blobs = []
@@ -161,15 +162,15 @@ def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] 
     return sorted(blobs, key=lambda blob: -blob.area)
 
 
-def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
+def regions(mask: Mask, window: Window = WHOLE, shape: tuple[int, int] | None = None) -> list[Blob]:
     """Return the regions of a mask after closing its small gaps: see `find_blobs`."""
     return find_blobs(closed(mask), window, shape)
 
 
-def window_of(mask: Mask, part: Window | None = None) -> Window:
+def window_of(mask: Mask, part: Window = WHOLE) -> Window:
     """Return the smallest window of a mask of an image, or of a part of it; empty for an empty mask."""
     x, y, width, height = cv2.boundingRect(mask.view(np.uint8))
-    top, left = (y, x) if part is None else (y + part[0].start, x + part[1].start)
+    top, left = y + part[0].start, x + part[1].start
     return slice(top, top + height), slice(left, left + width)
 
 
@@ -182,18 +183,18 @@ def grown_window(window: Window, rim: float) -> Window:
 def closed(mask: Mask) -> Mask:
     """Return the mask with small gaps filled."""
     part, whole = grown_window(window_of(mask), len(GAP) // 2 + 1), np.zeros_like(mask)
-    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
+    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP).view(bool)
     return whole
 
 
 def opened(mask: Mask) -> Mask:
     """Return the mask without specks."""
-    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
+    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK).view(bool)
 
 
 def grown(mask: Mask, shape: np.ndarray) -> Mask:
     """Return the mask, dilated by a structuring element."""
-    return cv2.dilate(mask.view(np.uint8), shape) > 0
+    return cv2.dilate(mask.view(np.uint8), shape).view(bool)
 
 
 def _relative(window: Window, part: Window) -> Window:
