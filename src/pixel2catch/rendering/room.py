@@ -19,8 +19,8 @@ WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the wall [lev
 NUM_POSTERS = 6
 
 FILM_FLOOR = (0.64, 0.58, 0.50), (0.62, 0.56, 0.48)  #: Both colours of the floor of a film.
-#: A point [m] and the normal of each wall of a film.
-FILM_WALLS = ((WALL_X, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.0, 0.0))
+#: A point [m] and the normal of each wall of a film; people throw from up to 5 m (`tasks.PEOPLE_THROWS`).
+FILM_WALLS = ((5.6, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.0, 0.0))
 FILM_WALL_RGBA = (0.90, 0.91, 0.92, 1.0)
 
 CLOTHES_RGBA = (0.16, 0.20, 0.32, 1.0)
