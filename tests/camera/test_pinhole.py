@@ -1,28 +1,27 @@
+"""The pinhole camera: projection, its errors, and boxes of what it sees."""
+
 import math
+from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pixel2catch.camera.pinhole import (
     Projection,
+    box_of_points,
+    clip_box,
     is_in_view,
     is_unoccluded,
     nominal_projection,
+    perturb_box,
     project,
 )
-from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import RGB_CAMERA
 
-AT_ORIGIN = CameraSpec(
-    width=640,
-    height=480,
-    fx=600.0,
-    fy=500.0,
-    cx=320.0,
-    cy=240.0,
-    pos=(0.0, 0.0, 0.0),
-    quat=(1.0, 0.0, 0.0, 0.0),
+AT_ORIGIN = replace(
+    RGB_CAMERA, fx=600.0, fy=500.0, cx=320.0, cy=240.0, pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)
 )
 
 
@@ -104,3 +103,43 @@ def test_back_projection_is_the_inverse_of_projection(depth, across, up):
     torch.testing.assert_close(
         nominal_projection(RGB_CAMERA, point).points(pixels[:, 0], depths[:, 0]), point[:, 0]
     )
+
+
+@pytest.mark.parametrize(
+    ("pixels", "num_visible", "expected"),
+    [
+        ([(10, 20), (30, 25), (15, 40), (600, 400)], 3, [10, 20, 30, 40]),  # of the visible points
+        ([(20, 470), (25, 475), (50, 490)], 3, [20, 470, 25, 480]),  # one below bounds neither left nor right
+        ([(-9, 4), (3, 5), (-2, -8)], 3, [0, 5, 3, 5]),  # one beyond the corner bounds nothing
+        ([(20, 490), (-5, 300)], 2, [0] * 4),  # off the image
+        ([(torch.inf, torch.nan)], 0, [0] * 4),  # nothing visible
+    ],
+)
+def test_box_of_points(pixels, num_visible, expected):
+    is_visible = torch.arange(len(pixels))[None] < num_visible
+    assert box_of_points(torch.tensor([pixels]).float(), is_visible, RGB_CAMERA).tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    ("box", "noise", "expected"),
+    [
+        ([100, 110, 130, 150], [1, -2, 3, -4], [101, 108, 133, 146]),
+        ([100, 478, 120, 480], [0, 1.5, 0, -4], [100, 476, 120, 479.5]),  # edges that cross are exchanged
+    ],
+)
+def test_each_edge_moves_by_its_own_noise(box, noise, expected):
+    boxes, errors = torch.tensor([box]).float(), torch.tensor([noise]).float()
+    assert perturb_box(boxes, errors, RGB_CAMERA).tolist() == [expected]
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10**6), reach=st.floats(0.0, 5.0))
+def test_noise_keeps_boxes_in_order_and_in_the_image(seed: int, reach: float):
+    generator = torch.Generator().manual_seed(seed)
+    corners = torch.rand(50, 2, 2, generator=generator) * torch.tensor([640.0, 480.0])
+    box = torch.cat([corners.amin(1), corners.amax(1)], dim=-1)
+    noise = (2 * torch.rand(50, 4, generator=generator) - 1) * reach
+    noisy = perturb_box(box, noise, RGB_CAMERA)
+    assert (noisy[:, :2] <= noisy[:, 2:]).all()
+    torch.testing.assert_close(clip_box(noisy, RGB_CAMERA), noisy, atol=0, rtol=0)
+    assert (noisy - box).abs().max() <= reach + 1e-4

@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.fields import with_given
 from pixel2catch.cli.main import main, parse
+from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.tasks import find_task
+from pixel2catch.envs.tasks import TASKS, find_task
 from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
 from pixel2catch.installation import install_command
@@ -28,12 +30,14 @@ from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robots import ur5e
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.cfg import SceneCfg
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.constants import OBJECT_RADIUS, RGB_CAMERA
+from pixel2catch.shipped import policy_folder
 
 THROWS = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--env.scene.physics-hz", "60")
-TRAINING = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
-COARSE = ("--hidden", "8", "--device", "cpu", "--env.scene.physics-hz", "30")
-TRAIN = ("train", "only_center", *TRAINING, *COARSE)
+SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
+COARSE = ("--env.scene.physics-hz", "30")
+SMALL = ("train", "only_center", "--device", "cpu", *SIZE, "--hidden", "8")
+TRAIN = (*SMALL, *COARSE)
 
 CAMERA = replace(RGB_CAMERA, pos=(-0.5, 0.1, 2.1), fx=600.0, fy=601.0)
 MEASURED = CameraFile(
@@ -193,3 +197,80 @@ def test_a_policy_of_other_images_is_refused(change: dict[str, object], words: s
     untrained(**change).save(tmp_path)
     with pytest.raises(PolicyMismatchError, match=words):
         load_policy(tmp_path)
+
+
+LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
+
+
+def test_what_is_set_reaches_the_environment():
+    cfg = parse([*SMALL, "--task", "wide", "--env.variants.0.share=0.5", *LATE]).env
+    assert [variant.share for variant in cfg.variants] == [0.5, 0.2, 0.2, 0.1]
+    assert cfg.variants[0].sensing == TASKS["wide"].variants[0].sensing
+    env = CatchEnv(replace(cfg, variants=()), METHODS["only_center"], num_envs=64)
+    assert set(env.episode.parameters.latency.tolist()) == {1.0, 2.0, 3.0}
+    assert set(env.episode.throw.hover_steps.tolist()) == {7}
+    env.close()
+
+
+def test_a_given_physics_rate_holds_throughout():
+    command = parse([*SMALL, "--env.scene.physics-hz", "120"])
+    assert (command.train.physics_stages, command.env.scene.physics_hz) == ((), 120.0)
+    assert command.train.rate_at(0) is None
+    assert parse([*SMALL, "--physics-stages", "60", "120"]).train.physics_stages == (60.0, 120.0)
+    assert len(parse(SMALL).train.physics_stages) == 6
+
+
+@pytest.fixture(scope="module")
+def wide_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run for the wide task, with a latency and weights of its own."""
+    out = tmp_path_factory.mktemp("own") / "run"
+    own = ("--task", "wide", "--preset", "cpu", "--physics-stages", "30", "60")
+    assert run(*SMALL, *LATE, *own, "--out", out) == 0
+    return out
+
+
+def test_a_run_goes_on_with_its_own_configuration(wide_run: Path, refusal: Any):
+    before, out = json.loads((wide_run / "config.json").read_text()), ("--out", wide_run)
+    for wrong in (("--task", "nominal"), ("--workcell", "ur5e_leap"), ("--preset", "fast")):
+        assert wrong[1] in refusal(*SMALL, *wrong, "--resume", *out)
+    assert "only_center" in refusal("train", "proposed", "--resume", *out)
+    assert run("train", "--task", "wide", "--resume", "--transitions", "24", *out) == 0
+    after = json.loads((wide_run / "config.json").read_text())
+    assert (before["train"].pop("transitions"), after["train"].pop("transitions")) == (16, 24)
+    assert after == before
+
+
+@pytest.mark.usefixtures("small_cells")
+def test_a_policy_is_of_its_task_and_is_evaluated_in_the_papers(wide_run: Path, capsys):
+    policy, _ = load_policy(wide_run)
+    assert (policy.contract.task, policy.contract.object_radius) == ("wide", OBJECT_RADIUS)
+    assert run("evaluate", wide_run, *THROWS, "--json") == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert (metrics["method"], metrics["trials"]) == ("only_center", 2)
+
+
+def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
+    out = tmp_path / "run"
+    rewards = ("--rewards", "arm.success", "5", "arm.drop", "0")
+    assert run(*TRAIN, *rewards, "--out", out) == 0
+    config = json.loads((out / "config.json").read_text())
+    assert config["train"]["rewards"] == {"arm.success": 5.0, "arm.drop": 0.0}
+    assert config["env"]["name"] == "nominal"
+    assert list(config["agents"]) == [agent.name for agent in find_method("only_center").agents]
+    assert config["agents"]["arm"]["observation"] == ["pixels", "palm_pose", "joint_pos", "last_action"]
+    weights = config["agents"]["arm"]["rewards"]
+    assert [weights[f"arm.{name}"] for name in ("success", "drop", "nearness")] == [5.0, 0.0, 0.1]
+    text = (out / "summary.json").read_text()  # no episode has ended: rates are null, not NaN
+    assert json.loads(text, parse_constant=pytest.fail)["metrics"]["success_rate"] is None
+
+
+def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
+    """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
+    small = ("--device", "cpu", *SIZE, *COARSE, "--out", tmp_path / "run")
+    teacher = ("--teacher", "object_position")
+    assert run("train", "catch_alone+fit", *small, *teacher, "--start", "catch_alone+fit") == 0
+    shipped, trained = (
+        Policy.load(policy_folder(path)) for path in (Path("catch_alone+fit"), tmp_path / "run")
+    )
+    for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
+        assert torch.equal(before, after), name

@@ -10,6 +10,7 @@ from torch import Tensor
 from paper_robot import JOINTS
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg
+from pixel2catch.envs.tasks import find_task
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.tensors import clone
@@ -215,3 +216,28 @@ def test_a_branch_goes_on_as_the_original_did_and_draws_nothing(latency: float |
         found = [clone(step.observation.policy) for step in rollout(env, 6, action=-0.2)]
     torch.testing.assert_close(found, expected, rtol=0.0, atol=0.0)
     assert torch.equal(env._generator.get_state(), torch.Generator().manual_seed(1).get_state())
+
+
+@torch.no_grad()
+def test_rays_that_are_left_out_would_hit_nothing(monkeypatch: pytest.MonkeyPatch):
+    env = make(32, **vars(replace(find_task("sizes"), scene=SceneCfg(physics_hz=30.0))))
+    ray, shares, num_hidden = env.world.simulation.ray, [], 0
+
+    def checked(origin, directions, groups, mask):
+        nonlocal num_hidden
+        everywhere = ray(origin, directions, groups)
+        hidden = ((everywhere >= 0.0) & (everywhere < 1.0)).any(dim=-1)
+        assert not (hidden & ~mask).any()
+        chosen = ray(origin, directions, groups, mask)
+        assert torch.equal(chosen, torch.where(mask[:, None], everywhere, -1.0))
+        num_hidden += int(hidden.sum())
+        shares.append(float(mask.float().mean()))
+        return chosen
+
+    monkeypatch.setattr(env.world.simulation, "ray", checked)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(80):
+        sizes = env.action_sizes.items()
+        env.step({name: 2.0 * torch.rand(32, size, generator=generator) - 1.0 for name, size in sizes})
+    assert num_hidden > 100
+    assert sum(shares) / len(shares) < 0.7

@@ -1,24 +1,40 @@
-"""Pictures of a model, and what the fast camera without shadows sees."""
+"""Pictures of a model, the fast camera without shadows, and the labelled film of a throw."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
-from rendered_scenes import RELEASE, STILL, THROWER, moment
+from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
-from pixel2catch.rendering.camera import Exposure, Moment, RoomCamera, room_positions
+from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera, room_positions
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, find_gl_backend
-from pixel2catch.rendering.room import build_room
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, HAND_DROP, Bystanders, build_room
 from pixel2catch.rendering.video import write_video
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg, build_model
 from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+RELEASE = np.array((2.6, 0.1, 0.8))
+MODEL = build_model(SceneCfg())
+THROWER = Bystanders(release_pos=RELEASE, phase=0.3, release=inf)
+STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
+
+
+def moment(pos: np.ndarray = RELEASE, speed: float = 0.0, time: float = -1.0) -> Moment:
+    """The robot at home, the object at a position with a speed along y."""
+    qpos, qvel = MODEL.qpos0.copy(), np.zeros(MODEL.nv)
+    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, (0.0, speed, 0.0)
+    return Moment(qpos=qpos, qvel=qvel, time=time)
 
 
 def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, speed: float = 0.0) -> Exposure:
@@ -33,10 +49,8 @@ def view(opengl: None, request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
 
 
 @pytest.mark.parametrize("view", [STILL], indirect=True)
-@pytest.mark.parametrize("object_name", ["l_block"])
-def test_it_is_the_picture_of_the_room_without_shadows(view: RoomCamera, object_name: str):
-    shown = exposure(object_name)
-    room = build_room(SceneCfg(), object_name, 0)
+def test_it_is_the_picture_of_the_room_without_shadows(view: RoomCamera):
+    shown, room = exposure("l_block"), build_room(SceneCfg(), "l_block", 0)
     with Renderer(room, shadows=False) as renderer:
         expected = renderer.image(room_positions(room, shown.moment, 0.0, THROWER.joint_pos))
     difference = np.abs(view.image(shown).astype(int) - expected).max(axis=-1)
@@ -147,3 +161,49 @@ def test_an_odd_picture_is_refused_and_the_old_film_stays(tmp_path: Path):
     with pytest.raises(InvalidValueError, match="even width and height, not 63 x 48"):
         write_video(tmp_path / "odd.mp4", [np.zeros((48, size, 3), dtype=np.uint8) for size in (64, 63)])
     assert [file.read_text() for file in tmp_path.iterdir()] == ["before"]
+
+
+@pytest.fixture
+def film(opengl: None, request: pytest.FixtureRequest) -> Iterator[ThrowFilm]:
+    cfg = FilmCfg(camera=request.param, num_empty=2, num_held=1)
+    with ThrowFilm(cfg, "cube_l", RELEASE, seed=0) as film:
+        yield film
+
+
+def test_the_positions_of_the_scene_come_first_in_the_room():
+    room = build_room(SceneCfg(), "cube_l", seed=0)
+    names = [room.joint(i).name for i in range(room.njnt)]
+    assert names == [MODEL.joint(i).name for i in range(MODEL.njnt)] + list(BYSTANDER_JOINTS)
+
+
+def test_the_object_lies_on_the_throwers_hand_until_it_is_released():
+    room = build_room(SceneCfg(), "cube_l", seed=0)
+    bystanders, data = Bystanders(release_pos=RELEASE, phase=0.4), mujoco.MjData(room)
+    hand = max(geom for geom in range(room.ngeom) if room.geom_bodyid[geom] == room.body("thrower_arm").id)
+    heights = []
+    for time in (-0.7, 0.0, 0.5):
+        data.qpos[-len(BYSTANDER_JOINTS) :] = bystanders.joint_pos(time)
+        mujoco.mj_kinematics(room, data)
+        heights.append(data.geom_xpos[hand] - RELEASE)
+    assert np.abs(np.array(heights[:2]) - (0.0, 0.0, -HAND_DROP)).max() < 0.03  # a person sways by 1 cm
+    assert heights[2][2] > 0.2
+
+
+@pytest.mark.parametrize("film", [STILL], indirect=True)
+def test_the_true_box_is_where_the_object_projects_to(film: ThrowFilm):
+    for pos in (RELEASE, np.array((1.5, -0.2, 1.6))):
+        shot = film.shot(moment(pos))
+        center = 0.5 * (shot.box[0, :2] + shot.box[0, 2:])
+        pixels, _ = project(RGB_CAMERA, torch.from_numpy(pos)[None, None])
+        assert (center - pixels[0, 0]).abs().max() < 2.0
+        assert shot.num_pixels > 60
+
+
+@pytest.mark.parametrize("film", [CameraCfg()], indirect=True)
+def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
+    first, second = (film.shot(moment(RELEASE)).image.pixels.astype(float) for _ in range(2))
+    difference, light = first - second, 0.5 * (first + second)
+    for low, high in ((20, 45), (110, 140)):
+        band = (light > low) & (light < high)
+        expected = 2.0 * (1.5**2 + 0.05 * light[band].mean() + 1 / 12)
+        assert difference[band].var() == pytest.approx(expected, rel=0.2)
