@@ -1,11 +1,13 @@
-"""A DDS domain for the tests of this process: no other test is on it, nor any program of this machine."""
+"""A DDS domain that this process has alone, a port, a full disk, and patience with other processes."""
 
 import fcntl
 import os
+import resource
 import socket
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -48,6 +50,17 @@ def _is_quiet(domain: int) -> bool:
     except OSError:
         return False
     return True
+
+
+@contextmanager
+def full_disk(limit: int = 0) -> Iterator[None]:
+    """No file can grow beyond the limit [bytes], as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def free_port() -> int:

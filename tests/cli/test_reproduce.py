@@ -18,13 +18,11 @@ import torch
 from pixel2catch.behaviour import HASHES
 from pixel2catch.cli import studies
 from pixel2catch.cli.main import main
-from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
 from pixel2catch.cli.reproduce import TRAINING
 from pixel2catch.cli.train import Train
 from pixel2catch.evaluation import grid as grids
 from pixel2catch.evaluation.comparison import EVALUATION_SEED
 from pixel2catch.evaluation.grid import StudyGrid
-from pixel2catch.methods import METHODS
 
 FIXED = shlex.split(
     "--preset cpu --num-envs 2 --methods only_wh --training num_envs=4 transitions=320 "
@@ -73,10 +71,6 @@ def study(tmp_path_factory: pytest.TempPathFactory, small_study: None) -> Path:
     assert 0 < summary["transitions"] < 320
     assert main(["reproduce", *tiny(), "--out", str(out)]) == 0
     return out
-
-
-def test_methods_of_a_study_exist():
-    assert set(STUDY_METHODS) <= set(METHODS)
 
 
 def test_an_interrupted_study_continues(study: Path):

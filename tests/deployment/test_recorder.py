@@ -1,7 +1,6 @@
 """Recordings: what is written, and what a bad disk or an interruption does."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from domains import full_disk
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
@@ -89,14 +89,9 @@ def recording_with(bag: BagRecorder, clock: Clock | None = None) -> DeploymentRe
 
 def test_a_full_disk_is_reported_and_stops_nothing(tmp_path: Path):
     image = messages.image(np.zeros((480, 640, 3), np.uint8), EPOCH)
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2**21, old[1]))
-    try:
-        with BagRecorder(tmp_path / "throw") as bag:
-            for i in range(10):
-                bag.record(IMAGE, image, EPOCH + i)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    with full_disk(2**21), BagRecorder(tmp_path / "throw") as bag:
+        for i in range(10):
+            bag.record(IMAGE, image, EPOCH + i)
     assert "File too large" in bag.problem
     assert bag.num_dropped["/image"] > 0
     assert sum(bag.num_dropped.values()) + sum(bag.num_written.values()) == 10

@@ -14,7 +14,6 @@ from rollouts import HOVERING, make
 from paper_robot import JOINTS
 from pixel2catch.envs.actuators import (
     EFFORT_MARGIN,
-    FRICTION_SPEED,
     SPEED_MARGIN,
     ActuatorLimits,
     ActuatorState,
@@ -334,12 +333,6 @@ def test_a_command_that_keeps_the_limits_is_left_alone(seed, share):
     reach = EFFORT_MARGIN * SERVOS.effort_limit / state.stiffness
     command = state.joint_pos + share * torch.minimum(lead, reach)
     torch.testing.assert_close(SERVOS.limited(command, state), command)
-
-
-@pytest.mark.parametrize("share", [-2.0, 0.0, 1.0])
-def test_friction_by_hand(share):
-    speed = torch.full((1, len(JOINTS)), share * FRICTION_SPEED, dtype=torch.float64)
-    torch.testing.assert_close(SERVOS.friction(speed)[0], -math.tanh(share) * SERVOS.frictionloss)
 
 
 def test_bang_bang_actions_keep_the_limits_in_free_motion():

@@ -123,7 +123,7 @@ def test_an_object_held_for_twenty_steps_is_a_success_at_exactly_that_step():
 
 def test_objects_hover_and_then_fly_to_where_they_are_aimed():
     """They are still until they are thrown, and come down within 5 mm."""
-    env = make(16)
+    env = make(8)
     throw = clone(env.episode.throw)
     path = object_path(env, 60)
     distance = (path - path[0]).norm(dim=-1)

@@ -5,15 +5,12 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 
 @pytest.mark.parametrize(
     "device", [pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)]
 )
 def test_a_fused_control_step_is_the_same_and_is_traced_once(device):
-    if device == "cuda" and not torch.cuda.is_available():
-        pytest.skip("needs CUDA")
     program = Path(__file__).parent / "fused_steps.py"
     subprocess.run([sys.executable, "-W", "error", program, device], check=True, timeout=600)
 

@@ -17,6 +17,7 @@ from pixel2catch.evaluation.metrics import (
 )
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import result_tables
+from pixel2catch.mdp.tensors import mapped
 from pixel2catch.scene.objects import SEEN, UNSEEN
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -120,19 +121,8 @@ def test_metrics_by_hand():
 
 
 def test_metrics_without_contact_are_valid_json():
-    record = EpisodeRecord.start(torch.tensor([0]))
-    none = torch.tensor([0])
-    squares = torch.zeros(1, 13)
-    trials = Trials(
-        record=record,
-        is_verified=flags(0),
-        hold_steps=none,
-        torque_squares=squares,
-        limit_steps=none,
-        closed_loop=none - 1,
-        is_reachable=flags(1),
-    )
-    result = metrics(trials, UR5E_ALLEGRO)
+    missed = mapped(lambda values: values[2:3], five_trials())
+    result = metrics(replace(missed, is_reachable=flags(1)), UR5E_ALLEGRO)
     assert (result["reachable_rate"], "reachable" in result) == (1.0, False)
     assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3
     assert json.loads(json.dumps(result, allow_nan=False)) == result

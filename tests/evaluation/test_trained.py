@@ -126,10 +126,10 @@ def test_everything_must_be_in_one_variant():
     assert not is_trained_on(NOMINAL, lambda cfg: replace(cfg, dynamics=JointDynamics.nominal()))
 
 
-def test_the_suite_holds_something_out_of_every_task():
+def test_the_suite_holds_something_out_of_the_nominal_and_the_wide_task():
     trained = {
-        name: {each.name for each in select_settings(()) if is_trained_on(one, each.level.change)}
-        for name, one in TASKS.items()
+        name: {each.name for each in select_settings(()) if is_trained_on(TASKS[name], each.level.change)}
+        for name in ("nominal", "wide")
     }
     nominal = {"nominal", "latency-1", "latency-2", "mass-15"}
     assert trained["nominal"] == nominal | {"restitution-0", "restitution-0.25", "restitution-0.5"}

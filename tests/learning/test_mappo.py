@@ -122,7 +122,6 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
 def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = dataclasses.replace(SMALL, device="cuda")
     outcomes = []

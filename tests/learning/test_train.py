@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import json
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, during_step, rows, summary
 
+from domains import full_disk
 from pixel2catch.errors import CheckpointError, InvalidValueError, NonFiniteError, PolicyMismatchError
 from pixel2catch.learning.checkpoint import RunFolder
 from pixel2catch.learning.config import TrainCfg
@@ -19,18 +19,6 @@ from pixel2catch.learning.gradient_step import GradientStep
 from pixel2catch.learning.log import CsvLog
 from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy
-
-
-@contextlib.contextmanager
-def full_disk(limit: int = 0) -> Iterator[None]:
-    """No file can grow beyond the limit [bytes], as on a full disk."""
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_it_learns(tmp_path: Path) -> None:

@@ -1,16 +1,16 @@
-"""SAM 2 as a segmenter, and checkpoints and installations that cannot be used."""
+"""SAM 2 as a segmenter, of 1.5 million random weights; checkpoints and installations that cannot be used."""
 
 import re
 import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam2
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, PerceptionError
@@ -19,6 +19,63 @@ from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, Segmentation
 from pixel2catch.perception.self_test import KINDS, LEAST_RIGHT, NUM_EMPTY, painted_throw
+
+SIZE = 64
+CERTAIN = 9.0
+HEIGHT, WIDTH = 48, 80
+
+
+def save_tiny_sam2(folder: Path) -> Path:
+    """Write a checkpoint of few and narrow layers that always finds something."""
+    # Not at the top: each worker collects all tests, and this takes seconds.
+    from transformers import Sam2VideoConfig, Sam2VideoModel
+    from transformers.models.sam2_video.configuration_sam2_video import Sam2VideoMaskDecoderConfig
+
+    hidden = 128
+    backbone = {
+        "model_type": "sam2_hiera_det_model",
+        "hidden_size": 16,
+        "image_size": [SIZE, SIZE],
+        "embed_dim_per_stage": [16, 32, 64, 128],
+        "blocks_per_stage": [1, 1, 2, 1],
+        "num_attention_heads_per_stage": [1, 1, 2, 2],
+        "global_attention_blocks": [3],
+    }
+    decoder: Any = {"hidden_size": hidden, "mlp_dim": 64, "num_attention_heads": 4, "iou_head_hidden_dim": 32}
+    config = Sam2VideoConfig(
+        image_size=SIZE,
+        vision_config={
+            "backbone_config": backbone,
+            "backbone_channel_list": [128, 64, 32, 16],
+            "backbone_feature_sizes": [[SIZE // stride] * 2 for stride in (4, 8, 16)],
+            "fpn_hidden_size": hidden,
+        },
+        prompt_encoder_config={"hidden_size": hidden, "image_size": SIZE},
+        mask_decoder_config=Sam2VideoMaskDecoderConfig(**decoder),
+        memory_attention_hidden_size=hidden,
+        memory_attention_num_layers=2,
+        memory_attention_feed_forward_hidden_size=64,
+        memory_attention_rope_feat_sizes=[SIZE // 16, SIZE // 16],
+        memory_encoder_hidden_size=hidden,
+        mask_downsampler_embed_dim=hidden,
+        memory_fuser_embed_dim=hidden,
+        memory_fuser_intermediate_dim=64,
+    )
+    torch.manual_seed(0)
+    model = Sam2VideoModel(config)
+    # The usual initial weights are so small, or zero, that neither image nor memory would matter.
+    for weights in model.parameters():
+        if weights.ndim > 1:
+            torch.nn.init.normal_(weights, std=weights[0].numel() ** -0.5)
+    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, CERTAIN)
+    model.save_pretrained(folder)
+    return folder
+
+
+def random_images(count: int, seed: int = 0) -> list[np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return list(generator.integers(0, 256, (count, HEIGHT, WIDTH, 3), dtype=np.uint8))
+
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
 OTHER = BoxPrompt(box=(45.0, 15.0, 55.0, 25.0))

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pixel2catch.sim.graphs import GraphedFunction
 
-pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")]
+pytestmark = pytest.mark.gpu
 
 
 @pytest.mark.parametrize("is_aside", [True, False])
