@@ -1,15 +1,12 @@
 """Valid files and messages, changed: by their structure, or by their bytes."""
 
 import copy
-import io
 import json
 import random
-import zipfile
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import yaml
 
 NUMBERS = (0, -1, 10**9, 2**63, 10**400, 0.5, -0.0, 1e308, float("nan"), float("inf"))
@@ -21,8 +18,6 @@ HOSTILE: tuple[Any, ...] = (None, True, *NUMBERS, *TEXTS, *LISTS)
 LARGE = (b"\xff" * 4, b"\xff" * 8, b"\0\0\0\x80", b"\x7f\xff\xff\xff")
 WORDS = (*LARGE, b"\0" * 4, b"\0\0\0\0\0\0\xf8\x7f", b"\x01\0\0\0")
 """Lengths, offsets and numbers that stand anywhere in a binary file."""
-SHAPES = ("(1000000000000000,)", "(-1,)", "(0, 0)", "()", "(3, 6", "(2147483648, 2147483648)", "(7, 2)")
-TYPES = ("|O", "<c16", "<U4000000", "<f2", "|b1", "<M8[s]", "|V8", "<i8", "f8,i4", "|U0")
 
 
 def changed_bytes(data: bytes, rng: random.Random) -> bytes:
@@ -111,54 +106,3 @@ def _changed_text(data: bytes, content: Any, forms: Sequence[Sequence[bytes]], r
     if case == 0:
         return changed_bytes(data, rng)
     return rng.choice(forms[case - 1]) if case <= 3 else json.dumps(changed_value(content, rng)).encode()
-
-
-def changed_npz(data: bytes, rng: random.Random) -> bytes:
-    """An archive whose arrays say something else of themselves, or are others; or its bytes."""
-    if rng.random() < 0.3:
-        return changed_bytes(data, rng)
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    name = rng.choice(list(members))
-    if rng.random() < 0.15:
-        del members[name]
-    else:
-        members[name] = _changed_npy(members[name], rng)
-    packed, packing = io.BytesIO(), rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2))
-    with zipfile.ZipFile(packed, "w", packing) as archive:
-        for each, content in members.items():
-            archive.writestr(each, content)
-    return packed.getvalue()
-
-
-def _changed_npy(data: bytes, rng: random.Random) -> bytes:
-    match rng.randrange(5):
-        case 0:
-            return _with_header(data, "shape", rng.choice(SHAPES))
-        case 1:
-            return _with_header(data, "descr", repr(rng.choice(TYPES)))
-        case 2 if b"<f8" in data[:128]:
-            array = np.load(io.BytesIO(data))
-            array.flat[rng.randrange(array.size)] = rng.choice((np.nan, np.inf, 1e308, -1e3))
-            return _npy(array)
-        case 2 | 3:
-            texts = (np.array(text) for text in ("{", "[1]", "x" * 100_000))
-            numbers = (
-                np.zeros(shape, dtype=rng.choice(("f8", "i1", "?"))) for shape in ((2**20, 8), (5, 5), (), 0)
-            )
-            return _npy(rng.choice((*texts, *numbers)))
-    return changed_bytes(data, rng)
-
-
-def _npy(array: np.ndarray) -> bytes:
-    file = io.BytesIO()
-    np.save(file, array)
-    return file.getvalue()
-
-
-def _with_header(data: bytes, key: str, value: str) -> bytes:
-    """An .npy file of format 1.0 with another shape or type in its header."""
-    size = int.from_bytes(data[8:10], "little")
-    header = {name: repr(entry) for name, entry in eval(data[10 : 10 + size]).items()}
-    text = "{" + ", ".join(f"'{name}': {entry}" for name, entry in (header | {key: value}).items()) + "}\n"
-    return data[:8] + len(text).to_bytes(2, "little") + text.encode() + data[10 + size :]

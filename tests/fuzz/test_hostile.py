@@ -15,6 +15,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
+from jaxtyping import config
 from rosbags.rosbag2 import CompressionMode
 from valid import ARM, KINDS, PIXELS, checkpoint, untrained
 
@@ -23,7 +24,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
-from pixel2catch.identification.recording import Trajectory
+from pixel2catch.identification.recording import ARRAYS, Recording, Trajectory
 from pixel2catch.learning.checkpoint import Checkpoint
 from pixel2catch.learning.experiment import require_run
 from pixel2catch.perception.calibration.lens import read_image
@@ -113,6 +114,47 @@ def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
         assert tracemalloc.get_traced_memory()[1] < 2**22
     finally:
         tracemalloc.stop()
+
+
+def npy(shape: str = "(3, 6)", kind: str = "<f8", data: bytes = bytes(144)) -> bytes:
+    """An .npy file that says something of its data."""
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+SHAPES = ("(1000000000000000,)", "(-1,)", "(3, 6", "(2147483648, 2147483648)")
+DTYPES = ("|O", "<c16", "<U4000000", "<M8[s]", "|V8", "f8,i4")
+TEXTS = (npy("(1,)", "<U1", b"\0\xd8\0\0"), npy("(70_000,)", "<U1", bytes(280_000)))  # no character; too long
+ARCHIVED = (*map(npy, SHAPES), *(npy(kind=kind) for kind in DTYPES), *TEXTS, npy()[:-1], b"")
+
+
+@pytest.mark.parametrize("content", ARCHIVED, ids=range(len(ARCHIVED)))
+def test_an_array_without_numbers_or_short_texts_is_refused(content: bytes, tmp_path: Path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("q.npy", content)
+    with pytest.raises(InvalidValueError):
+        read_arrays(tmp_path / "a.npz", ["q"])
+
+
+def test_an_archive_that_numpy_did_not_pack_is_refused(tmp_path: Path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("q.npy", npy())
+    with pytest.raises(InvalidValueError, match="packed in another way"):
+        read_arrays(tmp_path / "a.npz", ["q"])
+
+
+def test_a_recording_with_another_array_in_the_place_of_any_is_refused(tmp_path: Path):
+    config.update("jaxtyping_disable", True)  # as for users
+    file = KINDS["recording"].write(tmp_path)
+    valid, texts = read_arrays(file, ARRAYS), map(np.array, ("{", "\ud800", 70_000 * "x"))
+    for other in (
+        *texts,
+        *(np.zeros(shape, kind) for shape in ((), 0, (5, 5)) for kind in ("f8", "i1", "?")),
+    ):
+        for name in valid:
+            np.savez(file, **valid | {name: other})
+            with pytest.raises(Pixel2CatchError):
+                Recording.load(file)
 
 
 def test_an_image_is_not_unpacked_if_it_is_too_large(tmp_path: Path):

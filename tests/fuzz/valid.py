@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import torch
 
-from mutation import changed_bytes, changed_json, changed_npz, changed_yaml
+from mutation import changed_bytes, changed_json, changed_yaml
 from pixel2catch.arrays import read_table
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -211,7 +211,7 @@ KINDS = {
         change=changed_json,
     ),
     "profile": Kind(write=_text("lab.yaml", PROFILE), read=Profile.load, change=changed_yaml),
-    "recording": Kind(write=_recording, read=Recording.load, change=changed_npz),
+    "recording": Kind(write=_recording, read=Recording.load),
     "table": Kind(write=_text("views.csv", TABLE), read=lambda file: read_table(file, ARM)),
     "mcap": Kind(write=_bag, read=_read_bag),
     "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
