@@ -177,14 +177,17 @@ def test_snapshots_do_not_follow_the_simulation():
 
 def test_every_object_is_thrown_without_nan():
     scene = SceneCfg(physics_hz=60.0)
-    env = make(2 * len(OBJECTS), objects=tuple(OBJECTS), episode=EpisodeCfg(max_steps=55), scene=scene)
-    finite = True
+    env = make(2 * len(OBJECTS), 1, objects=tuple(OBJECTS), episode=EpisodeCfg(max_steps=55), scene=scene)
+    torch.manual_seed(0)
+    finite, thrown = True, set[int]()
     for _ in range(57):
+        thrown |= {*env.episode.parameters.object_id.tolist()}
         actions = {name: 2 * torch.rand(env.num_envs, n) - 1 for name, n in env.action_sizes.items()}
         step = env.step(actions)
         values = (step.observation.state, *step.rewards.values(), *(v.float() for v in step.log))
         finite &= all(bool(value.isfinite().all()) for value in values)
     assert finite
+    assert thrown == {*range(len(OBJECTS))}
     assert env.statistics.pop()["episodes"] >= env.num_envs
 
 
