@@ -1,6 +1,6 @@
 """The analytic policies: their fit, their inverse kinematics, and what they catch and read."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -122,10 +122,10 @@ def test_what_is_not_measured_changes_no_action():
     policy, _ = load_policy(Path("analytic"))
     measured = waiting(policy)
     changes = {name: getattr(measured, name) + 1.0 for name in ("object_pos", "initial_object_pos")}
-    torch.testing.assert_close(act(policy, dataclasses.replace(measured, **changes)), act(policy, measured))
+    torch.testing.assert_close(act(policy, replace(measured, **changes)), act(policy, measured))
     flying = measured.boxes.box.clone()
     flying[:, :8, 1::2] -= 60.0
-    seen = dataclasses.replace(measured, boxes=dataclasses.replace(measured.boxes, box=flying))
+    seen = replace(measured, boxes=replace(measured.boxes, box=flying))
     assert not act(policy, seen).equal(act(policy, measured))
 
 
@@ -137,7 +137,7 @@ def test_a_hand_that_closes_goes_on_and_a_new_throw_opens_it():
     torch.testing.assert_close(act(policy, measured)[:, arm:], opened.expand(4, -1))
     action[:, :arm], action[:, arm:] = 0.4, 0.5 * (postures["_cup"].float() + closed)
     for _ in range(4):
-        action = act(policy, dataclasses.replace(measured, action=action))
+        action = act(policy, replace(measured, action=action))
     torch.testing.assert_close(action[:, arm:], closed.expand(4, -1))
     assert action[:, :arm].abs().max() < 0.1
 

@@ -1,7 +1,7 @@
 """The policy file and its contract."""
 
-import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,11 +44,11 @@ def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
 
 def test_a_mismatch_names_the_fields() -> None:
     """A policy of another task fits: it may act wherever its other fields fit."""
-    wide = dataclasses.replace(CONTRACT, task="wide")
+    wide = replace(CONTRACT, task="wide")
     wide.require(CONTRACT)
     CONTRACT.require(wide)
     assert PolicyContract.from_dict(json.loads(json.dumps(wide.to_dict()))).task == "wide"
-    other = dataclasses.replace(contract_of(METHODS["only_wh"], RIGHT), control_dt=0.02)
+    other = replace(contract_of(METHODS["only_wh"], RIGHT), control_dt=0.02)
     with pytest.raises(PolicyMismatchError) as error:
         wide.require(other)
     for words in (
@@ -112,9 +112,9 @@ def rewrite(folder: Path, text: str) -> None:
 
 @pytest.mark.parametrize("term", ["fit_boxes", "ObservationInputs"])
 def test_an_unknown_method_whose_term_is_another_function_does_not_fit(term: str) -> None:
-    contract = contract_of(dataclasses.replace(find_method("proposed"), name="mine"))
+    contract = contract_of(replace(find_method("proposed"), name="mine"))
     arm = contract.agents["arm"]
     terms = tuple((name.replace("palm_pose", term), size) for name, size in arm.observation)
-    agents = contract.agents | {"arm": dataclasses.replace(arm, observation=terms)}
+    agents = contract.agents | {"arm": replace(arm, observation=terms)}
     with pytest.raises(PolicyMismatchError, match="observes or remembers"):
-        method_of(dataclasses.replace(contract, agents=agents))
+        method_of(replace(contract, agents=agents))

@@ -167,8 +167,6 @@ def test_wrong_actions_are_named(env: p2c.CatchParallelEnv):
     env.reset()
     with pytest.raises(UnknownNameError, match=r"'leg'.*arm, hand"):
         env.action_space("leg")
-    with pytest.raises(
-        InvalidValueError, match=r"agent 'arm' is of shape \(1, 7\); give a tensor of shape \(1, 6\)"
-    ):
+    with pytest.raises(InvalidValueError, match=r"agent 'arm' is of shape \(1, 7\); give .* \(1, 6\)"):
         env.step(still(env) | {"arm": np.zeros(7)})
     env.step(still(env))

@@ -189,8 +189,6 @@ def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypat
 def test_outputs_of_every_kind(line: str, status: int, words: str, tmp_path: Path):
     environment = os.environ | {"MUJOCO_GL": "none", "COLUMNS": "5", "PYTHONIOENCODING": "ascii"}
     command = f"{sys.executable} -m pixel2catch {line}"
-    done = subprocess.run(
-        command, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
-    )
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert done.returncode == status, done.stderr
     assert words in done.stdout + done.stderr

@@ -1,11 +1,11 @@
 """Commands with their defaults: help, devices, shipped policies, and what evaluate prints."""
 
-import dataclasses
 import hashlib
 import json
 import re
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -69,9 +69,7 @@ def test_evaluate_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureF
     Policy(contract_of(PROPOSED), hidden=(16,)).save(tmp_path)
     files = {name: tmp_path / f"{name}.json" for name in ("dynamics", "camera")}
     DynamicsFile().save(files["dynamics"])
-    CameraFile(camera=dataclasses.replace(RGB_CAMERA, pos=(-0.4, 0.0, 2.2)), focal_std=0.01).save(
-        files["camera"]
-    )
+    CameraFile(camera=replace(RGB_CAMERA, pos=(-0.4, 0.0, 2.2)), focal_std=0.01).save(files["camera"])
     given = [argument for name, file in files.items() for argument in (f"--{name}", str(file))]
     size = ("--num-envs", "4", "--trials", "1", "--env.scene.physics-hz", "60")
     args = ("--objects", "cube_s", "cone_l", *size, "--json")
@@ -126,7 +124,7 @@ def test_train_has_and_explains_every_option_of_its_configuration(capsys, monkey
     monkeypatch.setenv("COLUMNS", "100")
     text = " ".join(help_of(capsys, "train", "--help-all").replace("│", "").split())
     assert "None" not in text
-    for field in dataclasses.fields(TrainCfg):
+    for field in fields(TrainCfg):
         flag = f"--{field.name.replace('_', '-')}" + ("" if field.default is False else r" [A-Z{\[]\S*")
         said = re.search(rf"{flag} .*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
         assert said, field.name

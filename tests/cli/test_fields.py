@@ -1,12 +1,11 @@
 """Fields of the task, camera and dynamics files as options of train, evaluate, play and stress."""
 
-import dataclasses
 import json
 import os
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -160,7 +159,7 @@ def test_training_simulates_what_the_files_describe(folder: Path, tmp_path: Path
     files = [part for name in names for part in (f"--{name}", folder / f"{name}.json")]
     assert run(*TRAIN, "--out", out, *files, "--env.sensing.latency-steps", "1", "3") == 0
     task = json.loads((out / "config.json").read_text())["env"]
-    assert task["sensing"]["camera"] == json.loads(json.dumps(dataclasses.asdict(MEASURED)))
+    assert task["sensing"]["camera"] == json.loads(json.dumps(asdict(MEASURED)))
     assert task["sensing"]["latency_steps"] == [1, 3]
     assert task["dynamics"]["latency"] == [0.02] * 6
     assert task["randomization"]["gains"]["stiffness_scale"] == [[0.99, 1.01]] * 6 + [[0.7, 1.3]] * 13
@@ -173,7 +172,7 @@ def test_training_simulates_what_the_files_describe(folder: Path, tmp_path: Path
 
 
 def test_the_task_of_a_policy_has_its_camera_or_that_of_the_files(folder: Path):
-    ours, theirs, file = untrained(**dataclasses.asdict(CAMERA)), untrained(), folder / "camera.json"
+    ours, theirs, file = untrained(**asdict(CAMERA)), untrained(), folder / "camera.json"
     assert task_of(theirs, 30.0) == NOMINAL_TASK
     assert task_of(ours, 30.0) == NOMINAL_TASK.with_camera(CameraFile(camera=CAMERA))
     seen = replace(

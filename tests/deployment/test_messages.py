@@ -101,19 +101,11 @@ def test_padding_and_order_of_the_channels_are_undone_and_an_image_without_is_no
 @pytest.mark.parametrize(
     ("kind", "data", "message"),
     [
-        (
-            "image",
-            image_message(PIXELS, "16UC1", 15),
-            "the encoding is '16UC1'; set the camera to one of rgb8",
-        ),
+        ("image", image_message(PIXELS, "16UC1", 15), "the encoding is '16UC1'; set the camera"),
         ("image", image_message(PIXELS, "rgb8", 15, height=5), "image of 5 x 5 has 60 bytes"),
         ("image", image_message(PIXELS, "rgb8", 15, height=0), "image of 5 x 0"),
         ("joint_state", messages.joint_state(["a", "b"], [1.0], 0.0), "1 positions for 2 names"),
-        (
-            "camera_info",
-            messages.camera_info(replace(RGB_CAMERA, fx=0.0), 0.0),
-            "no focal length or image size.*calibrate",
-        ),
+        ("camera_info", messages.camera_info(replace(RGB_CAMERA, fx=0.0), 0.0), "no focal length.*calibrate"),
     ],
 )
 def test_a_message_that_cannot_be_used_is_refused(kind: str, data: bytes, message: str):

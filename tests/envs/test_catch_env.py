@@ -97,9 +97,8 @@ def test_what_a_reset_environment_sees_is_new():
         assert not newer[:, 2:6].any()
         assert not newer[:, 13 + env.action_sizes[agent] :].any()
     assert (last.measurement.joint_pos_target - env.world.joint_pos).abs().max() < 1e-6
-    assert (
-        last.joint_pos_target.sub(last.measurement.joint_pos_target).abs().max() > 0.1
-    )  # what was commanded
+    commanded = last.joint_pos_target
+    assert (commanded - last.measurement.joint_pos_target).abs().max() > 0.1
 
 
 def test_an_object_held_for_twenty_steps_is_a_success_at_exactly_that_step():

@@ -57,9 +57,7 @@ def test_a_recording_that_fails_its_checks_is_not_fitted():
     late = replace(recording, name="late", t_cmd=recording.t_cmd - 3.0, q=swapped)
     with pytest.raises(RecordingError, match=r"late cannot be used:\n- clock offset: .*add 3.055 s") as error:
         identify(checked([recording, late]), start_of_fit("ur5e", None, False, UR5E_ALLEGRO), FitCfg(), print)
-    assert "- follows its command of wrist_1_joint: it follows the command of wrist_2_joint" in str(
-        error.value
-    )
+    assert "wrist_1_joint: it follows the command of wrist_2_joint" in str(error.value)
     assert "excitation" not in str(error.value)
 
 

@@ -81,9 +81,7 @@ def test_the_reach_is_that_of_an_arm_or_a_hand():
     """5 rad are possible for an elbow, not for a thumb."""
     time, positions = np.arange(3.0), np.full((3, 1), 5.0)
     require_motion("file", ("elbow_joint",), time, positions, UR5E_ALLEGRO)
-    with pytest.raises(
-        RecordingError, match=r"5 rad is farther than the joint's reach of 3\.14 rad; .* degrees"
-    ):
+    with pytest.raises(RecordingError, match=r"5 rad is farther than .* reach of 3\.14 rad; .* degrees"):
         require_motion("file", ("thumb_joint_1",), time, positions, UR5E_ALLEGRO)
 
 

@@ -1,12 +1,12 @@
 """Trainings in two processes: they learn as one, tell one story, and end together."""
 
-import dataclasses
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -101,7 +101,7 @@ def test_interruption(tmp_path: Path) -> None:
     ended = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
     transitions = summary(tmp_path / "run")["transitions"]
     assert ended == [["interrupted", transitions]] * 2
-    cfg = dataclasses.replace(SMALL, transitions=transitions + 1024)
+    cfg = replace(SMALL, transitions=transitions + 1024)
     resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path / "run", resume=True)
     assert resumed.transitions == transitions + 1024
 
@@ -110,7 +110,7 @@ def test_shares() -> None:
     """Environments are split; seeds differ between processes and trainings; the first keeps its own."""
     shares = [Workers(rank, 4, "cpu").share(SMALL) for rank in range(4)]
     assert [share.num_envs for share in shares] == [16] * 4
-    other = dataclasses.replace(SMALL, seed=1)
+    other = replace(SMALL, seed=1)
     seeds = [share.seed for share in shares] + [Workers(r, 4, "cpu").share(other).seed for r in range(4)]
     assert len(set(seeds)) == 8
     assert (seeds[0], seeds[4]) == (0, 1)

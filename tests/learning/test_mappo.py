@@ -1,7 +1,7 @@
 """MAPPO against numbers worked out by hand, numbers of another implementation, and its traps."""
 
-import dataclasses
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -55,11 +55,9 @@ def test_training_gives_the_numbers_of_skrl(name: str, tmp_path: Path, monkeypat
     Policy(CONTRACT, SMALL.hidden).save(tmp_path)
     cfg = {
         "linear": SMALL,
-        "kl": dataclasses.replace(
-            SMALL, schedule="kl", kl_target=0.004, entropy_scale=0.01, gradient_clip=0.5
-        ),
-        "teacher": dataclasses.replace(SMALL, teacher=tmp_path),
-        "start": dataclasses.replace(SMALL, start=tmp_path, start_transitions=1024),
+        "kl": replace(SMALL, schedule="kl", kl_target=0.004, entropy_scale=0.01, gradient_clip=0.5),
+        "teacher": replace(SMALL, teacher=tmp_path),
+        "start": replace(SMALL, start=tmp_path, start_transitions=1024),
     }[name]
     torch.manual_seed(0)
     env = TaughtEnv(cfg)
@@ -89,7 +87,7 @@ def test_a_local_critic_sees_no_state():
         for truth in (0.0, 7.0):
             torch.manual_seed(0)
             mappo = Mappo(SMALL, env, CONTRACT)
-            mappo.act(dataclasses.replace(observation, state=torch.full_like(observation.state, truth)))
+            mappo.act(replace(observation, state=torch.full_like(observation.state, truth)))
             outcomes.append([mappo.rollout[agent].values[0].clone() for agent in mappo.agents])
         are_equal = [torch.equal(one, other) for one, other in zip(*outcomes, strict=True)]
         assert are_equal == [method == "proposed_local_critic"] * 2
@@ -102,7 +100,7 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """What they draw differs, so the second learns from the rollout of the first."""
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
     plain, compiled = (
-        Mappo(dataclasses.replace(SMALL, fuse=fuse), ReachingEnv(SMALL), CONTRACT) for fuse in (False, True)
+        Mappo(replace(SMALL, fuse=fuse), ReachingEnv(SMALL), CONTRACT) for fuse in (False, True)
     )
     roll_out(compiled, ReachingEnv(SMALL))
     roll_out(plain, ReachingEnv(SMALL))
@@ -123,7 +121,7 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.gpu
 def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    cfg = dataclasses.replace(SMALL, device="cuda")
+    cfg = replace(SMALL, device="cuda")
     outcomes = []
     for num_eager_calls in (1, 10**9):
         monkeypatch.setattr("pixel2catch.learning.mappo.NUM_EAGER_CALLS", num_eager_calls)
@@ -141,9 +139,7 @@ def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize(("target", "changes"), [(10.0, 1.5**4), (1e-9, 1 / 1.5**4)])
 def test_adaptive_learning_rate(target: float, changes: float) -> None:
     """Four epochs, each of which multiplies or divides the rate by 1.5; never below the lower bound."""
-    cfg = dataclasses.replace(
-        SMALL, schedule="kl", kl_target=target, learning_rate=1e-3, final_learning_rate=1e-5
-    )
+    cfg = replace(SMALL, schedule="kl", kl_target=target, learning_rate=1e-3, final_learning_rate=1e-5)
     mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     roll_out(mappo, ReachingEnv(cfg))
     assert mappo.named(mappo.update(0.0).tolist())["learning_rate/hand"] == pytest.approx(1e-3 * changes)

@@ -1,6 +1,6 @@
 """Trainings that begin with another policy: with its weights, or with a teacher to imitate at first."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,11 +21,9 @@ RATE = 1e-3
 def starting(policy: Path, **changes: object) -> TrainCfg:
     """A training of eight rollouts, in the first two of which the value networks alone learn."""
     rollout = SMALL.rollout_transitions
-    cfg = dataclasses.replace(
-        SMALL, start=policy, start_transitions=2 * rollout, transitions=NUM_ROLLOUTS * rollout
-    )
+    cfg = replace(SMALL, start=policy, start_transitions=2 * rollout, transitions=NUM_ROLLOUTS * rollout)
     rates = {"schedule": "linear", "learning_rate": RATE, "final_learning_rate": RATE}
-    return dataclasses.replace(cfg, **(rates | changes))
+    return replace(cfg, **(rates | changes))
 
 
 @pytest.fixture
@@ -42,7 +40,7 @@ def policy(tmp_path: Path) -> Path:
 
 def test_a_training_goes_on_from_a_run_and_is_resumed(policy: Path, tmp_path: Path) -> None:
     cfg = starting(policy)
-    half = dataclasses.replace(cfg, transitions=cfg.transitions // 2)
+    half = replace(cfg, transitions=cfg.transitions // 2)
     train(half, ReachingEnv, CONTRACT, tmp_path / "out")
     result = train(cfg, ReachingEnv, CONTRACT, tmp_path / "out", resume=True)
     assert result.status == "finished"
@@ -62,10 +60,8 @@ def test_the_adaptive_learning_rate_waits_for_the_policy(policy: Path) -> None:
 
 def test_what_does_not_fit_is_refused(policy: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"--hidden"):
-        Mappo(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL), CONTRACT).adopt(
-            Policy.load(policy / "policy")
-        )
-    other = dataclasses.replace(CONTRACT, method="other")
+        Mappo(replace(SMALL, hidden=(8,)), ReachingEnv(SMALL), CONTRACT).adopt(Policy.load(policy / "policy"))
+    other = replace(CONTRACT, method="other")
     with pytest.raises(PolicyMismatchError, match="method"):
         train(starting(policy), ReachingEnv, other, tmp_path / "out")
 
@@ -101,21 +97,21 @@ def distance(teacher: Path, mappo: Mappo, observation: Observation) -> float:
 
 
 def test_the_pupil_acts_like_its_teacher(teacher: Path):
-    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=1.0)
+    cfg = replace(SMALL, teacher=teacher, teacher_share=1.0)
     begun, taught = (distance(teacher, *after_updates(cfg, [0.0] * number)) for number in (0, 15))
     assert taught < 0.1 * begun
 
 
 def test_rewards_alone_count_after_its_share(teacher: Path):
     """A teacher that is not asked any more changes nothing, to the last bit."""
-    taught, _ = after_updates(dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.5), [0.5, 0.7])
+    taught, _ = after_updates(replace(SMALL, teacher=teacher, teacher_share=0.5), [0.5, 0.7])
     alone, _ = after_updates(SMALL, [0.5, 0.7])
     for name, tensor in alone.export().state_dict().items():
         assert torch.equal(tensor, taught.export().state_dict()[name]), name
 
 
 def test_its_weight_falls_evenly(teacher: Path):
-    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4, final_teacher_weight=0.2)
+    cfg = replace(SMALL, teacher=teacher, teacher_share=0.4, final_teacher_weight=0.2)
     mappo, env = Mappo(cfg, TaughtEnv(cfg), CONTRACT), TaughtEnv(cfg)
     weights = []
     for progress in (0.0, 0.1, 0.2, 0.4, 0.9):
@@ -128,15 +124,15 @@ def test_its_weight_falls_evenly(teacher: Path):
 def test_a_teacher_may_have_other_agents(tmp_path: Path):
     """One agent that moves all joints in another order teaches two."""
     robot = AgentContract(observation=CONTRACT.agents["arm"].observation, joints=("finger", "idle", "pan"))
-    policy = Policy(dataclasses.replace(CONTRACT, agents={"robot": robot}), SMALL.hidden)
+    policy = Policy(replace(CONTRACT, agents={"robot": robot}), SMALL.hidden)
     layer = policy.network("robot").network[-1]
     torch.nn.init.zeros_(layer.weight)  # pyright: ignore[reportArgumentType]
     layer.bias.data = torch.tensor([0.1, 0.2, 0.3])  # pyright: ignore[reportAttributeAccessIssue]
     policy.save(tmp_path)
     env = TaughtEnv(SMALL)
-    mappo = Mappo(dataclasses.replace(SMALL, teacher=tmp_path), env, CONTRACT)
+    mappo = Mappo(replace(SMALL, teacher=tmp_path), env, CONTRACT)
     observation = env.reset()
-    mappo.act(dataclasses.replace(observation, teacher={"robot": observation.policy["arm"]}))
+    mappo.act(replace(observation, teacher={"robot": observation.policy["arm"]}))
     teacher_actions = {agent: batch.teacher_actions[0] for agent, batch in mappo.rollout.items()}
     assert torch.equal(teacher_actions["arm"], torch.tensor([0.3, 0.2]).expand(env.num_envs, 2))
     assert torch.equal(teacher_actions["hand"], torch.tensor([0.1]).expand(env.num_envs, 1))
@@ -144,9 +140,9 @@ def test_a_teacher_may_have_other_agents(tmp_path: Path):
 
 def test_a_teacher_of_another_robot_is_refused(tmp_path: Path):
     hand = AgentContract(observation=(("pixel", 1),), joints=("thumb",))
-    Policy(
-        dataclasses.replace(CONTRACT, agents=CONTRACT.agents | {"hand": hand}, workcell="other"), SMALL.hidden
-    ).save(tmp_path)
-    cfg = dataclasses.replace(SMALL, teacher=tmp_path)
+    Policy(replace(CONTRACT, agents=CONTRACT.agents | {"hand": hand}, workcell="other"), SMALL.hidden).save(
+        tmp_path
+    )
+    cfg = replace(SMALL, teacher=tmp_path)
     with pytest.raises(PolicyMismatchError, match="'other'; not both move finger, thumb"):
         Mappo(cfg, TaughtEnv(cfg), CONTRACT)

@@ -1,8 +1,8 @@
 """Whole trainings of a small task, and everything that can get in their way."""
 
 import contextlib
-import dataclasses
 import json
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,12 @@ from pixel2catch.policy import Policy
 
 def test_it_learns(tmp_path: Path) -> None:
     """Both agents must push towards the goal: random pushes reach it in half of the episodes."""
-    cfg = dataclasses.replace(SMALL, transitions=24 * 1024)
+    cfg = replace(SMALL, transitions=24 * 1024)
     result = train(cfg, ReachingEnv, CONTRACT, tmp_path / "run")
     assert float(rows(tmp_path / "run")[0]["success_rate"]) < 0.65
     assert result.metrics["success_rate"] > 0.97
     assert all(result.metrics[f"action_std/{agent}"] < 1.0 for agent in CONTRACT.agents)
-    env = ReachingEnv(dataclasses.replace(cfg, seed=9))
+    env = ReachingEnv(replace(cfg, seed=9))
     policy, observation = Policy.load(result.policy), env.reset()
     for _ in range(50):
         observation = env.step(policy.act(observation.policy)).observation
@@ -41,7 +41,7 @@ def test_run_folder(tmp_path: Path) -> None:
     assert result.status == "finished"
     assert [int(row["transitions"]) for row in rows(tmp_path / "run")] == [1024, 2048, 3072, 4096]
     config = json.loads((tmp_path / "run/config.json").read_text())
-    assert config["train"] == dataclasses.asdict(SMALL) | {"hidden": [64, 64], "physics_stages": []}
+    assert config["train"] == asdict(SMALL) | {"hidden": [64, 64], "physics_stages": []}
     assert config["preset"] == "cpu"
     assert config["policy"] == CONTRACT.to_dict()
     session = json.loads((tmp_path / "run/sessions.json").read_text())[0]
@@ -66,7 +66,7 @@ def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
             return step
 
     one_go = train(SMALL, RestartingEnv, CONTRACT, tmp_path / "one_go")
-    half = dataclasses.replace(SMALL, transitions=2048, final_learning_rate=5.5e-4)
+    half = replace(SMALL, transitions=2048, final_learning_rate=5.5e-4)
     train(half, RestartingEnv, CONTRACT, tmp_path / "halves")
     resumed = train(SMALL, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
     expected, found = (Policy.load(result.policy).state_dict() for result in (one_go, resumed))
@@ -119,9 +119,9 @@ def test_no_empty_folder_stays_behind(tmp_path: Path) -> None:
 def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
     train(SMALL, ReachingEnv, CONTRACT, tmp_path)
     with pytest.raises(PolicyMismatchError, match=r"method: .*'reaching'.*'other'"):
-        train(SMALL, ReachingEnv, dataclasses.replace(CONTRACT, method="other"), tmp_path, resume=True)
+        train(SMALL, ReachingEnv, replace(CONTRACT, method="other"), tmp_path, resume=True)
     with pytest.raises(CheckpointError, match=r"(?s)does not fit this configuration.*size mismatch"):
-        train(dataclasses.replace(SMALL, hidden=(64, 32)), ReachingEnv, CONTRACT, tmp_path, resume=True)
+        train(replace(SMALL, hidden=(64, 32)), ReachingEnv, CONTRACT, tmp_path, resume=True)
     for name in ("metrics.csv", "sessions.json"):
         (tmp_path / name).write_text("{\n{")
         with pytest.raises(CheckpointError, match=rf"{name}.*Remove this file"):
@@ -142,7 +142,7 @@ def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
 )
 def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str, tmp_path: Path) -> None:
     """The first update is of good steps, the second of steps 17 to 32; the checkpoint is of the first."""
-    cfg = dataclasses.replace(SMALL, checkpoint_seconds=0.0)
+    cfg = replace(SMALL, checkpoint_seconds=0.0)
     task = ReachingCfg(bad_step=step, bad_quantity=quantity)
     with pytest.raises(NonFiniteError, match=name):
         train(cfg, partial(ReachingEnv, task=task), CONTRACT, tmp_path)
@@ -187,7 +187,7 @@ def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {
         path: path.read_bytes() for path in (tmp_path / "checkpoint.pt", *(tmp_path / "policy").iterdir())
     }
-    longer = dataclasses.replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
+    longer = replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
     message = r"could not be written.*earlier checkpoint there is still good"
     with contextlib.ExitStack() as stack:
         fill = during_step(0, lambda: stack.enter_context(full_disk(5000)))
@@ -239,14 +239,14 @@ def test_physics_rates_share_the_training(staggered: bool, tmp_path: Path) -> No
         made.append(ReachingEnv(cfg, physics_hz))
         return made[-1]
 
-    cfg = dataclasses.replace(SMALL, physics_stages=(120.0, 120.0, 240.0), staggered=staggered)
+    cfg = replace(SMALL, physics_stages=(120.0, 120.0, 240.0), staggered=staggered)
     train(cfg, make_env, CONTRACT, tmp_path)
     assert [env.physics_hz for env in made] == [120.0, 240.0]
     assert [env.num_steps for env in made] == [3 * SMALL.rollout_steps, SMALL.rollout_steps]
     assert [env.num_checks for env in made] == [3, 1]
     assert [env.staggered_resets for env in made] == [[staggered], [staggered]]
     assert [cfg.rate_at(n) for n in (0, 2730, 2731, 4095, 4096)] == [120.0, 120.0, 240.0, 240.0, 240.0]
-    longer = dataclasses.replace(cfg, transitions=5120)
+    longer = replace(cfg, transitions=5120)
     train(longer, make_env, CONTRACT, tmp_path, resume=True)
     assert [env.physics_hz for env in made] == [120.0, 240.0, 240.0]
     assert all(env.is_closed for env in made)

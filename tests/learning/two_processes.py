@@ -3,10 +3,10 @@
 `update` checks that two learners are as one; `fail` and `endless` train the small task.
 """
 
-import dataclasses
 import json
 import os
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from pixel2catch.learning.distributed import Workers, start_workers
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.train import train
 
-CFG = dataclasses.replace(SMALL, schedule="kl", kl_target=0.004, gradient_clip=0.5, entropy_scale=0.01)
+CFG = replace(SMALL, schedule="kl", kl_target=0.004, gradient_clip=0.5, entropy_scale=0.01)
 NUM_UPDATES = 2
 TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 """Relative and absolute; a CUDA device rounds the networks' products to TF32."""
@@ -58,7 +58,7 @@ def all_tensors(mappo: Mappo) -> dict[str, torch.Tensor]:
 
 def check_halves_learn_as_the_whole(workers: Workers) -> None:
     """Fed the same transitions, two processes take the steps of one, and hold its statistics."""
-    cfg = dataclasses.replace(CFG, device=workers.device)
+    cfg = replace(CFG, device=workers.device)
     rtol, atol = TOLERANCES[torch.device(cfg.device).type]
     whole, half = make_mappo(cfg), make_mappo(workers.share(cfg), workers)
     start, env = all_tensors(whole), ReachingEnv(cfg)
@@ -112,12 +112,12 @@ class CountingEnv(ReachingEnv):
 
 
 def fail_in_the_second(folder: Path, device: str) -> None:
-    cfg = dataclasses.replace(SMALL, device=device)
+    cfg = replace(SMALL, device=device)
     train(cfg, partial(CountingEnv, folder=folder), CONTRACT, folder / "run")
 
 
 def train_endlessly(folder: Path, device: str) -> None:
-    cfg = dataclasses.replace(SMALL, device=device, transitions=10**9, report_seconds=0.0)
+    cfg = replace(SMALL, device=device, transitions=10**9, report_seconds=0.0)
     result = train(cfg, ReachingEnv, CONTRACT, folder / "run")
     (folder / f"{os.environ['RANK']}.json").write_text(json.dumps([result.status, result.transitions]))
 

@@ -1,6 +1,5 @@
 """Observations: sizes, layout, memories, and that every difference comes from (before, now)."""
 
-import dataclasses
 from dataclasses import replace
 
 import mujoco
@@ -46,7 +45,7 @@ def observation(agent: AgentSpec, method: Method, history: History = HISTORY) ->
 def seeing(box: list[list[float]], age: list[float]) -> ObservationInputs:
     """A frame of a robot that remembers these boxes, newest first."""
     boxes = BoxHistory(box=torch.tensor([box]), age=torch.tensor([age]))
-    now = dataclasses.replace(measurement(), boxes=boxes)
+    now = replace(measurement(), boxes=boxes)
     return ObservationInputs(
         before=measurement(), now=now, joints=ARM.joints, palms=ARM.palms, pixel_columns=()
     )
@@ -85,8 +84,8 @@ def test_the_extent_is_the_box_at_the_objects_distance():
     mujoco.mju_quat2Mat(turn, np.array(RGB_CAMERA.quat))
     place = torch.tensor([[*(np.array(RGB_CAMERA.pos) + 2.0 * turn.reshape(3, 3)[:, 2])]]).float()
     box = torch.tensor([[100.0, 100.0, 100.0 + RGB_CAMERA.fx, 100.0 + RGB_CAMERA.fy / 2]])
-    boxes = dataclasses.replace(NOW.boxes, box=box.expand_as(NOW.boxes.box[:, 0])[:, None])
-    now = dataclasses.replace(NOW, boxes=boxes, object_pos=place.expand_as(NOW.object_pos))
+    boxes = replace(NOW.boxes, box=box.expand_as(NOW.boxes.box[:, 0])[:, None])
+    now = replace(NOW, boxes=boxes, object_pos=place.expand_as(NOW.object_pos))
     method = METHODS["object_extent"]
     for agent in method.agents:
         newer = observation(agent, method, History(NOW, NOW, now)).chunk(2, dim=-1)[1]
@@ -95,8 +94,8 @@ def test_the_extent_is_the_box_at_the_objects_distance():
 
 def test_without_pixel_features_the_object_is_seen_at_the_beginning_only():
     method = METHODS["without_pf"]
-    boxes = dataclasses.replace(NOW.boxes, box=NOW.boxes.box + 50.0, age=NOW.boxes.age + 1.0)
-    later = dataclasses.replace(NOW, boxes=boxes, object_pos=NOW.object_pos + 1.0)
+    boxes = replace(NOW.boxes, box=NOW.boxes.box + 50.0, age=NOW.boxes.age + 1.0)
+    later = replace(NOW, boxes=boxes, object_pos=NOW.object_pos + 1.0)
     for agent in method.agents:
         seen = observation(agent, method)
         assert torch.equal(seen, observation(agent, method, History(OLDEST, BEFORE, later)))
@@ -144,7 +143,7 @@ def test_a_fit_tells_no_more_than_a_method_sees(name: str):
     ages, fits = [1.5 + number for number in range(method.num_boxes)], []
     for middle, extent in ((center, size), other):
         seen = seeing(torch.cat((middle - extent / 2, middle + extent / 2), dim=-1).tolist(), ages)
-        frame = dataclasses.replace(seen, pixel_columns=pixel_columns(method.pixel_features))
+        frame = replace(seen, pixel_columns=pixel_columns(method.pixel_features))
         fits.append(torch.cat([term(frame) for term in method.agents[0].memory], dim=-1))
     torch.testing.assert_close(*fits, atol=1e-4, rtol=1e-4)
 

@@ -1,6 +1,6 @@
 """Draws of an episode: the ranges of the paper's Table I."""
 
-import dataclasses
+from dataclasses import replace
 
 import pytest
 import torch
@@ -23,7 +23,7 @@ BIAS = by_joint(UR5E_ALLEGRO, "action_bias", torch.device("cpu"))
 
 
 def resolved(cfg: RandomizationCfg) -> RandomizationCfg:
-    return dataclasses.replace(cfg, gains=cfg.gains.of(UR5E_ALLEGRO))
+    return replace(cfg, gains=cfg.gains.of(UR5E_ALLEGRO))
 
 
 def drawn(

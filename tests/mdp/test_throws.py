@@ -1,6 +1,6 @@
 """Throws: paths with and without air, and ranges of the draws."""
 
-import dataclasses
+from dataclasses import replace
 
 import pytest
 import torch
@@ -30,7 +30,7 @@ def test_clearance_lifts_a_low_peak():
 
 def test_errors_of_the_thrower_have_their_deviations_and_leave_the_rest():
     """2 % of the speed, 0.03 rad in elevation and in azimuth, each on its own."""
-    meant, thrown = throws(), throws(dataclasses.replace(CFG, speed_deviation=0.02, angle_deviation=0.03))
+    meant, thrown = throws(), throws(replace(CFG, speed_deviation=0.02, angle_deviation=0.03))
     for name in ("pos", "quat", "aim", "hover_steps"):
         assert torch.equal(getattr(meant, name), getattr(thrown, name))
 
@@ -57,7 +57,7 @@ def test_amounts_are_numbers_or_ranges():
 
 
 def test_spin_is_uniform_in_size_and_has_no_preferred_axis():
-    spin = throws(dataclasses.replace(CFG, spin=10.0)).ang_vel
+    spin = throws(replace(CFG, spin=10.0)).ang_vel
     speed = spin.norm(dim=-1)
     assert 9.9 < speed.max() <= 10.0
     assert speed.mean() == pytest.approx(5.0, rel=0.05)
@@ -77,8 +77,8 @@ def fly(pos: torch.Tensor, vel: torch.Tensor, drag: float, duration: torch.Tenso
 
 def test_a_least_elevation_raises_the_peak():
     """Throws begin at the elevation or above it, and still fall through their aim."""
-    cfg = dataclasses.replace(ThrowCfg(), peak_z=(1.0, 1.2), clearance=0.05, least_elevation=0.6)
-    thrown, flat = throws(cfg), throws(dataclasses.replace(cfg, least_elevation=0.0))
+    cfg = replace(ThrowCfg(), peak_z=(1.0, 1.2), clearance=0.05, least_elevation=0.6)
+    thrown, flat = throws(cfg), throws(replace(cfg, least_elevation=0.0))
     angle, lower = (
         torch.atan2(each.lin_vel[:, 2], each.lin_vel[:, :2].norm(dim=-1)) for each in (thrown, flat)
     )

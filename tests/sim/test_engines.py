@@ -74,9 +74,7 @@ def test_friction_of_an_impact_is_coulombs():
 @needs_drake
 def test_nothing_bounces_in_drake():
     assert rebound(DRAKE, "cube_l", 4.0, 0.0)[0] == pytest.approx(0.0, abs=0.05)
-    with pytest.raises(
-        InvalidValueError, match=r"restitution is 0\.25; engine 'drake' supports 0 only: give --rest"
-    ):
+    with pytest.raises(InvalidValueError, match=r"restitution is 0\.25; .* supports 0 only: give --rest"):
         DRAKE.make(restitution=0.25).step()
 
 
