@@ -123,9 +123,8 @@ def test_a_camera_of_60_images_a_second_fills_the_history_as_one_of_30():
     controller = remembering()
     pipeline = pointed(new_pipeline(controller=controller))
     for half_step in range(13):
-        see(
-            pipeline, image(1.0 + half_step * CONTROL_DT / 2.0, 4.0 * half_step), 1.0 + half_step * CONTROL_DT
-        )
+        stamp = 1.0 + half_step * CONTROL_DT / 2.0
+        see(pipeline, image(stamp, 4.0 * half_step), stamp)
     assert pipeline.decide(HOME, 1.0 + 6.0 * CONTROL_DT) is not None
     boxes = policy_boxes(controller)
     assert boxes.age[0].tolist() == pytest.approx([0, 1, 2, 3, 4, 5, 6, 7], abs=1e-4)

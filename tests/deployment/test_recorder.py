@@ -61,9 +61,7 @@ def test_an_existing_recording_is_not_overwritten(tmp_path: Path):
         BagRecorder(tmp_path / "throw" / "metadata.yaml" / "below")
 
 
-@pytest.mark.parametrize(
-    ("is_full", "words"), [(True, "lacks 1 messages"), (False, "lacks 1 messages .*no image")]
-)
+@pytest.mark.parametrize(("is_full", "words"), [(True, "lacks 1 m"), (False, "lacks 1 m.*no image")])
 def test_a_message_beyond_the_memory_or_in_error_is_counted_and_no_other_is_lost(
     is_full: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

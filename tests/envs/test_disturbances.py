@@ -229,9 +229,8 @@ def test_a_command_between_two_delays_moves_the_hand_between_both():
 def test_perception_that_looks_at_one_image_in_several():
     """Newest ages go from the latency up by one, and begin again with each image that is looked at."""
     sensing = replace(EXACT, latency_steps=(1, 1), image_period=1.5)
-    ages = [
-        boxes.age[0, 0].item() for boxes, _ in remembered(make_late(1, sensing=sensing, throws=HOVERING), 31)
-    ]
+    env = make_late(1, sensing=sensing, throws=HOVERING)
+    ages = [boxes.age[0, 0].item() for boxes, _ in remembered(env, 31)]
     assert sum(age == 1.0 for age in ages[1:]) == 20
     assert max(ages) == 2.0
     assert all(after in (1.0, before + 1.0) for before, after in itertools.pairwise(ages))

@@ -36,6 +36,7 @@ from pixel2catch.policy import Policy, contract_of
 EARLIER = Path(__file__).parents[2] / "experiments" / "results"
 SESSION = {"started": "2026-01-01T00:00:00+00:00", "command": "pixel2catch reproduce --seeds 2"}
 RATES = ("tracking_rate", "success_rate", "palm_contact_rate", "verified_hold_rate")
+LABELS = ("method", "objects", "paper")
 RUN = Training(method="proposed", seed=0)
 
 
@@ -258,9 +259,7 @@ def test_an_earlier_study_is_read(tmp_path: Path):
     write_comparison(ComparisonFolder(tmp_path / "study"))
     again = read_json_object(table)["results"]
     for before, now in zip(shown, again, strict=True):
-        assert (now["method"], now["objects"], now["paper"]) == tuple(
-            before[n] for n in ("method", "objects", "paper")
-        )
+        assert {name: now[name] for name in LABELS} == {name: before[name] for name in LABELS}
         for name in ("success_rate", "verified_hold_rate"):
             assert now[name]["values"] == before[name]["values"]
             assert now[name]["interval"] == pytest.approx(before[name]["interval"], abs=1e-8)

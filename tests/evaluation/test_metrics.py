@@ -61,9 +61,8 @@ def test_intervals_and_p_values_are_those_of_scipy():
     for trials in (1, 2, 7, 100, 4096):
         for successes in {0, 1, trials // 3, trials // 2, trials - 1, trials}:
             test = binomtest(successes, trials)
-            assert wilson_interval(successes, trials) == pytest.approx(
-                tuple(test.proportion_ci(method="wilson"))
-            )
+            expected = tuple(test.proportion_ci(method="wilson"))
+            assert wilson_interval(successes, trials) == pytest.approx(expected)
             failures = trials - successes
             found = paired_difference("1" * successes + "0" * failures, "0" * successes + "1" * failures)
             assert found["p_value"] == pytest.approx(test.pvalue)

@@ -152,7 +152,7 @@ def test_a_recording_with_another_array_in_the_place_of_any_is_refused(tmp_path:
         *(np.zeros(shape, kind) for shape in ((), 0, (5, 5)) for kind in ("f8", "i1", "?")),
     ):
         for name in valid:
-            np.savez(file, **valid | {name: other})
+            np.savez(file, allow_pickle=False, **(valid | {name: other}))
             with pytest.raises(Pixel2CatchError):
                 Recording.load(file)
 
