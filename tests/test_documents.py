@@ -51,9 +51,8 @@ def test_results_name_no_machine():
 def test_links_lead_somewhere():
     made = {"catching.md", "api.md", "mdp.md"}  # from the notebook and the docstrings
     for page in PAGES:
-        for target in re.findall(
-            r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
-        ):
+        text = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\(([^)#:]+)\)", text):
             is_there = (page.parent / target).exists() or Path(target).name in made
             assert is_there, f"{page.relative_to(ROOT)}: {target}"
 
@@ -115,9 +114,8 @@ def messages() -> str:
 
 def test_messages_of_the_troubleshooting_page_exist():
     page = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
-    named = [
-        text for row in re.findall(r"^\| (`[^|]*) \|", page, re.M) for text in re.findall(r"`([^`]+)`", row)
-    ]
+    rows = re.findall(r"^\| (`[^|]*) \|", page, re.M)
+    named = [text for row in rows for text in re.findall(r"`([^`]+)`", row)]
     assert len(named) > 10
     unknown = [text for text in named if text not in messages() and text not in ("doctor",)]
     assert not unknown

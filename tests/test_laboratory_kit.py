@@ -88,9 +88,8 @@ def test_hands_are_launched_with_the_topics_and_joints_of_their_profile(file: st
 def test_two_arms_are_launched_under_one_controller_manager_with_the_names_of_their_profile():
     profile, file = Profile.load("two_ur5e_allegro"), parameters("two_ur5e")
     manager = file["/controller_manager"]["ros__parameters"]
-    active, inactive = (
-        each.attrib["args"].split() for each in launch("two_ur5e").findall("node[@exec='spawner']")
-    )
+    spawners = launch("two_ur5e").findall("node[@exec='spawner']")
+    active, inactive = (each.attrib["args"].split() for each in spawners)
     for arm in profile.robots[::2]:
         assert arm.controller
         assert arm.controller.activity.name == "/controller_manager/activity"

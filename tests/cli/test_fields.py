@@ -175,9 +175,8 @@ def test_the_task_of_a_policy_has_its_camera_or_that_of_the_files(folder: Path):
     ours, theirs, file = untrained(**asdict(CAMERA)), untrained(), folder / "camera.json"
     assert task_of(theirs, 30.0) == NOMINAL_TASK
     assert task_of(ours, 30.0) == NOMINAL_TASK.with_camera(CameraFile(camera=CAMERA))
-    seen = replace(
-        NOMINAL_TASK, scene=replace(NOMINAL_TASK.scene, camera=CAMERA), sensing=SensingCfg(camera=MEASURED)
-    )
+    scene = replace(NOMINAL_TASK.scene, camera=CAMERA)
+    seen = replace(NOMINAL_TASK, scene=scene, sensing=SensingCfg(camera=MEASURED))
     assert task_of(ours, 30.0, camera=file) == task_of(theirs, 30.0, camera=file) == seen
     gains = RandomizationCfg(gains=DynamicsFile.load(folder / "dynamics.json").gains)
     robot = replace(NOMINAL_TASK, dynamics=ARM, randomization=gains)
@@ -265,11 +264,9 @@ def test_a_run_records_terms_and_weights_of_its_agents(tmp_path: Path):
 
 def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
     """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
-    small = ("--device", "cpu", *SIZE, *COARSE, "--out", tmp_path / "run")
-    teacher = ("--teacher", "object_position")
-    assert run("train", "catch_alone+fit", *small, *teacher, "--start", "catch_alone+fit") == 0
-    shipped, trained = (
-        Policy.load(policy_folder(path)) for path in (Path("catch_alone+fit"), tmp_path / "run")
-    )
+    name, out = "catch_alone+fit", tmp_path / "run"
+    teachers = ("--teacher", "object_position", "--start", name)
+    assert run("train", name, "--device", "cpu", *SIZE, *COARSE, "--out", out, *teachers) == 0
+    shipped, trained = (Policy.load(policy_folder(path)) for path in (Path(name), out))
     for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
         assert torch.equal(before, after), name

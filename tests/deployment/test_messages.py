@@ -72,9 +72,8 @@ def test_messages_are_read_as_written():
 
 @given(st.floats(0.0, 2.0**31 - 1.0))
 def test_stamps_keep_microseconds(stamp: float):
-    assert messages.read_joint_state(messages.joint_state([], [], stamp)).stamp == pytest.approx(
-        stamp, abs=1e-6
-    )
+    reading = messages.read_joint_state(messages.joint_state([], [], stamp))
+    assert reading.stamp == pytest.approx(stamp, abs=1e-6)
 
 
 def image_message(pixels: np.ndarray, encoding: str, step: int, height: int | None = None) -> bytes:

@@ -111,9 +111,8 @@ def test_files_of_a_split_bag_that_overlap_are_merged(tmp_path: Path):
     name = next(second.glob("*.mcap")).rename(first / "second.mcap").name
     content = (first / "metadata.yaml").read_text()
     listed = next(line for line in content.splitlines() if line.strip() == f"- {first.name}.mcap")
-    (first / "metadata.yaml").write_text(
-        content.replace(listed, f"{listed}\n{listed.replace('bag0.mcap', name)}")
-    )
+    both = f"{listed}\n{listed.replace('bag0.mcap', name)}"
+    (first / "metadata.yaml").write_text(content.replace(listed, both))
     assert_same(read(first, ARM), short(), NANOSECOND)
     with pytest.warns(UserWarning, match=r"second.mcap alone is read, one of the 2 files"):
         read(first / "second.mcap", ARM)

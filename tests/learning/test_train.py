@@ -184,9 +184,8 @@ def test_nan_in_the_networks_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Training goes on and says so; the old checkpoint and policy stay valid; the end is an error."""
     train(SMALL, ReachingEnv, CONTRACT, tmp_path)
-    before = {
-        path: path.read_bytes() for path in (tmp_path / "checkpoint.pt", *(tmp_path / "policy").iterdir())
-    }
+    files = tmp_path / "checkpoint.pt", *(tmp_path / "policy").iterdir()
+    before = {path: path.read_bytes() for path in files}
     longer = replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
     message = r"could not be written.*earlier checkpoint there is still good"
     with contextlib.ExitStack() as stack:
@@ -194,7 +193,7 @@ def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(CheckpointError, match=message):
             train(longer, fill, CONTRACT, tmp_path, resume=True)
     assert "warning: could not write checkpoint" in capsys.readouterr().out
-    assert before == {path: path.read_bytes() for path in before}
+    assert before == {path: path.read_bytes() for path in files}
     assert not list(tmp_path.rglob("*.tmp*"))
     assert train(longer, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 8192
     capsys.readouterr()

@@ -146,9 +146,8 @@ def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(OBJECTS, "rake", make_object("rake", *bars, mass=0.06))
     model = build_model(SceneCfg(), "rake")
     assert model.body("object").mass == pytest.approx(0.06)
-    assert [model.geom(f"object_part_{i}").pos[0] for i in range(3)] == pytest.approx(
-        [-0.03, 0, 0.03], abs=1e-9
-    )
+    places = [model.geom(f"object_part_{i}").pos[0] for i in range(3)]
+    assert places == pytest.approx([-0.03, 0, 0.03], abs=1e-9)
     table = object_table(SceneCfg())
     assert table.names[-1] == "rake"
     assert table.fields["geom_dataid"].shape == (len(OBJECTS), 3)

@@ -102,9 +102,8 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
     of_robot = "recording-1 recording-2 --robot ur5e --profile ur5e_allegro_v4"
     run(*f"identify --check {of_robot}".split())
     run(*f"identify {of_robot} --out identified".split())
-    found, true = (
-        DynamicsFile.load(Path(name)).dynamics.select(ARM) for name in ("identified/dynamics.json", truth)
-    )
+    files = map(Path, ("identified/dynamics.json", truth))
+    found, true = (DynamicsFile.load(file).dynamics.select(ARM) for file in files)
     intervals = json.loads(Path("identified/result.json").read_text())["parameters"]
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         for joint, value in zip(ARM, getattr(true, name), strict=True):

@@ -137,9 +137,8 @@ def test_a_throw_flies_along_its_path_is_caught_and_comes_again_from_its_seed():
         path = first.path[::-1]  # towards the robot, x falls
         for step in flight[::4]:
             pos = object_pos(step)
-            assert pos == pytest.approx(
-                [np.interp(pos[0], path[:, 0], path[:, i]) for i in range(3)], abs=0.02
-            )
+            expected = [np.interp(pos[0], path[:, 0], path[:, i]) for i in range(3)]
+            assert pos == pytest.approx(expected, abs=0.02)
         gone = object_pos(flight[-1]) - object_pos(flight[0])
         assert np.linalg.norm(gone) > 1.0
         assert flight[0].exposure.moment.time == pytest.approx(0.0, abs=1 / 30)
