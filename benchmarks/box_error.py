@@ -2,17 +2,17 @@
 
 Training never renders: it takes the box of those surface points that no ray finds hidden
 (`mdp.sensing.detect`). Here that box is compared with the one of the rendered mask, in flights and holds of
-the default policy; by number of points and least visible share.
+the default policy; by number of points and least visible share. `--frames` is the number for each object.
 
 python benchmarks/box_error.py --frames 90
 """
 
-import argparse
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import torch
+import tyro
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -133,16 +133,12 @@ def _masks(
         return torch.from_numpy(np.stack([renderer.object_mask(row) for row in qpos.double().numpy()]))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--frames", type=int, default=90, help="frames per object")
-    drawn = sample_frames(parser.parse_args().frames * len(OBJECTS)).chunk(len(OBJECTS))
-    frames = dict(zip(OBJECTS, drawn, strict=True))
+def main(frames: int = 90) -> None:
+    drawn = sample_frames(frames * len(OBJECTS)).chunk(len(OBJECTS))
+    of_object = dict(zip(OBJECTS, drawn, strict=True))
     print("worst edge [px], computed against rendered box")
     for num_points in POINT_COUNTS:
-        every = BoxErrors.concatenate([compare(name, qpos, num_points) for name, qpos in frames.items()])
+        every = BoxErrors.concatenate([compare(name, qpos, num_points) for name, qpos in of_object.items()])
         is_seen = (every.num_pixels > 0) & (every.visible_fraction > 0)
         free, hidden = every.select(~every.is_hit & ~every.is_cut), every.select(every.is_hit & is_seen)
         print(f"{num_points:>6} points   unoccluded {summary(free)}   occluded {summary(hidden)}")
@@ -168,4 +164,4 @@ def summary(errors: BoxErrors) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

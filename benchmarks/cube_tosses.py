@@ -12,15 +12,17 @@ Lengths are scaled to the cube's height at rest; `--raw` leaves them as in publi
 Run: python benchmarks/cube_tosses.py contact-nets/data/tosses_processed --hz 240 --out mujoco-240.json
 """
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
 import torch
+import tyro
 from mujoco import rollout
+from tyro.conf import Positional
 
 from pixel2catch.reports import circumstances
 from pixel2catch.robots.poses import rotation_matrix
@@ -117,38 +119,37 @@ def judge(engine: str, hz: float, params: dict[str, float], tosses: list[np.ndar
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-def main() -> None:
+def main(
+    folder: Positional[Path],
+    out: Path,
+    engine: Literal["mujoco", "physx", "drake"] = "mujoco",
+    hz: float = 240.0,
+    draws: int = 60,
+    every: int = 1,
+    raw: bool = False,
+) -> None:
     """Fit on two thirds of the tosses; write and print what the others show."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--engine", default="mujoco", choices=FITTED)
-    parser.add_argument("--hz", type=float, default=240.0)
-    parser.add_argument("--draws", type=int, default=60)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--raw", action="store_true")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    tosses, rng, least = load(args.folder, is_raw=args.raw), np.random.default_rng(0), np.inf
-    others, held_out = [t for i, t in enumerate(tosses) if i % 3][:: args.every], tosses[:: 3 * args.every]
-    best = measured = MEASURED if args.engine != "drake" else MEASURED | {"restitution": 0.0}
-    for draw in range(args.draws):  # the start, then half of them anywhere, half near the best
+    tosses, rng, least = load(folder, is_raw=raw), np.random.default_rng(0), np.inf
+    others, held_out = [t for i, t in enumerate(tosses) if i % 3][::every], tosses[:: 3 * every]
+    best = measured = MEASURED if engine != "drake" else MEASURED | {"restitution": 0.0}
+    for draw in range(draws):  # the start, then half of them anywhere, half near the best
         params = dict(best)
-        for name in FITTED[args.engine] if draw else ():
-            near = best[name] + 0.2 * (1.0 - draw / args.draws) * np.ptp(BOUNDS[name]) * rng.normal()
-            value = near if 2 * draw > args.draws else rng.uniform(*BOUNDS[name])
+        for name in FITTED[engine] if draw else ():
+            near = best[name] + 0.2 * (1.0 - draw / draws) * np.ptp(BOUNDS[name]) * rng.normal()
+            value = near if 2 * draw > draws else rng.uniform(*BOUNDS[name])
             params[name] = float(np.clip(value, *BOUNDS[name]))
-        error = np.mean(judge(args.engine, args.hz, params, others)["fitted"])
+        error = np.mean(judge(engine, hz, params, others)["fitted"])
         best, least = (params, error) if error < least else (best, least)
     cells, rows = {"measured": measured, "fitted": best}, list[dict[str, object]]()
-    cells |= {f"{name} {x}": measured | {name: x} for name in FITTED[args.engine][:2] for x in TRIED[name]}
+    cells |= {f"{name} {x}": measured | {name: x} for name in FITTED[engine][:2] for x in TRIED[name]}
     for name, params in cells.items():
-        found = judge(args.engine, args.hz, params, held_out)
+        found = judge(engine, hz, params, held_out)
         shown = {key: [round(float(v), 3) for v in (np.mean(x), np.std(x))] for key, x in found.items()}
         rows.append({"parameters": name, **params, "tosses": len(held_out), **shown})
         print(json.dumps(rows[-1]))
-    result = {"engine": args.engine, "hz": args.hz, "raw": args.raw, "rows": rows}
-    args.out.write_text(json.dumps(result | {"circumstances": circumstances()}))
+    result = {"engine": engine, "hz": hz, "raw": raw, "rows": rows}
+    out.write_text(json.dumps(result | {"circumstances": circumstances()}))
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -17,7 +17,6 @@
 Run: python benchmarks/engine_calibration.py
 """
 
-import argparse
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from functools import partial
 
 import numpy as np
 import torch
+import tyro
 from torch import Tensor
 
 from pixel2catch.robots.allegro import HAND
@@ -271,13 +271,9 @@ def engines() -> list[Engine]:
     ]
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--only", default="", help="engines whose name begins so")
-    chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
+def main(only: str = "") -> None:
+    """Print the tables, of engines whose names begin with `only`."""
+    chosen = [each for each in engines() if each.name.startswith(only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
         "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip %, mm |"
@@ -313,4 +309,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

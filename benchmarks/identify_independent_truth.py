@@ -9,7 +9,6 @@ the range, and intervals hold it if they reach into it. Where a parameter is cal
 its error nor its interval counts.
 """
 
-import argparse
 import json
 import os
 from concurrent.futures import ProcessPoolExecutor
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from independent_robot import GEARS, JOINTS, Faults, Robot
 
 from pixel2catch.identification.checks import check_recording
@@ -31,29 +31,26 @@ FRICTION = ("frictionloss", "frictionloss / stiffness")
 Row = dict[str, float]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each of the two recordings")
-    parser.add_argument("--joints", type=int, default=len(JOINTS), help="of each robot, in turn")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="file of JSON lines for the numbers, written as they come")
-    args = parser.parse_args()
-    seeds = range(args.first_seed, args.first_seed + args.seeds)
-    numbers = [(seed, seed * args.joints + i) for seed in seeds for i in range(args.joints)]
+def main(
+    seeds: int = 20,
+    first_seed: int = 0,
+    seconds: float = 20.0,
+    joints: int = len(JOINTS),
+    processes: int = 1,
+    out: Path | None = None,
+) -> None:
+    every_seed = range(first_seed, first_seed + seeds)
+    numbers = [(seed, seed * joints + i) for seed in every_seed for i in range(joints)]
     cases = [(seed, list(JOINTS)[number % len(JOINTS)]) for seed, number in numbers]
     found = []
-    with ProcessPoolExecutor(args.processes, initializer=use_one_core) as pool:
-        for case in pool.map(partial(found_in, seconds=args.seconds), cases):
+    with ProcessPoolExecutor(processes, initializer=use_one_core) as pool:
+        for case in pool.map(partial(found_in, seconds=seconds), cases):
             rows = case["parameters"]
             texts = [f"{key} {row['error']:+.3g}{'' if row['holds'] else '!'}" for key, row in rows.items()]
             print(f"seed {case['seed']} {case['joint']}: {', '.join([*texts, *case['bad']])}", flush=True)
             found.append(case)
-            if args.out:
-                with open(args.out, "a", encoding="utf-8") as file:
+            if out:
+                with open(out, "a", encoding="utf-8") as file:
                     print(json.dumps(case), file=file, flush=True)
     print_summary(found)
 
@@ -126,4 +123,4 @@ def print_summary(found: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

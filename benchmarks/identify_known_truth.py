@@ -7,10 +7,12 @@ of the truth is up to 40 % off; encoders have 0.2 mrad of noise, commands are 12
 the loops that send and read take 40 ms. OUT gets the commands' files.
 """
 
-import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import tyro
+from tyro.conf import Positional
 
 from pixel2catch.cli.main import main as pixel2catch
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -21,22 +23,19 @@ GOALS = {"damping / stiffness [%]": 2.0, "armature [%]": 5.0, "latency [ms]": 1.
 PERCENT = ("stiffness", "damping", "frictionloss", "armature")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("out", type=Path, help="new folder")
-    parser.add_argument("--robot", default="ur5e_allegro", choices=("ur5e", "allegro", "ur5e_allegro"))
-    parser.add_argument("--seconds", default="40", help="length of each recording")
-    parser.add_argument("--seed", default="0")
-    args = parser.parse_args()
-    rehearsal, robot = args.out / "rehearsal", ["--robot", args.robot]
-    options = ["--seconds", args.seconds, "--seed", args.seed, "--speed", "1", "--recordings", "3"]
-    run("excite", *robot, *options, "--rehearse", str(rehearsal))
+def main(
+    out: Positional[Path],
+    robot: Literal["ur5e", "allegro", "ur5e_allegro"] = "ur5e_allegro",
+    seconds: float = 40.0,
+    seed: int = 0,
+) -> None:
+    rehearsal = out / "rehearsal"
+    options = ["--seconds", f"{seconds}", "--seed", f"{seed}", "--speed", "1", "--recordings", "3"]
+    run("excite", "--robot", robot, *options, "--rehearse", str(rehearsal))
     recordings = [str(rehearsal / f"recording-{i}.npz") for i in (1, 2, 3)]
-    run("identify", *recordings, *robot, "--out", str(args.out / "identified"))
+    run("identify", *recordings, "--robot", robot, "--out", str(out / "identified"))
     truth = DynamicsFile.load(rehearsal / "truth.json").dynamics
-    result = json.loads((args.out / "identified" / "result.json").read_text())
+    result = json.loads((out / "identified" / "result.json").read_text())
     errors = errors_of(result, truth)
     for name, goal in GOALS.items():
         worst = max(errors[name], key=lambda joint: errors[name][joint])
@@ -67,4 +66,4 @@ def errors_of(result: dict[str, Any], truth: JointDynamics) -> dict[str, dict[st
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -8,13 +8,14 @@ DATA is the folder bam/data.bak/raw of repository Rhoban/bam at revision af22604
 servo's stiffness is proportional to its gain: a doubled gain doubles what is found, if the intervals hold.
 """
 
-import argparse
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import tyro
+from tyro.conf import Positional
 
 from pixel2catch.identification.checks import check_recording
 from pixel2catch.identification.fit import FitCfg, fit_dynamics
@@ -37,16 +38,10 @@ SERVO = JointSpec(
 """A rough guess of small servos. Source: ours; torque: the maker's stall torque of 0.52 N·m at 5 V."""
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="file for the numbers")
-    args = parser.parse_args()
+def main(data: Positional[Path], out: Path) -> None:
     with TemporaryDirectory() as folder:
-        results = [found_at(args.data, gain, rig(Path(folder, "rig.xml"))) for gain in GAINS]
-    args.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        results = [found_at(data, gain, rig(Path(folder, "rig.xml"))) for gain in GAINS]
+    out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     lower = results[0]
     for result in results:
         ratio = np.log(result["stiffness"]["value"] / lower["stiffness"]["value"])
@@ -94,4 +89,4 @@ def recording(content: dict, workcell: WorkcellSpec) -> Recording:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -7,9 +7,10 @@ that takes its command; the tick sends it.
 
     pixel2catch rehearse --lockstep --throws 3 --record recording
     python benchmarks/latency.py recording --passes 4
+
+`--passes` says how often it is played, `--record` in which new folder the deployment records, too.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -23,11 +24,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import tyro
+from tyro.conf import Positional
+
 from pixel2catch.deployment.operator import newest
-from pixel2catch.deployment.replay import played_topics
+from pixel2catch.deployment.replay import played, played_topics
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.bags import opened_bag
-from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.servo.link import SERVO_PRIORITY, set_real_time
@@ -40,23 +42,15 @@ POLL = 0.02
 Played = list[tuple[float, Topic, bytearray]]
 
 
-def played(recording: Path, topics: set[Topic]) -> Played:
+def read(recording: Path, topics: set[Topic]) -> Played:
     """What is played: time since the first message [s], topic and message, in which images are raw."""
-    by_name = {topic.name: topic for topic in topics}
-    entries: Played = []
-    with opened_bag(recording) as reader:
-        for connection, nanoseconds, data in reader.messages():
-            name = connection.topic
-            if connection.msgtype == COMPRESSED_IMAGE:
-                name, data = name.removesuffix(SUFFIX), messages.uncompress(bytes(data))
-            if topic := by_name.get(name):
-                entries.append((1e-9 * (nanoseconds - reader.start_time), topic, bytearray(data)))
-        start = 1e-9 * reader.start_time
+    entries = [(time, topic, bytearray(data)) for time, topic, data in played(recording, topics)]
+    start = entries[0][0]
     for _, topic, data in entries:  # their stamps count from the first message, too
         if topic.type in STAMPED:
             seconds, fraction = struct.unpack_from("<iI", data, 4)
             struct.pack_into("<d", data, 4, seconds + 1e-9 * fraction - start)
-    return entries
+    return [(time - start, topic, data) for time, topic, data in entries]
 
 
 def play(entries: Played, node: Transport, clock: RealClock, passes: int) -> float:
@@ -78,10 +72,10 @@ def play(entries: Played, node: Transport, clock: RealClock, passes: int) -> flo
 
 
 @contextmanager
-def deployment(args: argparse.Namespace, out: Path) -> Iterator[subprocess.Popen[bytes]]:
+def deployment(clock: float, record: Path | None, out: Path) -> Iterator[subprocess.Popen[bytes]]:
     """`deploy` as a process; what it prints goes to a file."""
     command = [sys.executable, "-m", "pixel2catch", "deploy", "--dry-run", "--json"]
-    command += ["--clock", f"{args.clock:g}", *(["--record", str(args.record)] if args.record else [])]
+    command += ["--clock", f"{clock:g}", *(["--record", str(record)] if record else [])]
     with open(out, "wb") as file, subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT) as process:
         try:
             yield process
@@ -99,26 +93,22 @@ def wait_for(node: Transport, profile: Profile, process: subprocess.Popen[bytes]
         node.wait(POLL)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("recording", type=Path, help="what `rehearse --record` or `deploy --record` wrote")
-    parser.add_argument("--passes", type=int, default=3, help="how often it is played")
-    parser.add_argument("--clock", type=float, default=1.0, help="seconds in a real one")
-    parser.add_argument("--record", type=Path, help="new folder: have the deployment record, too")
-    args = parser.parse_args()
+def main(
+    recording: Positional[Path], passes: int = 3, clock: float = 1.0, record: Path | None = None
+) -> None:
     os.environ.setdefault("ROS_DOMAIN_ID", "92")
-    profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(args.clock)
-    entries, load = played(args.recording, played_topics(profile)), os.getloadavg()[0]
+    profile, played_clock = Profile.load("ur5e_allegro_v4"), RealClock(clock)
+    entries, load = read(recording, played_topics(profile)), os.getloadavg()[0]
     images = ((moment, data) for moment, topic, data in entries if topic.type == messages.IMAGE)
     ages = [moment - struct.unpack_from("<d", data, 4)[0] for moment, data in images]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deploy.txt"
-        with make_transport("replayer", LOOPBACK, clock) as node:
-            with deployment(args, out) as process:
+        with make_transport("replayer", LOOPBACK, played_clock) as node:
+            with deployment(clock, record, out) as process:
                 wait_for(node, profile, process)
                 set_real_time(SERVO_PRIORITY)  # as the drivers that it stands for
                 begin = time.monotonic()
-                cpu = {"replayer": play(entries, node, clock, args.passes)}
+                cpu = {"replayer": play(entries, node, played_clock, passes)}
                 seconds = time.monotonic() - begin
             used = resource.getrusage(resource.RUSAGE_CHILDREN)
             cpu["deployment with its start"] = (used.ru_utime + used.ru_stime) / seconds
@@ -135,4 +125,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -3,22 +3,24 @@
 The architecture is that of the public checkpoint `facebook/sam2.1-hiera-tiny`; the weights are random, on
 which the time does not depend. Throws of 30 images each begin with a prompt, so that the memory grows as on
 the robot. Each setting prints a line of JSON: times in ms, and the share of images that took longer than the
-33 ms between two images of a 30 Hz camera. Images come one right after the other.
+33 ms between two images of a 30 Hz camera. Images come one right after the other. `--sizes` are sides of the
+model's image [px]; `--folder` is a checkpoint, in place of random weights.
 
 Run: python benchmarks/sam2_speed.py
      python benchmarks/sam2_speed.py --device cpu --settings eager --sizes 256 --frames 20
 """
 
-import argparse
 import json
 import tempfile
 import time
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 import transformers
+import tyro
 from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.perception.sam2 import Sam2Segmenter
@@ -28,8 +30,6 @@ LIMIT = 1000.0 / 30.0  #: Time between two images [ms].
 THROW_IMAGES, WARM_UP_IMAGES = 30, 60
 HEIGHT, WIDTH = 480, 640
 BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
-SETTINGS = {"eager": False, "compiled": True}
-"""Whether `torch.compile` compiles the model first: a minute, with a C compiler."""
 
 
 def write_checkpoint(folder: Path) -> None:
@@ -54,9 +54,9 @@ def times_of(segmenter: Sam2Segmenter, count: int) -> np.ndarray:
 
 
 def measure(folder: Path, setting: str, device: str, size: int, count: int) -> dict[str, Any]:
-    """Load and warm up as the robot does, then time a number of images."""
+    """Load and warm up as the robot does, then time a number of images; to compile takes a minute."""
     begin = time.perf_counter()
-    segmenter = Sam2Segmenter(folder, device, size, is_compiled=SETTINGS[setting])
+    segmenter = Sam2Segmenter(folder, device, size, is_compiled=setting == "compiled")
     times_of(segmenter, WARM_UP_IMAGES if device != "cpu" else 2)
     ready = time.perf_counter() - begin
     times = times_of(segmenter, count)
@@ -75,27 +75,19 @@ def measure(folder: Path, setting: str, device: str, size: int, count: int) -> d
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--device", default="cuda")
-    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
-    parser.add_argument(
-        "--sizes", nargs="+", type=int, default=[1024, 512], help="side of the model's image [px]"
-    )
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--folder", type=Path, help="a checkpoint; default: random weights")
-    options = parser.parse_args()
+def main(
+    device: str = "cuda",
+    settings: tuple[Literal["eager", "compiled"], ...] = ("eager", "compiled"),
+    sizes: tuple[int, ...] = (1024, 512),
+    frames: int = 300,
+    folder: Path | None = None,
+) -> None:
     with tempfile.TemporaryDirectory() as temporary:
-        if options.folder is None:
-            options.folder = Path(temporary)
-            write_checkpoint(options.folder)
-        for size in options.sizes:
-            for setting in options.settings:
-                found = measure(options.folder, setting, options.device, size, options.frames)
-                print(json.dumps(found), flush=True)
+        if folder is None:
+            write_checkpoint(folder := Path(temporary))
+        for size, setting in product(sizes, settings):
+            print(json.dumps(measure(folder, setting, device, size, frames)), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

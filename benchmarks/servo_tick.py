@@ -6,21 +6,22 @@ Plays what `rehearse --record` or `deploy --record` wrote to a servo in memory, 
 the recorded ones. The time of the processor does not count what other programs take meanwhile.
 """
 
-import argparse
 import gc
 import os
 from pathlib import Path
 from time import perf_counter, thread_time
 
 import numpy as np
+import tyro
+from tyro.conf import Positional
 
 from pixel2catch.deployment.control_loop import StepClock
 from pixel2catch.deployment.recorder import SERVO, TARGETS
-from pixel2catch.deployment.replay import played_topics
+from pixel2catch.deployment.replay import played, played_topics
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Topic
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import Command, JointTargets, link
 from pixel2catch.servo.process import Servo, ServoSetup
@@ -30,32 +31,27 @@ AFTER = 50e-6  # s; what was recorded so little after a tick, of several message
 WARM_UP = 300  # ticks that do not count
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("recording", type=Path, help="folder of a recording")
-    args = parser.parse_args()
+def main(recording: Positional[Path]) -> None:
     profile, clock, broker = Profile.load("ur5e_allegro_v4"), StepClock(lambda _: None), Broker()
     node = broker.node(clock)
     drivers = [node.subscription(part.command_topic, 16) for part in profile.robots]
-    publishers = {topic.name: node.publisher(topic) for topic in played_topics(profile)}
+    publishers = {topic: node.publisher(topic) for topic in played_topics(profile)}
     loop, end = link()
     setup = ServoSetup(profile=profile, limits=ServoLimits.of(find_workcell(profile.workcell)))
     servo = Servo(end, broker.node(clock), setup, clock)
-    entries = list[tuple[float, str, bytes]]()
-    with opened_bag(args.recording) as reader:
-        for connection, nanoseconds, data in reader.messages():
-            late = AFTER if connection.topic == SERVO.name else 0.0
-            entries.append((1e-9 * nanoseconds + late, connection.topic, bytes(data)))
+    entries = list[tuple[float, Topic, bytes]]()
+    for time, topic, data in played(recording, {*publishers, TARGETS, SERVO}):
+        entries.append((time + AFTER if topic == SERVO else time, topic, data))
     times = list[tuple[float, float]]()
     gc.disable()
-    for moment, name, data in sorted(entries, key=lambda entry: entry[0]):
+    for moment, topic, data in sorted(entries, key=lambda entry: entry[0]):
         clock.time = moment
-        if name in publishers:
-            publishers[name].publish(data)
-        elif name == TARGETS.name:
+        if topic in publishers:
+            publishers[topic].publish(data)
+        elif topic == TARGETS:
             row = messages.read_float_array(data)
             loop.send(JointTargets.of(row))
-        elif name == SERVO.name:
+        else:
             clock.time = Command.of(messages.read_float_array(data)).time
             begun, worked = perf_counter(), thread_time()
             servo.tick()
@@ -71,4 +67,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

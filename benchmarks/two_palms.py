@@ -7,12 +7,12 @@ a policy of any method, as of `object_extent`, learns its actions in states that
 Run: python benchmarks/two_palms.py --throws 600 --out runs/two-scripted
 """
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+import tyro
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
@@ -195,7 +195,22 @@ def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, options: argparse.Namespace) -> Policy:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What is played, and learnt."""
+
+    throws: int = 600
+    seed: int = 1000
+    method: str = "object_extent"  #: Of the policy.
+    rounds: int = 8  #: Of imitation.
+    steps: int = 200  #: Gradient steps of a round, 8 times in the last.
+    hidden: tuple[int, ...] = HIDDEN  #: Sizes of the policy's layers.
+    num_envs: int = 256  #: Of a round of imitation.
+    device: str = "cpu"  #: To play and learn on.
+    out: Path | None = None  #: Folder of a policy that imitates the script.
+
+
+def imitated(method: Method, options: Options) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
@@ -249,23 +264,8 @@ def learn(
             optimizer.step()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--throws", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--method", default="object_extent", help="of the policy")
-    parser.add_argument("--rounds", type=int, default=8, help="of imitation")
-    parser.add_argument(
-        "--steps", type=int, default=200, help="gradient steps of a round, 8 times in the last"
-    )
-    parser.add_argument("--hidden", type=int, nargs="+", default=HIDDEN, help="sizes of the policy's layers")
-    parser.add_argument("--num-envs", type=int, default=256, help="of a round of imitation")
-    parser.add_argument("--device", default="cpu", help="to play and learn on")
-    parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
-    options = parser.parse_args()
-    options.device = prepare(options.device)
+def main(options: Options) -> None:
+    options = replace(options, device=prepare(options.device))
     method = find_method(options.method, WORKCELL)
     cfg = EvaluationCfg(
         objects=SIZES,
@@ -293,4 +293,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Options, description=__doc__))

@@ -11,13 +11,14 @@ Source of recordings: repositories kkufieta/ur5_modeling_force_estimate, MingyuT
 and Yuxuan-Liang-git/UR5e_Torque.
 """
 
-import argparse
 from collections import Counter
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+import tyro
 from rich.console import Console
+from tyro.conf import Positional
 
 from pixel2catch.arrays import read_table
 from pixel2catch.reports import terminal_table
@@ -130,13 +131,9 @@ def false_stops(motion: Played, limits: ServoLimits) -> list[str]:
     return stops
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument(
-        "recordings", nargs="+", type=Path, help="folders and tables; the first tells the lag"
-    )
+def main(recordings: Positional[tuple[Path, ...]]) -> None:
     unknown = limits_of_arm(None)
-    motions = [played(path, unknown.dt) for path in parser.parse_args().recordings]
+    motions = [played(path, unknown.dt) for path in recordings]
     first = motions[0]
     lag = watched(first.command, first.measured, first.stamp, unknown)[1]["estimated_lag"][0].clip(unknown.dt)
     print(f"lag in {first.name} [ms]: {np.round(1e3 * lag, 1)}")
@@ -156,4 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)
