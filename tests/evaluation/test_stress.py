@@ -201,9 +201,7 @@ def rows_of(
         file = cells.cell_file(folder, policy, setting)
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(content(each)))
-    return cells.result_rows(
-        policies, settings, folder, lambda each: replace(each, axis=settings[0].axis).name
-    )
+    return cells.result_rows(policies, settings, folder, settings[0].axis)
 
 
 def of_200(number: int) -> str:

@@ -149,7 +149,18 @@ class Calibrate:
         paths = sample_paths(ThrowCfg(), NUM_THROWS).reshape(-1, 3).numpy()
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
-        _print_result(result, comparison)
+        rows = [
+            {
+                "image": name,
+                "RMS [px]": f"{rms:.2f}",
+                "used": "left out" if name in result.left_out else "yes",
+            }
+            for name, rms in sorted(result.errors.items(), key=lambda each: -each[1])
+        ]
+        console = results_console()
+        console.print(terminal_table("seen and computed corners", rows))
+        for line in _sentences(result, comparison):
+            console.print(Text(line))
         say(f"wrote {self.out}")
         suggest("evaluate", "--camera", self.out)
 
@@ -197,18 +208,6 @@ class Calibrate:
         if blank:
             say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
         return views
-
-
-def _print_result(result: "Calibration", comparison: "Comparison") -> None:
-    """Print the errors of the images, the camera, and what to do."""
-    rows = [
-        {"image": name, "RMS [px]": f"{rms:.2f}", "used": "left out" if name in result.left_out else "yes"}
-        for name, rms in sorted(result.errors.items(), key=lambda each: -each[1])
-    ]
-    console = results_console()
-    console.print(terminal_table("seen and computed corners", rows))
-    for line in _sentences(result, comparison):
-        console.print(Text(line))
 
 
 def _sentences(result: "Calibration", comparison: "Comparison") -> Iterator[str]:

@@ -217,11 +217,17 @@ class SimulatedTask:
         for name in self.given:
             if name.partition(".")[0] in OF_THE_PROTOCOL:
                 raise InvalidValueError(f"the policy and --objects set --env.{name}; leave it out.")
+        from pixel2catch.workcells import find_workcell
+
         task = task.with_files(self.dynamics, self.camera)
         changed = with_given(task, self.env, self.given)
-        changed = replace(changed, scene=replace(changed.scene, camera=changed.sensing.camera.camera))
-        _require_same_joints(task, changed)
-        return changed
+        ours, theirs = (find_workcell(each.scene.workcell) for each in (task, changed))
+        if ours.joint_names != theirs.joint_names:
+            raise InvalidValueError(
+                f"the joints of work cell '{theirs.name}' are not the policy's, those of '{ours.name}'; "
+                "leave out --env.scene.workcell, or give a work cell with the same joints."
+            )
+        return replace(changed, scene=replace(changed.scene, camera=changed.sensing.camera.camera))
 
     def beneath(self, setting: "Setting") -> "Setting":
         """Return a setting that disturbs the changed task."""
@@ -239,15 +245,3 @@ class SimulatedTask:
         for remark in camera_remark(policy, task):
             say(remark)
         return task
-
-
-def _require_same_joints(task: "CatchEnvCfg", changed: "CatchEnvCfg") -> None:
-    """Raise if another work cell, such as one with makers' bodies, has other joints."""
-    from pixel2catch.workcells import find_workcell
-
-    ours, theirs = (find_workcell(each.scene.workcell) for each in (task, changed))
-    if ours.joint_names != theirs.joint_names:
-        raise InvalidValueError(
-            f"the joints of work cell '{theirs.name}' are not the policy's, those of '{ours.name}'; "
-            "leave out --env.scene.workcell, or give a work cell with the same joints."
-        )

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.checks import NOT_EMPTY, DynamicsPath, NewFolder, require_used
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from pixel2catch.identification.checks import DataCheck
-    from pixel2catch.identification.identify import Identification
     from pixel2catch.identification.recording import Recording
     from pixel2catch.robots.workcell import WorkcellSpec
 
@@ -56,9 +56,9 @@ class Identify:
     start: DynamicsPath | None = None
 
     def run(self) -> None:
+        from pixel2catch.identification import report as reports
         from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg
-        from pixel2catch.identification.identify import checked, identify, start_of_fit
-        from pixel2catch.identification.report import DYNAMICS, REPORT, write_report
+        from pixel2catch.identification.identify import checked, identify, open_questions, start_of_fit
         from pixel2catch.workcells import find_workcell
 
         workcell, cfg, start = find_workcell(self.workcell), FitCfg(free=self.free), None
@@ -82,10 +82,17 @@ class Identify:
         with held_folder(self.out), working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            write_report(self.out, result, circumstances())
-        _print_result(result)
-        say(f"wrote {self.out / DYNAMICS} and the report {self.out / REPORT}")
-        suggest("evaluate", "--dynamics", self.out / DYNAMICS)
+            reports.write_report(self.out, result, circumstances())
+        console = results_console()
+        console.print(terminal_table("Tracking error, RMS [mrad]", reports.error_rows(result)))
+        console.print(terminal_table("Parameters with 95 % intervals", reports.parameter_rows(result)))
+        for question in open_questions(result.fit):
+            console.print(Text(f"- {question}"))
+        for warning in reports.warnings(result):
+            console.print(Text(warning, style="bold yellow"))
+        dynamics = self.out / reports.DYNAMICS
+        say(f"wrote {dynamics} and the report {self.out / reports.REPORT}")
+        suggest("evaluate", "--dynamics", dynamics)
 
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
         from pixel2catch.identification.recording import Recording, joints_of
@@ -119,18 +126,3 @@ def print_checks(name: str, checks: "Sequence[DataCheck]") -> None:
     from pixel2catch.identification.report import check_table
 
     results_console().print(terminal_table(*check_table(name, checks)))
-
-
-def _print_result(result: "Identification") -> None:
-    """Print errors and parameters as tables, then what is not identified, and warnings."""
-    from rich.text import Text
-
-    from pixel2catch.identification import identify, report
-
-    console = results_console()
-    console.print(terminal_table("Tracking error, RMS [mrad]", report.error_rows(result)))
-    console.print(terminal_table("Parameters with 95 % intervals", report.parameter_rows(result)))
-    for question in identify.open_questions(result.fit):
-        console.print(Text(f"- {question}"))
-    for warning in report.warnings(result):
-        console.print(Text(warning, style="bold yellow"))

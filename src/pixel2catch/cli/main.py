@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from inspect import cleandoc
 from typing import Annotated, Any, Union
@@ -116,7 +116,12 @@ def _sentence(error: Exception | SystemExit) -> str:
 def parse(args: Sequence[str]):
     """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits."""
     if not args or args[0] in HELP:
-        print(DESCRIPTION.format(commands="".join(_listing())), end="", file=None if args else sys.stderr)
+        lines = list[str]()
+        for title, names in GROUPS.items():
+            docs = {name: load_command(name).__doc__.splitlines()[0] for name in names}
+            lines += ["", f"{title}:", *(f"  {name:10} {doc}" for name, doc in docs.items())]
+        commands = "\n".join([*lines, ""])
+        print(DESCRIPTION.format(commands=commands), end="", file=None if args else sys.stderr)
         raise SystemExit(0 if args else EXIT_ERROR)
     if not args[0].startswith("-"):
         if args[0] not in COMMANDS:
@@ -124,13 +129,6 @@ def parse(args: Sequence[str]):
         return parse_options(args[0], args[1:])
     kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
     return _parsed(Union[*kinds], "pixel2catch", args)
-
-
-def _listing() -> Iterator[str]:
-    """Yield a line for each command: its name and the first line of its description."""
-    for title, names in GROUPS.items():
-        yield f"\n{title}:\n"
-        yield from (f"  {name:10} {load_command(name).__doc__.splitlines()[0]}\n" for name in names)
 
 
 def parse_options(name: str, args: Sequence[str]) -> Any:

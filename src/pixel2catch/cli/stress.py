@@ -1,6 +1,6 @@
 """`pixel2catch stress`: policies under disturbances that the paper's training lacks, or in other engines."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,10 +76,8 @@ class Stress:
         grid = StudyGrid(cells.policy_cells(policies, settings, self.out, cfg, is_alone=len(slots) == 1))
         run_grid(grid, slots, "transfer" if self.engines else "stress")
 
-        def home_of(setting: "Setting") -> str:
-            return replace(setting, axis=settings[0].axis).name if self.engines else "nominal"
-
-        if rows := cells.result_rows(policies, settings, self.out, home_of):
+        home = settings[0].axis if self.engines else None
+        if rows := cells.result_rows(policies, settings, self.out, home):
             sections = (cells.transfer_sections if self.engines else cells.stress_sections)(rows)
             title = "Transfer" if self.engines else "Stress suite"
             print(as_markdown(title, sections), end="", flush=True)

@@ -5,7 +5,7 @@ result that was made otherwise is refused before anything is computed, and never
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -170,19 +170,20 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
 
 
 def result_rows(
-    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path, home_of: Callable[[Setting], str]
+    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path, home: Axis | None = None
 ) -> list[Row]:
     """Return a row for each result that there is in the folder of a study, setting by setting.
 
-    `home_of` returns the name of the setting that another one is compared with: `success_rate_change` and its
-    like have the difference from it over the same throws.
+    `success_rate_change` and its like have the difference over the same throws from the nominal setting, or
+    from the same level of a home axis.
     """
     rows, found = list[Row](), dict[tuple[str, str], Json]()
     for setting, policy in product(settings, policies):
         if content := read_row(cell_file(out, policy, setting)):
             found[policy.name, setting.name] = content["metrics"]
     for setting, policy in product(settings, policies):
-        metrics, home, level = found.get((policy.name, setting.name)), home_of(setting), setting.level
+        metrics, level = found.get((policy.name, setting.name)), setting.level
+        at = replace(setting, axis=home).name if home else "nominal"
         if metrics is None:
             continue
         row = {
@@ -198,8 +199,8 @@ def result_rows(
             "is_trained_on": is_trained_on(policy.task, level.change),
             **{name: metrics[name] for name in KEPT if name in metrics},
         }
-        throws, at_home = (one.get("throws") for one in (metrics, found.get((policy.name, home), {})))
-        if home != setting.name and throws and at_home:
+        throws, at_home = (one.get("throws") for one in (metrics, found.get((policy.name, at), {})))
+        if at != setting.name and throws and at_home:
             for name, event in EVENTS.items():
                 row[f"{name}_change"] = paired_difference(at_home[event], throws[event])
         rows.append(row)
