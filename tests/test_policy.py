@@ -65,7 +65,7 @@ def test_a_mismatch_names_the_fields() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format_version": 99}, "'format_version' is 99, this code reads 2"),
+        ({"format_version": 99}, "format_version is 99, this code reads 2"),
         ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
         ({"object_radius": 0.0}, "object_radius is 0; it must be greater than 0"),

@@ -302,13 +302,11 @@ class StepClock(Clock):
         self.time, self._wait = 0.0, wait
 
     def now(self) -> float:
-        """See `Clock.now`."""
         return self.time
 
     stamp = now
 
     def sleep_until(self, moment: float) -> None:
-        """See `Clock.sleep_until`."""
         self._wait(moment)
 
 
@@ -337,6 +335,5 @@ class SteppedServo:
             raise self._servo.unforeseen
 
     def close(self) -> None:
-        """Close the link."""
         for end in self._ends:
             end.close()

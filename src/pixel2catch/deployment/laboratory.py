@@ -83,7 +83,6 @@ class Survey:
             self.listen()
 
     def listen(self) -> None:
-        """Take what has arrived."""
         self.endpoints = self._transport.endpoints()
         to_stamp = self._clock.stamp() - self._clock.now()
         for topic, decode in self._decoders.items():

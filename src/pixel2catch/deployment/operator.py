@@ -43,11 +43,9 @@ class OperatorConsole:
         return self.status.get("mode", "")
 
     def arm(self) -> None:
-        """Request arming."""
         self._arm.publish(messages.boolean(True))
 
     def stop(self) -> None:
-        """Request a stop."""
         self._stop.publish(messages.boolean(True))
 
     def point(self, box: list[float]) -> None:

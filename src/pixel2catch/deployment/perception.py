@@ -182,7 +182,6 @@ class InlineExecutor(Executor):
     """Runs work at once in the caller's thread, for stepped time."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """See `Executor.submit`; raises what the function raises."""
         future = Future[Any]()
         future.set_result(fn(*args, **kwargs))
         return future

@@ -106,7 +106,6 @@ class ObjectSight:
         self._jumps: deque[bool] = deque(maxlen=NUM_IMAGES)
 
     def update(self, box: Box) -> None:
-        """Use the box of the next image."""
         self._jumps.append(box.verdict is Verdict.JUMP)
         if box.verdict is Verdict.SEEN:
             center = np.reshape(box.edges, (2, 2)).mean(axis=0)
@@ -182,7 +181,6 @@ class PolicyPipeline:
         self._lead, self._num_held = np.zeros(self.num_joints), 0
 
     def begin_throw(self) -> None:
-        """Start a new throw of the policy."""
         self._image_stamp, self._target, self.sight = -inf, None, ObjectSight()
         self._begin_track()
 

@@ -158,7 +158,6 @@ class DeploymentRecorder:
                 self._write(topic, message.data, message.arrival)
 
     def record_images(self, received: list[Message]) -> None:
-        """Record image messages."""
         topic = self._profile.camera.image
         for message in received:
             if self._images == "jpeg":

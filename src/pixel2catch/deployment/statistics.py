@@ -91,7 +91,6 @@ class RunStatistics:
         self._sent.append(targets)
 
     def note_command(self, command: Command) -> None:
-        """Count a tick of the servo."""
         last, self._last = self._last, command
         self.num_ticks += 1
         self._times["servo_tick_ms"].count(command.duration)
@@ -136,7 +135,6 @@ class RunStatistics:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return all statistics."""
         counts = {name: value for name, value in vars(self).items() if not name.startswith("_")}
         times, stages = (
             {name: each.milliseconds(*PERCENTAGES) for name, each in all_times.items()}

@@ -69,7 +69,6 @@ class Training:
 
     @property
     def name(self) -> str:
-        """Name of the training and of its folder."""
         return f"{self.method.replace(' ', '-').replace('/', '%2F')}-seed{self.seed}"
 
 
@@ -99,7 +98,6 @@ class ComparisonFolder:
     path: Path
 
     def run(self, run: Training) -> Path:
-        """Return the folder of a training."""
         return self.path / "runs" / run.name
 
     def evaluation(self, run: Training, group: str) -> Path:

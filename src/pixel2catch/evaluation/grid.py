@@ -195,7 +195,6 @@ class StudyGrid:
 
     @property
     def missing(self) -> list[StudyCell]:
-        """The cells without a result."""
         return [cell for cell in self._cells if self.status[cell.name] is not Status.DONE]
 
     def run(

@@ -125,6 +125,8 @@ def _quality(result: Metrics) -> dict[str, str]:
             return "-"
         return f"{round(factor * result[name], digits) + 0.0:.{digits}f} {unit}"  # + 0.0: no -0.0
 
+    torques = (result.get("hold_torque") or {}).items()
+    share, finger = max(((share, name) for name, share in torques), default=(0.0, ""))
     return {
         **{f"failed: {name}".replace("_", " "): f"{100 * v:.1f} %" for name, v in result["failures"].items()},
         "robot touched the table": scaled("table_contact_rate", 100, "%"),
@@ -135,14 +137,9 @@ def _quality(result: Metrics) -> dict[str, str]:
         "largest arm joint speed": scaled("max_joint_speed", 1, "rad/s"),
         "largest torque, share of limit": scaled("max_torque_share", 100, "%"),
         "arm joint at its torque limit, a throw": scaled("arm_limit_time", 1, "s", 2),
-        "finger torque in the hold, share of limit": _largest(result.get("hold_torque")),
+        "finger torque in the hold, share of limit": f"{100 * share:.1f} % ({finger})" if finger else "-",
         "largest force on the object in a throw, median": scaled("median_object_force", 1, "N"),
         "largest force on the object": scaled("max_object_force", 1, "N"),
         "mean arm joint speed in the hold": scaled("hold_speed", 1, "rad/s", 3),
         "mean number of palms in reach in the hold": scaled("hold_palms", 1, "", 2),
     }
-
-
-def _largest(torques: Mapping[str, float] | None) -> str:
-    share, name = max(((share, name) for name, share in (torques or {}).items()), default=(0.0, ""))
-    return f"{100 * share:.1f} % ({name})" if name else "-"

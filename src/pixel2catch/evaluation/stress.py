@@ -82,7 +82,6 @@ class FieldChange:
     steps: tuple[tuple[str, Mapping[str, Any]], ...] = ()
 
     def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
-        """Return the task with these fields."""
         for name, values in self.steps:
             cfg = replace(cfg, **{name: replace(getattr(cfg, name), **values)})
         return cfg
@@ -119,7 +118,6 @@ class Axis:
 
     @property
     def settings(self) -> "tuple[Setting, ...]":
-        """One setting for each level."""
         return tuple(Setting(axis=self, level=level) for level in self.levels)
 
 
@@ -145,7 +143,6 @@ class Setting:
 
     @property
     def title(self) -> str:
-        """Name in tables."""
         space = "" if self.axis.unit == "°" else " "
         return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
 

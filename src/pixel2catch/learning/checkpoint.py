@@ -141,5 +141,4 @@ class RunFolder:
         self.write_json("sessions.json", [*before, session])
 
     def write_json(self, name: str, content: Any) -> None:
-        """Write a JSON file, all or nothing."""
         files.write_atomically({self.path / name: files.json_text(content)})

@@ -105,7 +105,6 @@ class TrainCfg:
     report_seconds: Annotated[float, Within(0.0, 1e6)] = 10.0
 
     def __post_init__(self) -> None:
-        """Check that a training with these values is possible."""
         require_valid(self)
         if self.rollout_transitions % self.mini_batches:
             raise InvalidValueError(

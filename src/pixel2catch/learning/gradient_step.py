@@ -58,7 +58,6 @@ class Standardizer(nn.Module):
         return ((values - self.mean.float()) / self.std).clamp(-INPUT_CLIP, INPUT_CLIP)
 
     def inverse(self, values: Tensor) -> Tensor:
-        """Return values from standardised ones."""
         return self.variance.float().sqrt() * values.clamp(-INPUT_CLIP, INPUT_CLIP) + self.mean.float()
 
 
@@ -87,7 +86,6 @@ class ActorCritic(nn.Module):
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
-        """Parameters of the policy and of the value network."""
         return {"policy": [self.log_std, *self.policy.parameters()], "value": [*self.value.parameters()]}
 
     def value_of(self, states: Tensor) -> Tensor:
@@ -106,7 +104,6 @@ class ActorCritic(nn.Module):
         return -(0.5 * error.square() + self.log_std + 0.5 * math.log(2.0 * math.pi)).sum(dim=-1)
 
     def entropy(self) -> Tensor:
-        """Return the entropy of an action."""
         return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
 
 
@@ -152,7 +149,6 @@ class GradientStep:
 
     @property
     def learning_rate(self) -> Tensor:
-        """Learning rate; changed in place."""
         return self.optimizer.param_groups[0]["lr"]
 
     def shuffle(self, order: Tensor) -> None:
@@ -160,7 +156,6 @@ class GradientStep:
         self._shuffled = self._rollout.each(partial(torch.index_select, dim=0, index=order))
 
     def batch(self, number: int) -> Batch:
-        """Return a mini-batch of the pass."""
         size = self._cfg.rollout_transitions // self._cfg.mini_batches
         return self._shuffled.each(lambda tensor: tensor.narrow(0, number * size, size))
 

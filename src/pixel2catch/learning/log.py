@@ -78,7 +78,6 @@ class TrainingLog:
             self.say(f"warning: could not write {what} ({error}); training goes on")
 
     def say(self, text: str) -> None:
-        """Print a line."""
         self._console.print(text, markup=False, soft_wrap=True)
 
 
@@ -135,7 +134,6 @@ class CsvLog:
         )
 
     def write(self) -> None:
-        """Write all rows, or leave the file as it is."""
         text = io.StringIO()
         columns = dict.fromkeys(name for row in self._rows for name in row)
         writer = csv.DictWriter(text, [*columns], restval="", lineterminator="\n")

@@ -183,7 +183,6 @@ class Catcher(nn.Module):
         self._fingers = pose_and_slopes(self._chain, self._ready)[0][0, :3, :3] @ local_way
 
     def forward(self, observation: Features) -> Joints:
-        """Return the actions of all joints."""
         parts = observation.cpu().double().split([*self._sizes.values()], dim=-1)
         part = dict(zip(self._sizes, parts, strict=True))
         joint_pos, last = part["joint_pos[t]"][:, self._arm], part["last_action[t]"]

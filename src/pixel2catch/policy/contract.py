@@ -15,7 +15,7 @@ import torch
 from pixel2catch.agents import AgentSpec, agents_of, commands_of
 from pixel2catch.checks import Meets, Within, require_valid
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
-from pixel2catch.files import decoded, shown
+from pixel2catch.files import decoded, shown, take_version
 from pixel2catch.mdp import observations, rewards
 from pixel2catch.mdp.control_step import BoxHistory, Measurement
 from pixel2catch.mdp.observations import ObservationInputs, ObservationTerm
@@ -79,17 +79,13 @@ class PolicyContract:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "PolicyContract":
         """Read what `to_dict` returned; raise PolicyMismatchError if it does not fit this code."""
-        version = data.get("format_version")
-        if version != FORMAT_VERSION:
-            raise PolicyMismatchError(
-                f"policy field 'format_version' is {shown(version)}, this code reads {FORMAT_VERSION}; "
-                "train again or use the version of this package that wrote the policy."
-            )
+        content, fix = dict(data), "train again, or use the version of this package that wrote the policy"
         try:
-            require_valid(contract := decoded(cls, dict(data)))
+            take_version(content, FORMAT_VERSION)
+            require_valid(contract := decoded(cls, content))
             return contract
         except InvalidValueError as error:
-            raise PolicyMismatchError(f"policy: {error}; train again.") from error
+            raise PolicyMismatchError(f"policy: {error}; {fix}.") from error
 
     def require(self, expected: "PolicyContract") -> None:
         """Compare with the contract of robot and camera at hand; PolicyMismatchError says what differs."""

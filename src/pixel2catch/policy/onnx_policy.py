@@ -59,7 +59,6 @@ class _Graph(nn.Module):
         self.policy, self.names = policy, tuple(policy.contract.agents)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return all actions."""
         given = zip(self.names, inputs, strict=True)
         return tuple(self.policy.network(name)(value).clamp(-1.0, 1.0) for name, value in given)
 

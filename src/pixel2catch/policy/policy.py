@@ -78,7 +78,6 @@ class Policy(nn.Module):
         )
 
     def network(self, agent: str) -> AgentNetwork:
-        """Return the network of an agent."""
         return cast(AgentNetwork, self.agents[agent])
 
     @torch.no_grad()

@@ -135,7 +135,6 @@ class Renderer(AbstractContextManager["Renderer"]):
         return (kind == mujoco.mjtObj.mjOBJ_GEOM.value) & np.isin(shown, geoms)
 
     def close(self) -> None:
-        """Free the drawing context."""
         self._renderer.close()
 
     def __exit__(self, *exception: object) -> None:

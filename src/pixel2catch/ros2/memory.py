@@ -38,7 +38,6 @@ class MessageQueues(list[MessageQueue]):
         self.clock, self.arrived = clock, Condition()
 
     def add(self, topic: Topic, depth: int, *, only_watches: bool) -> MessageQueue:
-        """Make a queue; see `Transport.subscription`."""
         self.append(MessageQueue(self, topic, depth, only_watches))
         return self[-1]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, final
 
-from pixel2catch.checks import Requirement
+from pixel2catch.checks import Meets
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.installation import install_command
 
@@ -156,19 +156,15 @@ LOOPBACK, ANY, ROS = "lo", "any", "ros"
 """Networks besides the interfaces of this machine: this machine only, the choice of DDS, and rclpy's."""
 
 
-@final
-@dataclass(frozen=True)
-class Reachable(Requirement):
-    """A network that this machine has."""
-
-    def require(self, name: str, value: str) -> None:
-        """Refuse an unknown interface, and name the known ones."""
-        known = dict.fromkeys((LOOPBACK, *(name for _, name in socket.if_nameindex()), ANY, ROS))
-        if value not in known:
-            raise UnknownNameError(name, value, known)
+def _is_known(network: str) -> bool:
+    """Return whether this machine has a network; raise UnknownNameError with those that it has."""
+    known = dict.fromkeys((LOOPBACK, *(name for _, name in socket.if_nameindex()), ANY, ROS))
+    if network not in known:
+        raise UnknownNameError("network", network, known)
+    return True
 
 
-NetworkName = Annotated[str, Reachable()]
+NetworkName = Annotated[str, Meets(_is_known, "name a network")]
 """`LOOPBACK`, an interface of this machine, `ANY` or `ROS`."""
 
 

@@ -231,7 +231,6 @@ class ServoLimits:
 
     @property
     def num_joints(self) -> int:
-        """Number of joints of all robots."""
         return len(self.joints.lower)
 
     @property

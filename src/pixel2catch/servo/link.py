@@ -90,7 +90,6 @@ class Row:
 
     @classmethod
     def of(cls, row: Float64[np.ndarray, " size"]) -> Self:
-        """Read a row."""
         kinds = cls.__annotations__
         num = sum(kind in (bool, int, float) for kind in kinds.values())
         numbers = [kind(value) for kind, value in zip(kinds.values(), row[:num].tolist(), strict=False)]
@@ -99,7 +98,6 @@ class Row:
 
     @property
     def row(self) -> Float64[np.ndarray, " size"]:
-        """Write a row."""
         return np.hstack([*vars(self).values()])
 
 

@@ -74,7 +74,6 @@ class JointStates:
         self._subscriptions = {topic: transport.subscription(topic, DEPTH) for topic in topics}
 
     def read(self) -> None:
-        """Read new messages."""
         for topic, subscription in self._subscriptions.items():
             for reading, arrival in _decoded(subscription.take(), messages.read_joint_state):
                 with suppress(DeploymentError):
@@ -184,7 +183,6 @@ class ServoSubscriptions:
         )
 
     def inputs(self, now: float, targets: JointTargets) -> ServoInputs:
-        """Return the inputs of a tick."""
         percents = [each.value for each in self._scaling if each.value is not None]
         shares = [round(percent / 100.0, SCALING_DIGITS) for percent in percents]
         passed_on = ("target_stamp", "image_stamp", "box_stamp", "is_perception_sound", "is_planned")

@@ -67,7 +67,6 @@ class ServoState:
 
     @classmethod
     def idle(cls, num_rows: int, limits: ServoLimits) -> "ServoState":
-        """Return the initial state."""
         robots, joints = np.zeros(num_rows, ROBOT_STATE), np.zeros((num_rows, limits.num_joints), JOINT_STATE)
         robots["now"] = joints["measured"] = joints["stamp"] = np.nan
         for name in ("arm_stamp", "used_press", "target_stamp"):

@@ -132,7 +132,6 @@ class EngineSimulation(Simulation):
             raise NonFiniteError(f"{lost} of {self.num_envs} environments have NaN or infinity in the state")
 
     def close(self) -> None:
-        """Free the copies."""
         self._copies.clear()
 
     def _state(self) -> Float[ndarray, "num_envs _"]:

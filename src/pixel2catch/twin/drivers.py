@@ -60,7 +60,6 @@ class HandDriver(Driver):
     """Follows every finite command, and holds the last one without end."""
 
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
-        """See `Driver.cycle`."""
         if command is not None and np.isfinite(command).all():
             self._target = command
         elif command is not None:
@@ -84,7 +83,6 @@ class ArmDriver(Driver):
 
     @property
     def is_running(self) -> bool:
-        """Whether the program runs."""
         return self._braking is None
 
     def reset(self, position: Joints) -> None:
@@ -97,7 +95,6 @@ class ArmDriver(Driver):
         self.safety_mode = PROTECTIVE_STOP
 
     def cycle(self, command: Joints | None, joints: JointState) -> Joints:
-        """See `Driver.cycle`."""
         command = self._newest if command is None else command
         if self.num_missed > 0:
             self.num_missed -= 1
@@ -139,7 +136,6 @@ class CameraDriver:
         self.num_lost = 0  #: Images that were not drawn, because earlier ones took too long.
 
     def expose(self, exposure: Exposure) -> None:
-        """Begin to draw an image."""
         if len(self._waiting) >= MOST_WAITING:
             self.num_lost += 1
         else:

@@ -123,7 +123,6 @@ class StatusPublisher:
         self._last: tuple[int, bool] | None = None
 
     def publish(self, number: int, safety_mode: int, is_running: bool) -> None:
-        """Publish the status of a cycle."""
         status = {"speed_scaling": messages.number(100.0 * is_running)} if number % STATUS_CYCLES == 0 else {}
         if (safety_mode, is_running) != self._last:
             status["safety_mode"] = messages.safety_mode(safety_mode)

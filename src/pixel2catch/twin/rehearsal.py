@@ -54,7 +54,6 @@ class RehearsalOperator(OperatorConsole):
         return self.truth.get("phase", "")
 
     def request(self, **request: Any) -> None:
-        """Send a request to the twin."""
         self._request.publish(messages.text(json.dumps(request)))
 
     def watch(self) -> None:

@@ -105,7 +105,6 @@ class SimulatedLab:
 
     @property
     def object_name(self) -> str:
-        """Name of the object of the throw."""
         return self._world.objects.names[int(self.episode.parameters.object_id)]
 
     @property
@@ -179,7 +178,6 @@ class SimulatedLab:
         return None if self.phase is Phase.EMPTY else self.object_name
 
     def exposure(self) -> Exposure:
-        """Return what the camera sees now."""
         moment = Moment(qpos=self._qpos.copy(), qvel=self._qvel.copy(), time=self.time)
         return Exposure(moment=moment, object_name=self._shown_name, thrower=self._thrower.joint_pos)
 
@@ -196,7 +194,6 @@ class SimulatedLab:
         }
 
     def close(self) -> None:
-        """Free the simulation."""
         self._world.simulation.close()
 
     def _end_control_step(self, log: StepExtremes) -> None:

@@ -109,7 +109,6 @@ class OperatorPage:
             self._console.watch()
 
     def close(self) -> None:
-        """End the page."""
         self._server.close()
 
     def _read_status(self, status: dict[str, Any], now: float) -> None:

@@ -49,13 +49,11 @@ class PlayPage:
 
     @property
     def order(self) -> ThrowOrder:
-        """Settings of the next throw, from the page."""
         return ThrowOrder(
             policy=self.policy.value, objects=self.objects.value, disturbance=self.disturbance.value
         )
 
     def run(self) -> None:
-        """Play until `close`."""
         torch.set_num_threads(1)
         while True:
             self._wanted.wait()
@@ -66,7 +64,6 @@ class PlayPage:
             self._play()
 
     def close(self) -> None:
-        """End `run`."""
         self._closed.set()
         self._begin()
 
@@ -95,13 +92,11 @@ class PlayPage:
         self._begin()
 
     def show_again(self, number: int) -> None:
-        """Show a throw again."""
         self.is_repeated.value = False
         self._again = self.throws[number]
         self._begin()
 
     def free(self) -> None:
-        """Free all resources, after `run`."""
         self.stage.close()
         self._thrower.close()
         self.server.close()

@@ -93,7 +93,6 @@ class SceneView:
                     look.visible = name == exposure.object_name
 
     def remove(self) -> None:
-        """Remove the scene from the page."""
         self._root.remove()
 
     def show_path(self, path: FlightPath) -> None:

@@ -124,7 +124,6 @@ class PageServer:
     address: str  #: Address to open in a browser.
 
     def close(self) -> None:
-        """End the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.viser.stop()
 

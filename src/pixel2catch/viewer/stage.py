@@ -45,7 +45,6 @@ class Playback:
         self.set(_is_interrupted=True)
 
     def begin(self) -> None:
-        """Begin to play."""
         self._due = time.monotonic()
         self.set(_is_interrupted=False)
 
@@ -112,13 +111,11 @@ class Stage:
         self.text.content = f"throw {throw.number}: {throw.object_name}{outcome}"
 
     def replay(self, throw: PlayedThrow) -> None:
-        """Show a throw again."""
         for number in range(len(throw.steps)):
             if not self.show(throw, number):
                 return
 
     def close(self) -> None:
-        """End the thread that draws images."""
         self._images.close()
 
     def _open(self, scene: SceneCfg) -> None:
@@ -144,7 +141,6 @@ class CameraImages:
         self._drawing: Future[None] | None = None
 
     def close(self) -> None:
-        """End the thread."""
         self._newest = None
         self._pool.submit(self._stack.close)
         self._pool.shutdown()

@@ -99,7 +99,6 @@ class ThrowPlayer:
             throw.outcome = caught if throw.is_success else missed
 
     def close(self) -> None:
-        """Free the environment."""
         if self._running is not None:
             self._running[0].close()
         self._running = None

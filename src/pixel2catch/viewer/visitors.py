@@ -81,7 +81,6 @@ class Visitors:
 
     @property
     def num(self) -> int:
-        """Number of connected browsers."""
         return len(self._news)
 
     def send(self, state: dict[str, Any], image: bytes) -> None:
