@@ -1,20 +1,15 @@
-import numpy as np
 import pytest
-import torch
-from rendered_throws import LabelledImage, truths
 
-from pixel2catch.camera.image import Box, Image, Verdict
+from pixel2catch.camera.image import Box, Verdict
 from pixel2catch.evaluation.box_scores import reacquisition, score_box, summary
 from pixel2catch.perception.labels import Truth
 
-PIXELS = np.zeros((2, 2, 3), dtype=np.uint8)
 BOX = (100.0, 100.0, 120.0, 110.0)
-
-
-def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> LabelledImage:
-    box = torch.tensor([BOX]) * (num_pixels > 0)
-    image = Image(pixels=PIXELS, stamp=time)
-    return LabelledImage(image=image, box=box, num_pixels=num_pixels, palm_distance=palm_distance)
+TRUTHS = [
+    *[Truth(phase="held", box=BOX)] * 2,
+    *[Truth(phase="flight", box=box) for box in (BOX, BOX, None)],
+    *[Truth(phase="near the hand", box=BOX)] * 2,
+]
 
 
 def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
@@ -23,11 +18,10 @@ def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Box:
     return Box(edges=(xmin, ymin, xmax + error, ymax), verdict=verdict, is_valid=True, age=0.0)
 
 
-SHOTS = [*map(shot, (-0.1, 0.0, 0.1, 0.2)), shot(0.3, num_pixels=0), shot(0.4, 0.2), shot(0.5, 0.9)]
 SEEN = [*map(seen, (1.0, 3.0, -5.0)), seen(9.0, Verdict.NOT_FOUND), *map(seen, (2.0, 6.0, 4.0))]
 SCORES = [
     score_box(truth, box.edges, is_seen=box.verdict is Verdict.SEEN)
-    for truth, box in zip(truths(SHOTS), SEEN, strict=True)
+    for truth, box in zip(TRUTHS, SEEN, strict=True)
 ]
 
 
