@@ -255,25 +255,14 @@ RATES = (600.0, 660.0, 1200.0)
 RESTITUTIONS = (0.0, 0.1, 0.25, 0.5)
 
 
-def physx(name: str = "physx", hz: float = 600.0, **settings: bool) -> Engine:
-    """PhysX with other settings than the package's."""
-    return Engine(name=name, hz=hz, make_copy=partial(PhysxCopy, **settings))
-
-
-def engines() -> list[Engine]:
-    """Those of the table."""
-    return [
-        *(Engine(name="mujoco", hz=hz) for hz in RATES),
-        *(physx(hz=hz) for hz in RATES),
-        physx("physx, TGS", has_substeps=True),
-        physx("physx, TGS and PCM", has_substeps=True, keeps_contacts=True),
-        *(Engine(name="drake", hz=hz, make_copy=DrakeCopy) for hz in RATES),
-    ]
+mujoco, physx = partial(Engine, name="mujoco"), partial(Engine, name="physx", make_copy=PhysxCopy)
+drake = partial(Engine, name="drake", make_copy=DrakeCopy)
+ENGINES = [make(hz=hz) for make in (mujoco, physx, drake) for hz in RATES]
 
 
 def main(only: str = "") -> None:
     """Print the tables, of engines whose names begin with `only`."""
-    chosen = [each for each in engines() if each.name.startswith(only)]
+    chosen = [each for each in ENGINES if each.name.startswith(only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
         "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip %, mm |"

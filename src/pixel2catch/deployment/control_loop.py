@@ -286,9 +286,7 @@ class ControlLoop:
         causes = self._requests.complaint, self._problem, self._images.message, box and box.message, complaint
         wrong = self._images.take_notice() or next(filter(None, causes), "")
         words = self._requests.stopped_by, cycle.message if cycle else "", wrong, trouble
-        status = self.statistics.status(
-            box, " ".join(filter(None, words)), sight.at(now), now - sight.box_stamp
-        )
+        status = self.statistics.status(box, " ".join(filter(None, words)), sight.at(now))
         phase = {"cycle": cycle.phase} if cycle else {}
         return status | {"robot": self._connection.robot_words} | phase
 

@@ -2,7 +2,6 @@
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -109,13 +108,10 @@ class RunStatistics:
             image_stamp = image_stamps.get(command.target_stamp, command.image_stamp)
             self._times["image_to_command_ms"].count(command.time - image_stamp)
 
-    def status(
-        self, box: Box | None, message: str, visibility: str | None = None, age: float = inf
-    ) -> dict[str, Any]:
+    def status(self, box: Box | None, message: str, visibility: str | None = None) -> dict[str, Any]:
         """Return the status of a control step; refusals and clamps are those since the last one.
 
-        The box is of the newest image, None without a recent one; its age is in s. The visibility is None
-        where there is no object.
+        The box is of the newest image, None without a recent one; so is the visibility without an object.
         """
         last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
@@ -128,7 +124,6 @@ class RunStatistics:
             "box": list(box.edges) if box and box.is_valid else None,
             "verdict": str(box.verdict) if box else visibility and str(Verdict.NO_IMAGE),
             "object": visibility,
-            "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": self._times["image_to_command_ms"].milliseconds(50, 90, 99),
             "num_missed": self.num_missed,
             "message": message,

@@ -38,24 +38,18 @@ POSITION_ITERATIONS, VELOCITY_ITERATIONS = 16, 1  #: Iterations of the solver fo
 class PhysxCopy(EngineCopy):
     """A PhysX scene on the CPU.
 
-    Source of the solver's settings: ours, `benchmarks/engine_calibration.py`. With substeps (TGS, SAPIEN's
-    default; here PGS) a ball leaves an impact with up to three times its spin. With contacts that persist
-    from step to step (PCM, SAPIEN's default) some overlaps are detected only at 8 mm.
+    Source of the solver's settings: ours, `experiments/results/2026-11-23-physx-solver`. With substeps (TGS,
+    SAPIEN's default; here PGS) a ball leaves an impact with up to three times its spin. With contacts that
+    persist from step to step (PCM, SAPIEN's default) some overlaps are detected only at 8 mm.
     """
 
-    def __init__(
-        self, world: RigidWorld, *, has_substeps: bool = False, keeps_contacts: bool = False
-    ) -> None:
+    def __init__(self, world: RigidWorld) -> None:
         if len(world.excluded) > MOST_EXCLUDED:
             fix = f"PhysX supports at most {MOST_EXCLUDED}: use engine 'mujoco'"
             raise InvalidValueError(f"{len(world.excluded)} pairs of bodies do not collide; {fix}.")
         sapien, physx = load_sapien(), load_sapien().physx
-        physx.set_scene_config(
-            gravity=world.gravity,
-            bounce_threshold=BOUNCE_SPEED,
-            enable_tgs=has_substeps,
-            enable_pcm=keeps_contacts,
-        )
+        settings = {"bounce_threshold": BOUNCE_SPEED, "enable_tgs": False, "enable_pcm": False}
+        physx.set_scene_config(gravity=world.gravity, **settings)
         self._system = physx.PhysxCpuSystem()
         self._system.timestep = world.timestep
         self._scene = sapien.Scene([self._system])
