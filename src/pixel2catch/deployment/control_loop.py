@@ -194,17 +194,13 @@ class ControlLoop:
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Run until it is over, and report the status of every control step; raises what `poll` raises."""
         while not is_over():
-            if status := self.poll():
+            status, left = self.poll(), self._timer.due - self._clock.now()
+            if status:
                 on_status(status)
-            else:
-                self._wait()
-
-    def _wait(self) -> None:
-        left = self._timer.due - self._clock.now()
-        if self._perception.stamp is not None:
-            self._perception.wait(min(BUSY_POLL, left) if left > 0.0 else POLL)
-        elif left > 0.0:
-            self._connection.transport.wait(min(POLL, left))
+            elif self._perception.stamp is not None:
+                self._perception.wait(min(BUSY_POLL, left) if left > 0.0 else POLL)
+            elif left > 0.0:
+                self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
         """Receive, process images and, when it is time, decide; return the status of a control step.

@@ -4,7 +4,7 @@ import errno
 import json
 import os
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from itertools import chain
 from math import inf
@@ -123,27 +123,23 @@ class Switches(AbstractContextManager["Switches"]):
 
     def poll(self) -> list[Press]:
         """Return the presses and releases since the last call; raise DeploymentError without the device."""
+        try:
+            data = os.read(self._file, MOST_EVENTS * EVENT.size)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.pressed.clear()
+            raise DeploymentError("the input device with the dead-man's switch is gone; plug it in again")
         presses: list[Press] = []
-        for kind, code, value in self._events():
+        for *_, kind, code, value in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
             if (kind, code) == (SYNC, DROPPED):
                 self.pressed.clear()  # a release may be lost: keys must be pressed again
             elif kind == KEY and value in (0, 1):
                 presses.append(Press(code, value == 1))
                 (self.pressed.add if value else self.pressed.discard)(code)
         return presses
-
-    def _events(self) -> Iterator[tuple[int, int, int]]:
-        try:
-            data = os.read(self._file, MOST_EVENTS * EVENT.size)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self.pressed.clear()
-            raise DeploymentError("the input device with the dead-man's switch is gone; plug it in again")
-        for event in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
-            yield event[2:]
 
     def __exit__(self, *exception: object) -> None:
         os.close(self._file)

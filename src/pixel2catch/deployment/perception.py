@@ -77,8 +77,7 @@ class ImageSubscriber:
 
     def newest(self) -> Image | None:
         """Return the newest image since the last call, stamped by `Clock.now`; None without a usable one."""
-        self._check_lens()
-        self._count_cameras()
+        self._check_camera()
         self.received = self._images.take()
         newest: Image | None = None
         for message in self.received:
@@ -107,14 +106,13 @@ class ImageSubscriber:
         notice, self._notice = self._notice, ""
         return notice
 
-    def _check_lens(self) -> None:
+    def _check_camera(self) -> None:
+        """Compare the lens; from time to time, count the cameras."""
         for message in self._lens.take() if self._lens else ():
             try:
                 self._wrong_lens = lens_difference(messages.read_camera_info(message.data), self._camera)
             except DeploymentError as error:
                 self._wrong_lens = str(error)
-
-    def _count_cameras(self) -> None:
         if (now := self._clock.now()) < self._next_poll:
             return
         self._next_poll = now + POLL_TIME
