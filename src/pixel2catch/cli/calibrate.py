@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pixel2catch.ros2.transport import Clock, Transport
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
-STEP = 1e-4  #: Angle by which joints are turned to differentiate the palm's pose [rad].
 NUM_THROWS = 200  #: Throws at whose points the calibrated camera is compared with the policy's.
 
 LARGEST_RMS = 1.5
@@ -185,7 +184,7 @@ class Calibrate:
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.lens import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
-        from pixel2catch.robots.geometry import chain_of
+        from pixel2catch.robots.geometry import chain_of, pose_and_slopes
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
@@ -193,16 +192,13 @@ class Calibrate:
         joint_pos, names = read_table(path, joints, text=IMAGE_COLUMN)
         require_motion(str(path), joints, np.arange(float(len(joint_pos))), joint_pos, workcell)
         board, views, blank = CharucoBoard(self.square), [], []
-        chain, steps = chain_of(workcell, workcell.palms[0]), STEP * np.eye(len(joints))
-        turned = np.stack([joint_pos, *(joint_pos + each for each in (*steps, *-steps))])
-        palms = chain.link_poses(torch.from_numpy(turned.reshape(-1, len(joints))))[:, -1].numpy()
-        palms = palms.reshape(len(turned), len(joint_pos), *palms.shape[1:])
-        rates = (palms[1 : len(joints) + 1] - palms[len(joints) + 1 :]) / (2.0 * STEP)
-        for i, name in enumerate(names):
+        chain = chain_of(workcell, workcell.palms[0])
+        poses, slopes = (each.numpy() for each in pose_and_slopes(chain, torch.from_numpy(joint_pos)))
+        for name, palm, rates in zip(names, poses, slopes, strict=True):
             image = read_image(path.parent / name)
             check_image(image, lens.camera.width, lens.camera.height)
             if view := board.find(image):
-                views.append(HandView(name=name, view=view, palm=palms[0, i], palm_rates=rates[:, i]))
+                views.append(HandView(name=name, view=view, palm=palm, palm_rates=rates))
             else:
                 blank.append(name)
         if blank:
