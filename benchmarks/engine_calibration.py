@@ -18,15 +18,18 @@ Run: python benchmarks/engine_calibration.py
 """
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 import torch
 import tyro
 from torch import Tensor
 
+from pixel2catch.reports import markdown
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.objects import OBJECTS
@@ -262,39 +265,27 @@ ENGINES = [make(hz=hz) for make in (mujoco, physx, drake) for hz in RATES]
 
 def main(only: str = "") -> None:
     """Print the tables, of engines whose names begin with `only`."""
-    chosen = [each for each in ENGINES if each.name.startswith(only)]
-    print(
-        "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-        "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip %, mm |"
-    )
-    print("| --- |" + " ---: |" * 11)
-    for each in chosen:
-        way, change = flight(each)
-        moved = [[motion(each, joints, name) for name in COMMANDS] for joints in (ARM_JOINTS, HAND_JOINTS)]
-        cells = [f"{way:.2f}", f"{change:.3f}", *(f"{a:.2f}, {b:.2f}" for a, b in moved)]
-        cells += [f"{resting_depth(each):.0f}", f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"]
-        cells += [f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"]
-        rolled = [roll(each, e) for e in ((0.0,) if each.make_copy is DrakeCopy else (0.0, 0.25))]
-        cells += [", ".join(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in rolled)]
-        held, deepest = grip(each)
-        cells += [f"{creep(each):.2f}", f"{100 * held:.0f}, {deepest:.1f}"]
-        print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
-    print(
-        "\n| engine | Hz | object, m/s down, along | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |"
-    )
-    print("| --- | ---: | --- |" + " ---: |" * len(RESTITUTIONS))
-    for each in chosen:
-        for name in ("sphere_l", "cube_l"):
-            for speed, along in ((1.0, 0.0), (4.0, 0.0), (2.0, 2.0)):
-                known = RESTITUTIONS[:1] if each.make_copy is DrakeCopy else RESTITUTIONS  # Drake has none
-                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e, along)) for e in known]
-                cells += [""] * (len(RESTITUTIONS) - len(known))
-                print(
-                    f"| {each.name} | {each.hz:g} | {name}, {speed:g}, {along:g} | "
-                    + " | ".join(cells)
-                    + " |",
-                    flush=True,
-                )
+    laws, rebounds = list[dict[str, str]](), list[dict[str, str]]()
+    for each in (each for each in ENGINES if each.name.startswith(only)):
+        of_engine = {"engine": each.name, "Hz": f"{each.hz:g}"}
+        is_inelastic, (way, change), (held, deepest) = each.make_copy is DrakeCopy, flight(each), grip(each)
+        law = of_engine | {"flight mm": f"{way:.2f}", "momentum": f"{change:.3f}"}
+        for part, joints in (("arm", ARM_JOINTS), ("hand", HAND_JOINTS)):
+            law[f"{part} step, sine mrad"] = ", ".join(f"{motion(each, joints, n):.2f}" for n in COMMANDS)
+        law["rest µm"] = f"{resting_depth(each):.0f}"
+        law["slide 0.5, 1"] = f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"
+        law["hop 0.5, 1"] = f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"
+        rolled = [roll(each, e) for e in ((0.0,) if is_inelastic else (0.0, 0.25))]
+        law["roll 0, 0.25"] = ", ".join(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in rolled)
+        law |= {"creep mm/s": f"{creep(each):.2f}", "grip %, mm": f"{100 * held:.0f}, {deepest:.1f}"}
+        laws.append(law)
+        for name, (speed, along) in product(("sphere_l", "cube_l"), ((1.0, 0.0), (4.0, 0.0), (2.0, 2.0))):
+            row = of_engine | {"object, m/s down, along": f"{name}, {speed:g}, {along:g}"}
+            for e in RESTITUTIONS[:1] if is_inelastic else RESTITUTIONS:
+                row[f"e = {e:g}"] = "{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e, along))
+            rebounds.append(row)
+        print(f"{each.name}, {each.hz:g} Hz: done", file=sys.stderr)
+    print(markdown(laws), markdown(rebounds), sep="\n", end="")
 
 
 if __name__ == "__main__":
