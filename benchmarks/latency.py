@@ -16,13 +16,10 @@ import os
 import resource
 import statistics
 import struct
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from subprocess import Popen
 
 import tyro
 from tyro.conf import Positional
@@ -33,6 +30,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.servo.link import SERVO_PRIORITY, set_real_time
+from pixel2catch.twin.rehearsal import printed_summary, running_command
 
 STAMPED = (messages.IMAGE, messages.JOINT_STATE)
 PAUSE = 1.0
@@ -71,20 +69,7 @@ def play(entries: Played, node: Transport, clock: RealClock, passes: int) -> flo
     return (time.process_time() - cpu) / (clock.now() - start)
 
 
-@contextmanager
-def deployment(clock: float, record: Path | None, out: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """`deploy` as a process; what it prints goes to a file."""
-    command = [sys.executable, "-m", "pixel2catch", "deploy", "--dry-run", "--json"]
-    command += ["--clock", f"{clock:g}", *(["--record", str(record)] if record else [])]
-    with open(out, "wb") as file, subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
-            process.wait(START_TIME)
-
-
-def wait_for(node: Transport, profile: Profile, process: subprocess.Popen[bytes]) -> None:
+def wait_for(node: Transport, profile: Profile, process: Popen[bytes]) -> None:
     """Wait until the deployment and its servo are there."""
     statuses, end = node.subscription(profile.operator.status), time.monotonic() + START_TIME
     while newest(statuses.take(), {}).get("mode") != "idle":
@@ -101,10 +86,10 @@ def main(
     entries, load = read(recording, played_topics(profile)), os.getloadavg()[0]
     images = ((moment, data) for moment, topic, data in entries if topic.type == messages.IMAGE)
     ages = [moment - struct.unpack_from("<d", data, 4)[0] for moment, data in images]
+    options = ["--dry-run", "--json", "--clock", f"{clock:g}", *(["--record", str(record)] if record else [])]
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "deploy.txt"
         with make_transport("replayer", LOOPBACK, played_clock) as node:
-            with deployment(clock, record, out) as process:
+            with running_command(Path(folder), "deploy", *options) as process:
                 wait_for(node, profile, process)
                 set_real_time(SERVO_PRIORITY)  # as the drivers that it stands for
                 begin = time.monotonic()
@@ -112,14 +97,12 @@ def main(
                 seconds = time.monotonic() - begin
             used = resource.getrusage(resource.RUSAGE_CHILDREN)
             cpu["deployment with its start"] = (used.ru_utime + used.ru_stime) / seconds
-        said = [line for line in out.read_text().splitlines() if line.startswith('{"summary"')]
-        if not said:
-            raise SystemExit(out.read_text()[-2000:])
+        summary = printed_summary(Path(folder, "deploy.txt"))
     report = {
         "sent_ms": 1e3 * statistics.median(ages),
         "load": [load, os.getloadavg()[0]],
         "cpu": cpu,
-        "deploy": json.loads(said[0])["summary"],
+        "deploy": summary,
     }
     print(json.dumps(report, indent=2))
 

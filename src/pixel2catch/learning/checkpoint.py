@@ -71,9 +71,7 @@ class Checkpoint:
                 state = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
             except (RuntimeError, EOFError, pickle.UnpicklingError, BadZipFile) as error:
                 raise InvalidValueError(f"it is damaged ({error})") from error
-            version = state.get("format_version") if isinstance(state, dict) else None
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"it has format {version}, this code reads {FORMAT_VERSION}")
+            files.take_version(state if isinstance(state, dict) else {}, FORMAT_VERSION)
             return cls(
                 path=path,
                 contract=PolicyContract.from_dict(files.json_object(state["contract"])),

@@ -77,7 +77,6 @@ class RehearsalOperator(OperatorConsole):
             self._clock.sleep_until(self._clock.now() + POLL)
 
     def wait(self, seconds: float) -> None:
-        """Watch for so long [s]."""
         end = self._clock.now() + seconds
         self.wait_until(lambda: self._clock.now() >= end, "the end of a wait", seconds + POLL)
 
@@ -172,10 +171,9 @@ def run_throws(cfg: RehearsalCfg, operator: RehearsalOperator, on_throw: OnThrow
     for seed in range(cfg.seed, cfg.seed + cfg.throws):
         outcomes.append(run_trial(operator, seed, cfg.held_seconds, is_cycle=is_cycle))
         on_throw(outcomes[-1])
-    num, report = len(outcomes), {"num_throws": len(outcomes)}
+    report = {"num_throws": len(outcomes)}
     for name, flag in (("tracking_rate", "is_tracked"), ("success_rate", "is_success")):
-        count = sum(getattr(outcome, flag) for outcome in outcomes)
-        report |= rate(name, count, num)
+        report |= rate(name, sum(getattr(outcome, flag) for outcome in outcomes), len(outcomes))
     return {
         **report,
         "stops": dict(Counter(stop for outcome in outcomes for stop in outcome.stops)),
@@ -201,8 +199,8 @@ def rehearse(
     deploy = _options(**both, profile=profile.name, after_catch=cfg.after_catch, record=cfg.record)
     with ExitStack() as stack:
         processes = [
-            stack.enter_context(_running_command(logs, "twin", *twin, "--objects", *cfg.task.objects)),
-            stack.enter_context(_running_command(logs, "deploy", *filter(None, [policy]), "--json", *deploy)),
+            stack.enter_context(running_command(logs, "twin", *twin, "--objects", *cfg.task.objects)),
+            stack.enter_context(running_command(logs, "deploy", *filter(None, [policy]), "--json", *deploy)),
         ]
         node = stack.enter_context(make_transport("pixel2catch_operator", LOOPBACK, clock))
         operator = RehearsalOperator(node, profile.operator, clock)
@@ -219,7 +217,7 @@ def rehearse(
         operator.wait_until(is_ready, "twin and deployment", cfg.clock * START_TIME)
         report = run_throws(cfg, operator, after_throw)
     seconds = time.perf_counter() - begin
-    return report | {"clock": cfg.clock, "seconds": seconds, "deploy": _printed_summary(logs / "deploy.txt")}
+    return report | {"clock": cfg.clock, "seconds": seconds, "deploy": printed_summary(logs / "deploy.txt")}
 
 
 def _options(**values: Any) -> list[str]:
@@ -228,7 +226,8 @@ def _options(**values: Any) -> list[str]:
 
 
 @contextmanager
-def _running_command(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[bytes]]:
+def running_command(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a command as a process that ends with the context; `COMMAND.txt` gets what it prints."""
     words = [sys.executable, "-m", "pixel2catch", command, *args]
     with (
         open(logs / f"{command}.txt", "wb") as file,
@@ -251,7 +250,8 @@ def _require_running(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -
             raise DeploymentError(f"'pixel2catch {name}' has ended; its last line: {last}")
 
 
-def _printed_summary(log: Path) -> dict[str, Any]:
+def printed_summary(log: Path) -> dict[str, Any]:
+    """Return the summary that `deploy --json` printed into a log; raise DeploymentError without one."""
     for line in reversed(log.read_text(errors="replace").splitlines()):
         if line.startswith('{"summary"'):
             return json.loads(line)["summary"]
