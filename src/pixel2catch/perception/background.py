@@ -82,6 +82,7 @@ class BackgroundSubtraction(Segmenter):
         self._track: ImageTrack | None = None
         self._appearance, self._num_still = Appearance(), inf
         self._size: Size | None = None
+        self._shown = 0.0  # area in the prompt, where the image's edge may cut the object [px²]
         # The image in which it was last seen, and where it was there or something changed since.
         self._seen: tuple[Pixels, Mask] | None = None
         self._later: partial[None] | None = None
@@ -116,6 +117,7 @@ class BackgroundSubtraction(Segmenter):
         maybe = None
         if prompt is not None:
             inside, maybe = prompted(prompt.box, motion.image)
+            self._shown = float(inside.sum()) / INNER**2
             if not any(blob.is_cut for blob in regions(maybe)):  # the size of an ellipse that fills the box
                 xmin, ymin, xmax, ymax = prompt.box
                 width, height = max(xmax - xmin, 1.0), max(ymax - ymin, 1.0)
@@ -132,12 +134,12 @@ class BackgroundSubtraction(Segmenter):
         elif self._seen is not None:
             before, changed = self._seen
             self._seen = before, changed | ~steady(motion.image, before)
-        if blob is not None and not _touches(blob, motion.unknown):
+        if blob is not None and self._seen is not None and not _touches(blob, motion.unknown):
             mask = blob.mask()
             if maybe is None or not np.array_equal(mask, maybe):  # a box's area is not the object's
                 self._resize(blob, self._track.num_seen)
                 segmentation = replace(segmentation, mask=opaque(blob, motion))
-            self._later = partial(self._learn, motion, mask, grown(mask, GAP), seen)
+            self._later = partial(self._learn, motion, mask, self._seen[1], seen)
         return segmentation
 
     def _object(
@@ -152,8 +154,7 @@ class BackgroundSubtraction(Segmenter):
         resting: tuple[list[Blob], Blob] | None = None
         blobs: list[Blob] = []
         for is_turned in (False, True):
-            for found in self._found(motion, track, within, is_turned=is_turned):
-                blobs, best = found
+            for blobs, best in self._found(motion, track, within, is_turned=is_turned):
                 if best is None:
                     continue
                 has_moved = hypot(*track.velocity) * track.age >= 0.5 * min(best.width, best.height)
@@ -169,9 +170,8 @@ class BackgroundSubtraction(Segmenter):
     ) -> Iterator[tuple[list[Blob], Blob | None]]:
         """Regions of the image, and one of them that can be the object, the likeliest first.
 
-        First come regions with the object's colours, then whatever moves. A region is a whole moving thing,
-        its part with the object's or new colours, or that with its colours alone: the one of the object's
-        size is chosen, near the expected place if there is one.
+        First come regions with the object's colours (see `_resembling`), then whatever moves. The one of the
+        object's size is chosen, near the expected place if there is one.
         """
         shape, largest = motion.moving.shape, REACH if self._size is None else float(self._size[:2].max())
         reach = (track.reach if is_turned else track.nearness) + max(REACH, largest)
@@ -185,31 +185,27 @@ class BackgroundSubtraction(Segmenter):
         things = motion.things if within is None else regions(motion.moving & within)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
         error = BOX_ERROR if track.num_seen == 1 else 0.0
+        has_own = self._appearance.own_share >= LEAST_OWN
         for least, choices in product(leasts, (resembling, [things])):
             found = []
+            is_alike = choices is resembling
+            # On its way, an object without own colours needs motion alone; elsewhere nothing else must move.
+            is_likely = is_alike and has_own if is_turned else is_alike or not has_own
             for number, blobs in enumerate(choices):
                 candidates = [blob for blob in track.candidates(blobs) if is_turned or track.passes(blob)]
                 fitting = [blob for blob in candidates if self._fits(blob, motion, least, error)]
-                is_alike = choices is resembling
-                if blob := self._first(track, fitting, is_alike=is_alike, is_turned=is_turned):
+                is_enough = is_likely or (len(fitting) == 1 and not fitting[0].is_cut)
+                if blob := next((each for each in fitting if is_enough or track.leads_to(each)), None):
                     cost = self._cost(track, blob, is_clear=number >= NUM_SURE)
                     found += [(cost, (blobs, blob))] if cost[1] < inf else []
             if found:
                 yield min(found, key=itemgetter(0))[1]
         yield (resembling[2], None)
 
-    def _first(self, track: ImageTrack, blobs: list[Blob], *, is_alike: bool, is_turned: bool) -> Blob | None:
-        """The likeliest of the regions that have the object's size.
-
-        On its way, an object without own colours needs motion alone; elsewhere nothing else must move.
-        """
-        has_own = self._appearance.own_share >= LEAST_OWN
-        is_likely = is_alike and has_own if is_turned else is_alike or not has_own
-        is_only = len(blobs) == 1 and not blobs[0].is_cut
-        return next((blob for blob in blobs if is_likely or is_only or track.leads_to(blob)), None)
-
     def _fits(self, blob: Blob, motion: ImageMotion, least: float, error: float) -> bool:
         """Whether a region has the object's size, and was not there when the object was elsewhere."""
+        if self._size is None and blob.area < LEAST_SHARE * self._shown:
+            return False
         width, height, area = (_size(blob) if self._size is None else self._size).tolist()
         is_whole = blob.area >= least * area or blob.is_cut or _touches(blob, motion.unknown)
         largest = LARGEST_GROWTH * area * (1.0 + 2.0 * error / width) * (1.0 + 2.0 * error / height)

@@ -239,7 +239,8 @@ def opaque(blob: Blob, motion: ImageMotion) -> Mask:
     it with a small share. Source: ours, the matting equation of Smith and Blinn (1996) with a shadow.
     """
     mask, kept = blob.pixels(blob.place), np.zeros_like(motion.moving)
-    depth = cv2.distanceTransform(np.pad(mask.view(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1]
     core = depth >= CORE * depth.max()
     rim = mask & ~core
     image, background = motion.image[blob.place], motion.background[blob.place]

@@ -8,7 +8,7 @@ import cv2
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Int32
+from jaxtyping import Float, Int, UInt16
 from scipy.spatial import ConvexHull
 
 from pixel2catch.camera.image import Edges, Mask
@@ -19,7 +19,6 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene import shapes
 from pixel2catch.scene.constants import OBJECT_RADIUS, RGB_CAMERA, CameraSpec
 
-NUM_NEIGHBORS = 8  #: Pixels that touch at a corner belong to one region.
 SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))  #: Smaller regions are noise.
 GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))  #: Pieces that are closer belong to one thing.
 
@@ -86,7 +85,7 @@ class Blob:
     height: int  #: Of its box [px].
     center: tuple[float, float]  #: Middle of its box [px].
     label: int  #: Its number in `labels`.
-    labels: Int32[np.ndarray, "rows columns"]  #: Number of the region of each pixel in `window`.
+    labels: UInt16[np.ndarray, "rows columns"]  #: Number of the region of each pixel in `window`.
     window: Window  #: The part of the image that holds all regions of the mask.
     shape: tuple[int, int]  #: Height and width of the image [px].
 
@@ -151,7 +150,8 @@ def find_blobs(mask: Mask, window: Window = WHOLE, shape: tuple[int, int] | None
     part = _relative(window, whole)
     if not mask[part].size:
         return []
-    way = NUM_NEIGHBORS, cv2.CV_32S, cv2.CCL_BBDT  # a third of the time of the usual algorithm
+    # Pixels that touch at a corner belong to one region; labels of 16 bits take half the time of 32 bits.
+    way = 8, cv2.CV_16U, cv2.CCL_SPAGHETTI
     labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask[part].view(np.uint8), *way)[1:]
     top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
@@ -182,9 +182,7 @@ def grown_window(window: Window, rim: float) -> Window:
 
 def closed(mask: Mask) -> Mask:
     """Return the mask with small gaps filled."""
-    part, whole = grown_window(window_of(mask), len(GAP) // 2 + 1), np.zeros_like(mask)
-    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP).view(bool)
-    return whole
+    return grown(mask, GAP, cv2.MORPH_CLOSE)
 
 
 def opened(mask: Mask) -> Mask:
@@ -192,9 +190,11 @@ def opened(mask: Mask) -> Mask:
     return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK).view(bool)
 
 
-def grown(mask: Mask, shape: np.ndarray) -> Mask:
-    """Return the mask, dilated by a structuring element."""
-    return cv2.dilate(mask.view(np.uint8), shape).view(bool)
+def grown(mask: Mask, shape: np.ndarray, way: int = cv2.MORPH_DILATE) -> Mask:
+    """Return the mask, dilated by a structuring element, or changed in another way that grows it."""
+    part, whole = grown_window(window_of(mask), len(shape) // 2 + 1), np.zeros_like(mask)
+    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), way, shape).view(bool)
+    return whole
 
 
 def _relative(window: Window, part: Window) -> Window:
