@@ -72,7 +72,7 @@ def found_in(case: tuple[int, str], seconds: float, faults: Faults | None = None
     recordings = [recording for (recording,), _ in pairs]
     checks = [check for recording in recordings for check in check_recording(recording)]
     bad = sorted({f"{check.name} {check.verdict}" for check in checks if check.is_good is False})
-    fit = fit_dynamics(recordings, JointDynamics.nominal().select((name,)), FitCfg())
+    fit = fit_dynamics(recordings, JointDynamics.of().select((name,)), FitCfg())
     low, high = np.mean([friction[0] for _, friction in pairs], axis=0)
     truth = {key: getattr(robot, key)[0] for key in ("stiffness", "armature", "latency")}
     truth |= {"damping": robot.felt_damping[0], "frictionloss": low}

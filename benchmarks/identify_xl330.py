@@ -65,7 +65,7 @@ def found_at(folder: Path, gain: int, workcell: WorkcellSpec) -> dict:
     """Checks, parameters with half-widths of their logarithms, and errors on held-out motion at a gain."""
     contents = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
     recordings = {each["trajectory"]: recording(each, workcell) for each in contents if each["kp"] == gain}
-    start = JointDynamics.nominal(workcell.joints)
+    start = JointDynamics.of(workcell.joints)
     fit = fit_dynamics([recordings[name] for name in FITTED], start, FitCfg())
     motion = RecordedMotion([recordings[HELD_OUT]])
     errors = {

@@ -71,7 +71,7 @@ def played(path: Path, dt: float) -> Played:
 
 def limits_of_arm(lag: np.ndarray | None) -> ServoLimits:
     """The limits of a UR5e alone with all its travel, told this lag [s] or none."""
-    dynamics = JointDynamics.nominal()
+    dynamics = JointDynamics.of()
     if lag is not None:
         stiffness = dynamics.damping / np.append(lag, np.full(len(dynamics.damping) - NUM_JOINTS, 0.1))
         dynamics = dynamics.with_values(stiffness=stiffness)

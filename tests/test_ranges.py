@@ -136,7 +136,8 @@ OTHER = {
 }
 """Other values of fields that are no numbers, by the ends of their names."""
 
-SAME_CAMERA = "scene.camera"  #: No option: `sensing.camera` is this camera, too.
+NO_OPTIONS = ("scene.camera", "scene.visuals", "scene.object_friction", "scene.object_restitution")
+"""`sensing.camera` is this camera, too; the others do nothing in a task."""
 
 
 def options(value: Any, name: str) -> Iterator[str]:
@@ -144,7 +145,7 @@ def options(value: Any, name: str) -> Iterator[str]:
     if is_dataclass(value):
         for field in fields(value):
             place = f"{name}.{field.name}"
-            if not place.endswith((SAME_CAMERA, "dynamics", "variants", "pose_covariance")):
+            if not place.endswith((*NO_OPTIONS, "dynamics", "variants", "pose_covariance")):
                 yield from options(getattr(value, field.name), place)
     else:
         entries = value if isinstance(value, tuple) else (value,)
@@ -156,7 +157,7 @@ def test_every_field_of_a_task_is_an_option(capsys: pytest.CaptureFixture[str]):
     """Numbers are in the middle of their ranges, flags are turned round."""
     env: Any = NOMINAL
     for path, (low, high) in ENV.items():
-        if not path.endswith(COUPLED) and not path.startswith(SAME_CAMERA):
+        if not path.endswith(COUPLED) and not path.startswith(NO_OPTIONS):
             env = with_value(env, path, shaped(f"env.{path}", 0.5 * (low + high)))
     for option in [*options(NOMINAL, "")]:
         path, end = option[1:], option.rpartition(".")[2]

@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
@@ -70,9 +70,9 @@ def import_file(name: str) -> None:
     _MODULES[str(path)] = module
 
 
-def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
-    """Return the package's values of a type, by name; values of user files are added to them."""
-    _CATALOGUES[kind] = values, frozenset(values)
+def catalogue(kind: type[Value], values: dict[str, Value], taken: Iterable[str] = ()) -> dict[str, Value]:
+    """Return the package's values of a type, by name; user files add others, not `taken`."""
+    _CATALOGUES[kind] = values, frozenset((*values, *taken))
     for module in _MODULES.values():
         _add_all(module, kind)
     return values
@@ -82,7 +82,7 @@ def add(value: Any) -> str:
     """Add a value to its catalogue, replace a user's value of the same name, and return the name."""
     for kind, (values, of_package) in _CATALOGUES.items():
         if isinstance(value, kind):
-            if value.name in of_package and values[value.name] != value:
+            if value.name in of_package and values.get(value.name) != value:
                 raise InvalidValueError(f"{kind.__name__} '{value.name}' is in the package; rename yours.")
             values[value.name] = value
     return value.name

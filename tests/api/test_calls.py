@@ -15,7 +15,8 @@ import torch
 from jaxtyping import config
 
 import pixel2catch as p2c
-from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.errors import CheckpointError, InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.learning.experiment import read_run
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.sensing import SensingCfg
@@ -23,21 +24,16 @@ from pixel2catch.robots import ur5e
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import SceneCfg
+from pixel2catch.scene.constants import PEOPLE_CAMERA
 
-SMALL: dict[str, Any] = {
-    "num_envs": 4,
-    "rollout_steps": 2,
-    "mini_batches": 2,
-    "transitions": 8,
-    "hidden": (8,),
-}
+SMALL: dict[str, Any] = dict(num_envs=4, rollout_steps=2, mini_batches=2, transitions=8, hidden=(8,))
 OWN = p2c.CatchEnvCfg(
     name="own",
     scene=SceneCfg(physics_hz=60.0, cone="elliptic", multiccd=True),
     sensing=SensingCfg(latency_steps=(3, 4)),
 )
 
-
+BEHIND = CameraFile(camera=replace(PEOPLE_CAMERA, pos=(39.0, 0.0, 1.6)))
 TWICE: Any = np.array([True, True])
 METHOD = p2c.find_method("single_agent")
 
@@ -75,6 +71,9 @@ WRONG: tuple[tuple[Callable[[], Any], str], ...] = (
     (lambda: p2c.EvaluationCfg(objects=()), "objects is empty; give at least one value"),
     (lambda: p2c.make("catch_alone").step({"robot": torch.zeros(1, 19) * 1j}), r"\(1, 19\) of real numbers"),
     (lambda: p2c.make("catch_alone").step({"robot": torch.zeros(1, 19, device="meta")}), "numbers on cpu"),
+    (lambda: p2c.CatchEnvCfg(scene=SceneCfg(object_friction=0.1)), "0.1, which does nothing in a task"),
+    (lambda: p2c.make(task=p2c.CatchEnvCfg(scene=SceneCfg(camera=PEOPLE_CAMERA))), "is not sensing.camera"),
+    (lambda: p2c.make(task=OWN.with_camera(BEHIND)), r"the camera sees no throw; correct its pos \[m\]"),
     (lambda: p2c.CatchEnvCfg(variants=(1,)), r"variants\[0\] is 1; it must be TaskVariant"),  # pyright: ignore[reportArgumentType]
     (lambda: SensingCfg(camera=None), r"sensing\.camera is None; it must be CameraFile"),  # pyright: ignore[reportArgumentType]
     (lambda: p2c.Experiment(env=None, train=None), "env is None; it must be CatchEnvCfg"),  # pyright: ignore[reportArgumentType]
@@ -129,7 +128,7 @@ def height(frame: p2c.observations.ObservationInputs) -> torch.Tensor:
 
 def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "dynamics.json"
-    arm = JointDynamics.nominal(ur5e.ARM.joints).with_values(latency=0.02)
+    arm = JointDynamics.of(ur5e.ARM.joints).with_values(latency=0.02)
     DynamicsFile(dynamics=arm).save(file)
     out = tmp_path / "run"
     p2c.train("only_center", out, task=OWN, dynamics=file, **SMALL)
@@ -158,12 +157,13 @@ def test_an_observation_in_3d_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
     file = tmp_path / "dynamics.json"
     DynamicsFile().save(file)
-    has_dynamics = replace(OWN, dynamics=JointDynamics.nominal())
+    has_dynamics = replace(OWN, dynamics=JointDynamics.of())
     experiment = p2c.preset("cpu", **SMALL)
     wrong: tuple[tuple[type[Exception], str, dict[str, Any]], ...] = (
         (InvalidValueError, "already; leave out one", {"task": has_dynamics, "dynamics": file}),
         (InvalidValueError, "leave out task", {"preset": experiment, "task": "wide"}),
         (UnknownNameError, "Did you mean 'num_envs'", {"num_env": 3}),
+        (PolicyMismatchError, "single_agent", {"start": "single_agent"}),  # a name, as for `load_policy`
     )
     for error, words, given in wrong:
         with pytest.raises(error, match=words):

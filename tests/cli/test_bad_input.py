@@ -37,6 +37,12 @@ BAD = [
     ("twin --web --address localhost:99999", "address is 'localhost:99999'; give HOST:PORT"),
     # fields of the task
     (f"{EVALUATE} --env.throws.peak-z 1.9 1.5", "env.throws.peak_z is 1.9 1.5; give the smaller number"),
+    (f"{EVALUATE} --env.throws.peak-z 0.5 0.6", "peak_z is up to 0.6 m; release_z, aim_z, clearance need"),
+    (
+        f"{EVALUATE} --env.sensing.latency-steps 0.6 4.3",
+        "delays 0.6 to 4.3 do not fit their grid, 1; 0 draws",
+    ),
+    ("evaluate --env.name mine", "set --env.name; leave it out"),
     (f"{EVALUATE} --env.scene.workcell ur5e_leap", "of work cell 'ur5e_leap' are not the policy's"),
     # options that contradict each other, or would be ignored
     ("train --physics-stages 60 --env.scene.physics-hz 60", "not both"),
@@ -68,10 +74,7 @@ BAD = [
     ("reproduce --out {new} --sweep env.sensing.latency-steps 0,0 -1,3", "latency_steps is -1"),
     ("reproduce --out {new} --slurm timeout", "it must be NAME=VALUE"),
     ("deploy --checkpoint sam2", "does nothing without --segmenter sam2"),
-    (
-        "deploy --write-profile {new}.yaml --speed 0.5",
-        "speed is 0.5, which does nothing with --write-profile",
-    ),
+    ("deploy --write-profile {new}.yaml --speed 0.5", "speed is 0.5, which does nothing with --write-"),
     ("calibrate --print-marker {new}.png --timing", "timing is True, which does nothing with --print-marker"),
     ("calibrate --timing --topic /info", "topic is '/info', which does nothing with --timing"),
     ("track self-test --at 1", "at is 1, which does nothing with self-test"),

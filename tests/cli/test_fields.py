@@ -44,9 +44,7 @@ MEASURED = CameraFile(
     pose_covariance=tuple(tuple(1e-4 if i == j else 0.0 for j in range(6)) for i in range(6)),
     focal_std=0.01,
 )
-ARM = JointDynamics.nominal(ur5e.ARM.joints).with_values(
-    latency=0.02, filter_gain=300.0, filter_lookahead=0.1
-)
+ARM = JointDynamics.of(ur5e.ARM.joints).with_values(latency=0.02, filter_gain=300.0, filter_lookahead=0.1)
 IDENTIFIED = DynamicsFile(dynamics=ARM, gains=GainRanges(stiffness_scale=((0.99, 1.01),) * 19))
 NOMINAL_TASK = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0))
 
@@ -182,12 +180,14 @@ def test_the_task_of_a_policy_has_its_camera_or_that_of_the_files(folder: Path):
     robot = replace(NOMINAL_TASK, dynamics=ARM, randomization=gains)
     assert task_of(theirs, 30.0, folder / "dynamics.json") == robot
     for policy, camera, remark in (
-        (ours, None, "of its own"),
-        (ours, file, "of its own"),
-        (theirs, file, "another camera"),
+        (ours, None, "its own"),
+        (ours, file, "its own"),
+        (theirs, file, "another"),
     ):
         assert remark in next(camera_remark(policy, task_of(policy, camera=camera)))
     assert not list(camera_remark(theirs, task_of(theirs)))
+    bent = task_of(theirs).with_camera(replace(MEASURED, camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0)))
+    assert "rectified" in next(camera_remark(theirs, bent))
 
 
 @pytest.mark.parametrize(("change", "words"), [({"width": 1280}, "camera.width"), ({"zoom": 2.0}, "zoom")])

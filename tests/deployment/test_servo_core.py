@@ -159,7 +159,7 @@ SPEED_LIMITS = np.array([joint.velocity_limit for joint in JOINTS])
 
 def lab_of_lag(lag: float, share: float, is_identified: bool, num_rows: int = 1) -> Lab:
     """Return a running lab whose joints have a lag, which is in the limits if it is identified."""
-    dynamics = JointDynamics.nominal()
+    dynamics = JointDynamics.of()
     if is_identified:
         dynamics = dynamics.with_values(stiffness=dynamics.damping / lag)
     joints = JointLimits.of(UR5E_ALLEGRO, share, dynamics, is_identified=is_identified)

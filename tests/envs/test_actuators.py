@@ -42,7 +42,7 @@ from pixel2catch.workcells.fr3_allegro import WORKCELLS as FR3_CELLS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FR3 = FR3_CELLS[0]
-NOMINAL = JointDynamics.nominal()
+NOMINAL = JointDynamics.of()
 HOME = np.array([joint.home for joint in JOINTS])
 INWARDS = np.where(np.isclose(HOME, [joint.upper for joint in JOINTS]), -1.0, 1.0)
 """Away from the limits of joints that begin at one."""
@@ -193,7 +193,7 @@ def test_a_new_episode_does_not_feel_the_last_one():
 DT = 1.0 / 240.0
 NUM_STEPS, HOLD = 40, 8
 TIMES = DT * np.arange(NUM_STEPS + 1)
-DIRECT = JointDynamics.nominal().select(("elbow_joint", "index_joint_1"))
+DIRECT = JointDynamics.of().select(("elbow_joint", "index_joint_1"))
 FILTERED = DIRECT.with_values(filter_gain=[300.0, 200.0], filter_lookahead=[0.1, 0.08])
 
 
@@ -281,7 +281,7 @@ SPEED_LIMIT = 2.79253
 SERVOS = ActuatorLimits(
     torch.tensor([joint.effort_limit for joint in JOINTS], dtype=torch.float64),
     torch.tensor([joint.velocity_limit for joint in JOINTS], dtype=torch.float64),
-    torch.tensor(JointDynamics.nominal().frictionloss),
+    torch.tensor(JointDynamics.of().frictionloss),
 )
 STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
 DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)

@@ -207,7 +207,7 @@ def test_a_teacher_sees_the_same_world():
 def test_a_branch_goes_on_as_the_original_did_and_draws_nothing(latency: float | None):
     """With equal noise, though other episodes began meanwhile; nominal joints, and a command path."""
     path = {} if latency is None else {"latency": latency, "filter_gain": 300.0, "filter_lookahead": 0.1}
-    env = make(3, throws=AT_ONCE, dynamics=JointDynamics.nominal().with_values(**path))
+    env = make(3, throws=AT_ONCE, dynamics=JointDynamics.of().with_values(**path))
     list(rollout(env, 12, action=0.3))
     state = clone(env.live)
     env.seed(1)

@@ -99,7 +99,7 @@ EVERYTHING = {
     "randomization": RandomizationCfg(command_delay=(0, 3), air_density=(0.0, 1.2)),
     "throws": ThrowCfg(hover_steps=(2, 5), spin=10.0, speed_deviation=0.05, angle_deviation=0.04),
     "scene": SceneCfg(object_scale=1.1),
-    "dynamics": JointDynamics.nominal().with_values(latency=0.012, filter_gain=300.0, filter_lookahead=0.1),
+    "dynamics": JointDynamics.of().with_values(latency=0.012, filter_gain=300.0, filter_lookahead=0.1),
 }  # fmt: skip
 AT_WORST = replace(CatchEnvCfg(), **EVERYTHING)
 WIDE = replace(find_task("wide"), scene=SceneCfg(physics_hz=60.0))

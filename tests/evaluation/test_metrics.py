@@ -99,10 +99,8 @@ def test_metrics_by_hand():
     assert (result["closed_loop_hold_rate"], result["closed_loop_hold_rate_trials"]) == (1 / 3, 3)
     assert (result["reachable_rate"], result["reachable"]["trials"]) == (3 / 5, 3)
     assert result["reachable"]["success_rate"] == 2 / 3
-    assert pooled_counts([result, {"closed_loop_hold_rate": 0.5, "trials": 2}], "closed_loop_hold_rate") == (
-        2,
-        5,
-    )
+    closed = {"closed_loop_hold_rate": 0.5, "trials": 2}
+    assert pooled_counts([result, closed], "closed_loop_hold_rate") == (2, 5)
     assert result["table_contact_rate"] == 1 / 5
     assert result["self_contact_rate"] == 2 / 5
     assert result["mean_penetration"] == pytest.approx(0.10 / 100)
@@ -123,6 +121,9 @@ def test_metrics_without_contact_are_valid_json():
     missed = mapped(lambda values: values[2:3], five_trials())
     result = metrics(replace(missed, is_reachable=flags(1)), UR5E_ALLEGRO)
     assert (result["reachable_rate"], "reachable" in result) == (1.0, False)
+    unreachable = metrics(replace(trials, is_reachable=flags(0)), UR5E_ALLEGRO) | {"objects_thrown": []}
+    rates, *_ = result_tables({"seen": unreachable}, "proposed")
+    assert [str([*column.cells][1]) for column in rates.columns[:2]] == ["  reachable", "0"]
     assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 

@@ -123,7 +123,7 @@ def test_everything_must_be_in_one_variant():
     assert is_trained_on(with_variants(late, heavy), part("randomization", mass_scale=(2.0, 2.0)))
     assert is_trained_on(with_variants(late), together())
     assert is_trained_on(NOMINAL, part("scene", physics_hz=240.0))  # the accuracy of the simulation
-    assert not is_trained_on(NOMINAL, lambda cfg: replace(cfg, dynamics=JointDynamics.nominal()))
+    assert not is_trained_on(NOMINAL, lambda cfg: replace(cfg, dynamics=JointDynamics.of()))
 
 
 def test_the_suite_holds_something_out_of_the_nominal_and_the_wide_task():

@@ -83,7 +83,7 @@ def test_joints_that_violate_a_limit_move_less(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(excitation, "assess", judged)
     said: list[str] = []
-    trajectory, _ = excitation.find_excitation(WHOLE, JointDynamics.nominal().select(JOINTS), said.append)
+    trajectory, _ = excitation.find_excitation(WHOLE, JointDynamics.of().select(JOINTS), said.append)
     assert said == ["trying less motion: the index finger is too fast"]
     index = JOINTS.index("index_joint_1")
     full = np.ptp(draw_excitation(WHOLE, {}).positions, axis=0)
@@ -204,7 +204,7 @@ def test_a_folded_arm_is_too_near_to_itself_and_to_the_table():
 
 def test_an_arm_that_bends_down_is_stopped_above_the_table():
     down = moved("shoulder_lift_joint", there_and_back(1.8, 4.0))
-    found = assess(down, JointDynamics.nominal().select(down.joints)).violations
+    found = assess(down, JointDynamics.of().select(down.joints)).violations
     (violation,) = (each for each in found if "table" in each.text)
     assert violation.joints == ("shoulder_lift_joint",)
     assert "keep 50 mm" in violation.text
@@ -216,14 +216,14 @@ def test_a_hand_that_is_too_near_shrinks_the_hand_alone():
     positions = np.tile([JOINT_SPECS[name].home for name in joints], (450, 1))
     positions[130:-130, 1:] += 1.6 * there_and_back(1.0, 190 / 125)[:, None]
     thumb = Trajectory(joints=joints, times=np.arange(450) / 125.0, positions=positions)
-    (violation,) = assess(thumb, JointDynamics.nominal().select(joints)).violations
+    (violation,) = assess(thumb, JointDynamics.of().select(joints)).violations
     assert violation.joints == joints[1:]
 
 
 def test_a_joint_that_is_too_fast_is_told_by_how_much():
     ramp = np.minimum(np.minimum(np.arange(90), np.arange(90)[::-1]) * 3.4 / 125.0, 1.0)
     fast = moved("shoulder_pan_joint", ramp)
-    assessment = assess(fast, JointDynamics.nominal().select(fast.joints))
+    assessment = assess(fast, JointDynamics.of().select(fast.joints))
     (violation,) = assessment.violations
     assert violation.text.startswith("shoulder_pan_joint reaches 3.")
     top = np.abs(np.diff(assessment.recording.q, axis=0)).max() / FIT_DT
@@ -233,7 +233,7 @@ def test_a_joint_that_is_too_fast_is_told_by_how_much():
 def test_the_time_at_the_torque_limit_is_that_of_jumps():
     """After a jump of 0.3 rad the elbow's servo requests 5 times its torque; a slow motion needs less."""
     spec = JOINT_SPECS["elbow_joint"]
-    nominal = JointDynamics.nominal().select(("elbow_joint",))
+    nominal = JointDynamics.of().select(("elbow_joint",))
     assert 0.3 * spec.stiffness > 5.0 * spec.effort_limit
     slow = assess(moved("elbow_joint", there_and_back(0.3, 4.0)), nominal)
     jump = assess(moved("elbow_joint", np.full(125, 0.3)), nominal)
@@ -246,7 +246,7 @@ def run(*args: object, seconds: int = 14) -> int:
 
 
 def test_a_trajectory_and_its_rehearsal_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    late = JointDynamics.nominal().select(ROBOTS["allegro"]).with_values(latency=0.02)
+    late = JointDynamics.of().select(ROBOTS["allegro"]).with_values(latency=0.02)
     DynamicsFile(dynamics=late).save(tmp_path / "late.json")
     options = ("--dynamics", tmp_path / "late.json", "--out", tmp_path / "new" / "motion.npz")
     assert run("--robot", "allegro", *options, "--rehearse", tmp_path / "reh", seconds=20) == 0
@@ -268,7 +268,7 @@ def test_without_dynamics_several_rehearsals_share_a_truth_unlike_the_nominal_ro
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
     assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
     truth = DynamicsFile.load(tmp_path / "new" / "truth.json").dynamics
-    ratio = truth.stiffness / JointDynamics.nominal().select(ROBOTS["ur5e"]).stiffness
+    ratio = truth.stiffness / JointDynamics.of().select(ROBOTS["ur5e"]).stiffness
     assert 0.7 <= ratio.min() < 0.9 < 1.1 < ratio.max() <= 1.4
     assert (truth.latency == 0.012).all()
 

@@ -31,7 +31,7 @@ def tracking_error(recording: Recording, dynamics: JointDynamics) -> np.ndarray:
 def test_servo_is_recovered():
     """The truth moves at a quarter of the fit's time step. Errors are below 60 % of the goals."""
     rng = np.random.default_rng(0)
-    nominal = JointDynamics.nominal().select(JOINTS)
+    nominal = JointDynamics.of().select(JOINTS)
     truth = unlike_nominal(rng, nominal, latency=0.012)
     fitted, held_out = (record(rng, truth, seconds, DT / 4) for seconds in (6.0, 2.0))
     fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT))
@@ -51,7 +51,7 @@ def test_servo_is_recovered():
 
 def test_command_filter_is_recovered():
     rng = np.random.default_rng(1)
-    servo = JointDynamics.nominal().select(JOINTS)
+    servo = JointDynamics.of().select(JOINTS)
     start = servo.with_values(damping=servo.damping / 10, filter_gain=200.0, filter_lookahead=0.2)
     truth = start.with_values(filter_gain=300.0, filter_lookahead=0.1, latency=0.004)
     fitted, held_out = record(rng, truth, 2.0, DT), record(rng, truth, 1.5, DT)
@@ -66,7 +66,7 @@ def test_command_filter_is_recovered():
 def test_clocks_that_drift_play_and_zeros_are_found():
     """The clock of the measurements is 0.1 % fast, the finger's encoder 4 mrad loose and 2 mrad off."""
     rng = np.random.default_rng(4)
-    nominal = JointDynamics.nominal().select(JOINTS)
+    nominal = JointDynamics.of().select(JOINTS)
     recording = record(rng, nominal.with_values(latency=0.012), 4.0, DT)
     read = behind_play(recording.q, np.array((0.0, 4e-3)))
     late = replace(recording, t_meas=1.001 * recording.t_meas, q=read + np.array((0.0, 2e-3)))
@@ -81,7 +81,7 @@ def test_clocks_that_drift_play_and_zeros_are_found():
 def test_a_lost_command_hardly_moves_a_fit():
     """A jump that arrives 40 ms late counts as one odd event, not as a lag of the joint."""
     rng = np.random.default_rng(5)
-    nominal = JointDynamics.nominal().select(JOINTS[1:])
+    nominal = JointDynamics.of().select(JOINTS[1:])
     recording = record(rng, nominal, 4.0, DT)
     jump = int(np.argmax(np.abs(np.diff(recording.q_cmd[:, 0])))) + 1
     sent = recording.t_cmd.copy()
@@ -94,12 +94,12 @@ def test_a_lost_command_hardly_moves_a_fit():
 
 def test_impossible_fits_are_refused():
     rng = np.random.default_rng(2)
-    nominal = JointDynamics.nominal().select(JOINTS)
+    nominal = JointDynamics.of().select(JOINTS)
     recording = record(rng, nominal, 1.0, DT)
     with pytest.raises(InvalidValueError, match="start with filter_gain=300"):
         fit_dynamics([recording], nominal, FitCfg(free=FILTER_PARAMETERS))
     with pytest.raises(InvalidValueError, match="select the same joints"):
-        fit_dynamics([recording], JointDynamics.nominal().select(["elbow_joint"]), FitCfg())
+        fit_dynamics([recording], JointDynamics.of().select(["elbow_joint"]), FitCfg())
     with pytest.raises(UnknownNameError, match="Did you mean 'armature'"):
         FitCfg(free=("armatures",))
 

@@ -71,14 +71,14 @@ def hand_fit() -> Fit:
 def arm_file(tmp_path: Path) -> Path:
     """A file of the arm alone, with slow wrists and ranges of its own."""
     gains = replace(GainRanges(), stiffness_scale=((0.95, 1.05),) * 19)
-    dynamics = JointDynamics.nominal().select(ARM).with_values(latency=[0.0, 0.0, 0.0, 0.01, 0.01, 0.01])
+    dynamics = JointDynamics.of().select(ARM).with_values(latency=[0.0, 0.0, 0.0, 0.01, 0.01, 0.01])
     DynamicsFile(dynamics=dynamics, gains=gains).save(tmp_path / "arm.json")
     return tmp_path / "arm.json"
 
 
 def test_other_joints_keep_their_entries_in_the_file(arm_file: Path):
     start = start_of_fit("allegro", arm_file, fits_filter=False, workcell=UR5E_ALLEGRO)
-    assert start.before == start.first == JointDynamics.nominal().select(HAND)
+    assert start.before == start.first == JointDynamics.of().select(HAND)
     result = merged_file(hand_fit(), start, [])
     known = DynamicsFile.load(arm_file)
     assert result.dynamics.joints == ROBOTS["ur5e_allegro"]
@@ -90,7 +90,7 @@ def test_other_joints_keep_their_entries_in_the_file(arm_file: Path):
 
 
 def test_a_filter_is_in_front_of_a_stiff_servo_or_of_that_of_the_file(arm_file: Path):
-    nominal = JointDynamics.nominal().select(ARM)
+    nominal = JointDynamics.of().select(ARM)
     new = start_of_fit("ur5e", None, fits_filter=True, workcell=UR5E_ALLEGRO)
     assert new.before == nominal
     np.testing.assert_allclose(new.first.damping / new.first.stiffness, 0.003)
@@ -115,7 +115,7 @@ def fit_of(
     joints: tuple[str, ...] = JOINTS,
 ) -> Fit:
     """A fit of these covariances, one of each joint."""
-    dynamics, known = JointDynamics.nominal().select(joints[: len(covariance)]), {"encoders": PERFECT}
+    dynamics, known = JointDynamics.of().select(joints[: len(covariance)]), {"encoders": PERFECT}
     return Fit(dynamics=dynamics, free=free, covariance=covariance, encoder_deviations=PERFECT, **known)
 
 
@@ -187,7 +187,7 @@ def test_errors_of_the_model_bound_what_is_known() -> None:
     Links as heavy as that double the scale's 15 %, and add 15 % of their own. Friction of 160 N·m is 40 %
     of the damping's torque at 2 rad/s: a tenth of that, and 0.8 %, are open in damping over stiffness.
     """
-    joint = JointDynamics.nominal().select(["elbow_joint"])
+    joint = JointDynamics.of().select(["elbow_joint"])
     joint = joint.with_values(damping=200.0, armature=0.2, frictionloss=160.0)
     alone, heavy = (
         model_covariance(joint, joint.armature, np.array([inertia]), np.ones(1), GAINS[::2], 0.01)[0]

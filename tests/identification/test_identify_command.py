@@ -23,7 +23,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 PHYSICS_HZ = 60
-NOMINAL = JointDynamics.nominal().select(ARM)
+NOMINAL = JointDynamics.of().select(ARM)
 TRUTH = NOMINAL.with_values(damping=1.3 * NOMINAL.damping, latency=0.02)
 SMALL = ("--robot", "ur5e", "--free", "damping", "latency")
 

@@ -40,7 +40,7 @@ def simulated(recording: Recording, dynamics: JointDynamics, dt: float = DT) -> 
 def test_the_time_step_hardly_matters():
     """Large steps of the command drive the joints to their torque limits."""
     recording = held_steps(("shoulder_pan_joint", "wrist_3_joint"), size=0.5)
-    dynamics = JointDynamics.nominal().select(recording.joints).with_values(latency=0.004)
+    dynamics = JointDynamics.of().select(recording.joints).with_values(latency=0.004)
     coarse, fine = (simulated(recording, dynamics, dt) for dt in (FIT_DT, FIT_DT / 8))
     assert np.sqrt(np.mean((coarse - fine) ** 2, axis=0)).max() < 1.5e-4
 
@@ -48,7 +48,7 @@ def test_the_time_step_hardly_matters():
 def test_candidates_and_recordings_do_not_mix():
     """Alone or together with others, longer ones among them, a motion is the same."""
     short, long = held_steps(("elbow_joint",)), held_steps(("elbow_joint",), 1.0)
-    nominal = JointDynamics.nominal().select(short.joints)
+    nominal = JointDynamics.of().select(short.joints)
     slow = nominal.with_values(damping=2 * nominal.damping, latency=0.01)
     both = RecordedMotion([short, long], DT).simulate([nominal, slow])
     for i, dynamics in enumerate((nominal, slow)):

@@ -14,7 +14,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ELBOW = 2
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
-DYNAMICS = JointDynamics.nominal().select(ELBOW_AND_INDEX)
+DYNAMICS = JointDynamics.of().select(ELBOW_AND_INDEX)
 DYNAMICS = DYNAMICS.with_values(
     latency=0.0123456789, filter_gain=[300.0, np.inf], filter_lookahead=[0.1, 0.0]
 )

@@ -5,14 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pixel2catch.mdp.throws import (
-    Throw,
-    ThrowCfg,
-    drawn,
-    flight_time,
-    sample_throws,
-    velocity_through_air,
-)
+from pixel2catch.mdp.throws import Throw, ThrowCfg, drawn, flight_time, sample_throws, velocity_through_air
 from pixel2catch.scene.constants import GRAVITY
 
 CFG = ThrowCfg()
@@ -23,7 +16,7 @@ def throws(cfg: ThrowCfg = CFG, num_envs: int = 2000, seed: int = 0) -> Throw:
 
 
 def test_clearance_lifts_a_low_peak():
-    thrown = throws(ThrowCfg(peak_z=(0.5, 0.6), clearance=0.3))
+    thrown = throws(ThrowCfg(peak_z=(0.5, 1.2), clearance=0.3))
     peak = thrown.pos[:, 2] + thrown.lin_vel[:, 2] ** 2 / (2 * GRAVITY)
     torch.testing.assert_close(peak, torch.maximum(thrown.pos[:, 2], thrown.aim[:, 2]) + 0.3)
 

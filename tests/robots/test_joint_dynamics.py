@@ -7,7 +7,7 @@ from pixel2catch.robots.ur5e import ARM as ARM_GROUP
 
 ARM = tuple(joint.name for joint in ARM_GROUP.joints)
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
-NOMINAL = JointDynamics.nominal()
+NOMINAL = JointDynamics.of()
 ELBOW = NOMINAL.select(["elbow_joint"])
 
 

@@ -1,12 +1,14 @@
 """Thrown objects, of shapes and of mesh files: sizes, inertia, surface points, selection, and their table."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.own_files import add
 from pixel2catch.robots.poses import sphere_points
 from pixel2catch.scene import shapes
 from pixel2catch.scene.meshes import OUTLINE_POINTS, mesh_object
@@ -88,13 +90,9 @@ TOP = ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
 
 def l_mesh(path: Path, depth: float = 50.0) -> Path:
     """The package's `l_block` as a mesh [mm]: an outline of six corners, extruded."""
-    vertices = [(x, y, z) for z in (0.0, depth) for x, y in L_OUTLINE]
-    faces = [tuple(6 + i for i in face) for face in TOP] + [tuple(reversed(face)) for face in TOP]
-    for i in range(6):
-        j = (i + 1) % 6
-        faces += [(i, j, 6 + j), (i, 6 + j, 6 + i)]
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
-    path.write_text("\n".join(lines) + "\n")
+    outline, faces = np.array(L_OUTLINE), np.array(TOP)
+    mesh = pytest.importorskip("trimesh").creation.extrude_triangulation(outline, faces, 1.0)
+    mesh.apply_scale((1.0, 1.0, depth)).export(path)
     return path
 
 
@@ -112,12 +110,11 @@ def test_a_mesh_has_the_mass_properties_of_the_same_solid(tmp_path: Path):
 def test_a_fine_mesh_keeps_its_outline_within_a_millimetre(tmp_path: Path):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.icosphere(subdivisions=4, radius=0.04).export(tmp_path / "ball.stl")
-    (part,) = mesh_object("ball", tmp_path / "ball.stl").parts
-    assert len(part.vertices) <= OUTLINE_POINTS
-    directions = sphere_points(500)
-    reach = (part.vertices @ directions.T).max(axis=0)
-    assert np.abs(reach - 0.04).mean() < 2e-3
     ball = mesh_object("ball", tmp_path / "ball.stl")
+    (part,) = ball.parts
+    assert len(part.vertices) <= OUTLINE_POINTS
+    reach = (part.vertices @ sphere_points(500).T).max(axis=0)
+    assert np.abs(reach - 0.04).mean() < 2e-3
     assert surface_points(ball, 64).shape == (64, 3)
 
 
@@ -128,7 +125,7 @@ def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path, monkeypatch: p
         (lambda: mesh_object("mesh", tmp_path / "text.obj"), "cannot be read as a mesh"),
         (lambda: mesh_object("mesh", l_mesh(tmp_path / "flat.obj", depth=0.0)), "has no volume"),
         (lambda: mesh_object("mesh", l_mesh(tmp_path / "l.obj"), scale=0.0), "both must be greater than 0"),
-        (lambda: make_object("cube", shapes.box(0.05, 0.05, 0.05), mass=-0.1), r"mass of -0\.1 kg"),
+        (lambda: make_object("cube", shapes.box(0.05, 0.05, 0.05), mass=-0.1), r"mass is -0\.1; it must be"),
         (lambda: make_object("nothing"), "has no parts"),
         (lambda: surface_points(OBJECTS["sphere_s"], 10), "at least 64"),
         (lambda: shapes.box(0.05, -0.05, 0.05), r"y is -0\.05; it must be greater than 0"),
@@ -153,6 +150,20 @@ def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch
     assert table.fields["geom_dataid"].shape == (len(OBJECTS), 3)
     monkeypatch.setitem(OBJECTS, "world", make_object("world", shapes.box(0.05, 0.05, 0.05)))
     assert object_table(SceneCfg()).names[-1] == "world"  # as MuJoCo calls a body of its own
-    monkeypatch.setitem(OBJECTS, "rake", make_object("rake", shapes.box(0.7, 0.05, 0.05)))
-    with pytest.raises(InvalidValueError, match=r"'rake' extends 35 cm"):
-        build_model(SceneCfg())
+
+
+def test_what_no_body_can_be_is_refused_when_it_is_made():
+    """Not when a scene is built with it: there it would also stop throws of other objects."""
+    box, cube = shapes.box(0.05, 0.05, 0.08), make_object("cube", shapes.box(0.05, 0.05, 0.05))
+    for make, words in (
+        (lambda: make_object("rake", shapes.box(0.7, 0.05, 0.05)), "'rake' extends 35 cm"),
+        (lambda: make_object("grams", box, mass=50.0), r"2.5e\+05 kg/m³"),
+        (lambda: make_object("nothing", box, overlap=box), "no volume"),
+        (lambda: make_object("flat", shapes.prism(2, 0.05, 0.05)), "a part has no volume"),
+        (lambda: replace(cube, inertia=np.array((1.0, 1.0, 1.0))), "a possible inertia"),
+        (lambda: replace(cube, inertia=np.array((1e-5, 1e-5, 1e-4))), "a possible inertia"),
+        (lambda: make_object("my bottle", box), "letters, digits"),
+        (lambda: add(make_object("seen", box)), "'seen' is in the package"),
+    ):
+        with pytest.raises(InvalidValueError, match=words):
+            make()

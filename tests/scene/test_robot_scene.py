@@ -105,10 +105,7 @@ def restitution_of_a_drop(
     ("restitution", "on", "rate", "cone"),
     [
         *((restitution, "table", 120, "elliptic") for restitution in (0.0, 0.1, 0.3, 0.5)),
-        *(
-            (0.3, "palm", rate, cone)
-            for rate, cone in ((120, "elliptic"), (240, "elliptic"), (120, "pyramidal"))
-        ),
+        *((0.3, "palm", *other) for other in ((120, "elliptic"), (240, "elliptic"), (120, "pyramidal"))),
     ],
 )
 def test_drops_bounce_with_the_given_restitution(restitution, on, rate, cone):

@@ -36,7 +36,7 @@ def run(*args: str | Path) -> None:
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A robot up to 40 % off the nominal one, and 12 ms late."""
     path = tmp_path_factory.mktemp("truth") / "truth.json"
-    drawn = unlike_nominal(np.random.default_rng(3), JointDynamics.nominal(UR5E_ALLEGRO.joints))
+    drawn = unlike_nominal(np.random.default_rng(3), JointDynamics.of(UR5E_ALLEGRO.joints))
     exact_file(drawn, UR5E_ALLEGRO).save(path)
     return path
 

@@ -99,10 +99,8 @@ def evaluate(
         change: Changes the task, such as the `change` of a `Level`.
     """
     let_torch_sleep()
-    if policy is None or isinstance(policy, str | Path):
-        policy = load_policy(policy)
     require_cuda(device)
-    policy = copy.deepcopy(policy).to(device)
+    policy = copy.deepcopy(policy if isinstance(policy, Policy) else load_policy(policy)).to(device)
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,
@@ -143,6 +141,7 @@ def train(
     let_torch_sleep()
     given = {"dynamics": dynamics, "camera": camera}
     files = {key: Path(file) for key, file in given.items() if file is not None}
+    options |= {key: Path(options[key]) for key in ("start", "teacher") if isinstance(options.get(key), str)}
     cell, name = _known(workcell) if workcell else None, preset if isinstance(preset, str) else None
     if resume:
         if isinstance(preset, Experiment) or isinstance(task, CatchEnvCfg):

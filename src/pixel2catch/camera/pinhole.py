@@ -3,12 +3,14 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, linalg
 
 from pixel2catch.batches import Boxes, ImagePoints, PointFlags, Points, PointScalars, Scalars, Vectors
 from pixel2catch.devices import constant
+from pixel2catch.robots.poses import rotation_matrix
 from pixel2catch.scene.constants import CameraSpec
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -154,14 +156,5 @@ def perturb_box(box: Boxes, noise: Boxes, camera: CameraSpec) -> Boxes:
 @lru_cache(maxsize=16)
 def _matrix(camera: CameraSpec) -> Matrix:
     """K Rᵀ, 3 x 3."""
-    w, x, y, z = camera.quat
-    norm = w * w + x * x + y * y + z * z
-    axes = [  # rows: the camera's right, down and forward axes in the world frame
-        [1 - 2 * (y * y + z * z) / norm, 2 * (x * y + w * z) / norm, 2 * (x * z - w * y) / norm],
-        [2 * (x * y - w * z) / norm, 1 - 2 * (x * x + z * z) / norm, 2 * (y * z + w * x) / norm],
-        [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
-    ]
-    columns = [*zip(*axes, strict=True)]
-    return tuple(
-        tuple(sum(a * b for a, b in zip(row, each, strict=True)) for each in columns) for row in camera.matrix
-    )
+    axes = rotation_matrix(np.array(camera.quat) / np.linalg.norm(camera.quat)).T  # right, down, forward
+    return tuple(map(tuple, (np.array(camera.matrix) @ axes).tolist()))

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 TASK_MODULES = ("pixel2catch.envs", "pixel2catch.mdp", "pixel2catch.scene", "pixel2catch.camera")
 """Where the classes of the task's fields are."""
 
-FIXED = {"CatchEnvCfg": "dynamics", "SceneCfg": "camera"}
-"""Fields that are no options, by their classes: --dynamics gives one, `sensing.camera` is the other."""
+FIXED = {"CatchEnvCfg": "dynamics", "SceneCfg": "camera visuals object_friction object_restitution"}
+"""Fields that are no options, by their classes: another option gives them, or they do nothing in a task."""
 
 LOSSES = (
     *("schedule", "kl_target", "discount", "gae_lambda", "ratio_clip", "value_clip"),
@@ -75,8 +75,8 @@ def option_rules(*, is_brief: bool = True) -> ConstructorRegistry:
         if not isinstance(spec, StructConstructorSpec):
             return None
         is_task = info.type.__module__.startswith(TASK_MODULES)
-        fixed = FIXED.get(info.type.__name__)
-        fields = tuple(_option(field, is_task, field.name == fixed) for field in spec.fields)
+        fixed = FIXED.get(info.type.__name__, "").split()
+        fields = tuple(_option(field, is_task, field.name in fixed) for field in spec.fields)
         if info.type.__name__ not in GROUPED:
             return replace(spec, fields=fields)
         fields = tuple(map(_brief, fields)) if is_brief else fields
@@ -132,7 +132,7 @@ def _grouped(spec: StructConstructorSpec, groups: dict[Any, StructConstructorSpe
 
 PREFIX = "--env."  #: What options that are fields of the task begin with.
 
-OF_THE_PROTOCOL = ("objects", "episode")  #: Fields that an evaluation sets itself.
+OF_THE_PROTOCOL = ("name", "objects", "episode", "value_sees_parameters")  #: Not from --env in evaluations.
 
 TaskFields = tyro.conf.FlagConversionOff[tyro.conf.AvoidSubcommands[Any]]
 """Type of a field for a `CatchEnvCfg`: tyro takes the fields of the default instance. None has no options."""

@@ -41,7 +41,7 @@ class JointActuators:
 
         Commands keep the acceleration limits of the joints, unless a servo before them does.
         """
-        num_joints, nominal = len(joints), JointDynamics.nominal(joints)
+        num_joints, nominal = len(joints), JointDynamics.of(joints)
         self._ctrl = simulation.bind("ctrl")
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]

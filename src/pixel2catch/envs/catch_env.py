@@ -23,11 +23,13 @@ from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.tensors import DelayLine, assign, clone, require_shapes, select, write
 from pixel2catch.mdp.terminations import is_ended
+from pixel2catch.mdp.throws import sample_paths
 from pixel2catch.methods import Method, require_terms
 from pixel2catch.scene.objects import select_objects
 from pixel2catch.sim.graphs import fused
 from pixel2catch.workcells import find_workcell
 
+NUM_SEEN = 64  #: Drawn throws of which a camera must see a point. Source: ours.
 STAGGER_STEPS = 45
 """Largest additional hovering in a staggered episode [control steps], about a missed throw. Source: ours."""
 
@@ -103,6 +105,10 @@ class CatchEnv:
         method.require_same_view(teacher)
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
+        if cfg.scene.camera not in (CatchEnvCfg().scene.camera, cfg.sensing.camera.camera):
+            raise InvalidValueError("scene.camera is not sensing.camera; give cameras by task.with_camera.")
+        for each in cfg.all_variants:
+            each.sensing.require_sight(sample_paths(each.throws, NUM_SEEN).flatten(0, 1)[None])
         self.method, self.teacher, self.num_envs = method, teacher, num_envs
         self.world = CatchWorld(cfg.scene, cfg.dynamics, num_envs=num_envs, device=device)
         self.device = self.world.device

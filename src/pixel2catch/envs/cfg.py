@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.checks import NOT_EMPTY, Share, require
+from pixel2catch.checks import NOT_EMPTY, Share, require, require_used
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -61,6 +61,9 @@ class CatchEnvCfg:
 
     def __post_init__(self) -> None:
         require(tuple[TaskVariant, ...], "variants", self.variants)
+        require_used(
+            self.scene, ("object_friction", "object_restitution"), False, "in a task, which draws it"
+        )
         shares = [variant.share for variant in self.variants]
         if sum(shares) > 1.0 + 1e-6:
             raise InvalidValueError(f"the shares of the variants are {shares}; their sum must not exceed 1")

@@ -78,14 +78,13 @@ def task_of(
 
 def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
     """Yield a remark on the camera if it is not the release's, or not one of the training's region."""
-    method = method_of(policy.contract)
-    if method.is_levelled:
-        yield from region_remark(method, task.sensing.camera.camera)
-        return
-    trained = _camera_of(policy)
-    if task.sensing.camera.camera != trained:
+    method, file, trained = method_of(policy.contract), task.sensing.camera, _camera_of(policy)
+    yield from region_remark(method, file.camera)
+    if any(file.distortion):
+        yield "the distortion of the camera's lens is not simulated: policies need rectified images"
+    if (file.camera != trained or task.sensing.any_camera) and not method.is_levelled:
         yield "the policy was trained for another camera: this is what the change does to it"
-    elif trained != RGB_CAMERA:
+    elif trained != RGB_CAMERA and not method.is_levelled:
         yield "the policy was trained for a camera of its own, and sees by that"
 
 

@@ -93,8 +93,9 @@ def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table
     rows = list[Cells]()
     for name, result in results.items():
         rows.append({"objects": name, **_cells(result)})
-        if "reachable" in result:
-            rows.append({"objects": "  reachable", **_cells(result["reachable"])})
+        if result["reachable_rate"] < 1.0:
+            own = _cells(result["reachable"]) if "reachable" in result else {"trials": "0"}
+            rows.append({"objects": "  reachable", **own})
         if paper := PAPER.get((method, tuple(result["objects_thrown"]))):
             texts = (f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper)
             rows.append({"objects": "  paper", **dict(zip(MAIN_RATES, texts, strict=True))})

@@ -34,13 +34,8 @@ class GainRanges:
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
         """Return the ranges with an entry for each joint of a work cell: of none, one, or as many."""
         own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
-        return GainRanges(
-            stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
-            damping_scale=_for_each(self.damping_scale, own, "damping_scale"),
-            is_damping_relative=_for_each(
-                self.is_damping_relative, (False,) * len(own), "is_damping_relative"
-            ),
-        )
+        every = {"stiffness_scale": own, "damping_scale": own, "is_damping_relative": (False,) * len(own)}
+        return GainRanges(**{key: _for_each(getattr(self, key), each, key) for key, each in every.items()})
 
 
 Entry = TypeVar("Entry")
@@ -56,7 +51,7 @@ def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) 
 class DynamicsFile:
     """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges."""
 
-    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)  #: Of some joints or of all.
+    dynamics: JointDynamics = field(default_factory=JointDynamics.of)  #: Of some joints or of all.
     gains: GainRanges = GainRanges()  #: How the gains are randomised; the file has those of its joints.
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.
     #: Joints whose motion, held out from the fit, their command alone predicts better than these dynamics.
@@ -108,10 +103,8 @@ def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSp
     require_valid(gains, "gain_ranges")
     whole = GainRanges().of(workcell)
     for name in content:
-        columns, values = list(getattr(whole, name)), getattr(gains, name)
-        if len(values) != len(rows):
+        if len(values := getattr(gains, name)) != len(rows):
             raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(rows)}")
-        for row, value in zip(rows, values, strict=True):
-            columns[row] = value
-        whole = dataclasses.replace(whole, **{name: tuple(columns)})
+        columns = dict(enumerate(getattr(whole, name))) | dict(zip(rows, values, strict=True))
+        whole = dataclasses.replace(whole, **{name: tuple(columns.values())})
     return whole

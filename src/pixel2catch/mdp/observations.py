@@ -46,9 +46,7 @@ def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tenso
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = (
-        ((box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]) for box in (now, before)
-    )
+    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
@@ -147,8 +145,7 @@ def box_fit(frame: ObservationInputs) -> Features:
 @cache
 def _fit_columns(pixel_columns: tuple[int, ...]) -> tuple[int, ...]:
     seen = {PIXEL_FEATURES[column].lstrip("d") for column in pixel_columns}
-    names = enumerate(BOX_FIT_FEATURES)
-    return tuple(column for column, name in names if _is_fit_seen(name, seen))
+    return tuple(column for column, name in enumerate(BOX_FIT_FEATURES) if _is_fit_seen(name, seen))
 
 
 def _is_fit_seen(name: str, seen: set[str]) -> bool:

@@ -14,6 +14,7 @@ from torch import Tensor
 from pixel2catch.batches import Counts, Joints, Scalars
 from pixel2catch.checks import Amount, Range, Within
 from pixel2catch.devices import constant, uniform
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import GainRanges
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import drawn
@@ -110,6 +111,8 @@ def sample_delay(limits: Range, grid: float, num_envs: int, generator: torch.Gen
         return uniform((limits,), num_envs, generator)[:, 0]
     first, last = limits
     count = int((last - first) / grid + 1e-6) + 1
+    if last - first - grid * (count - 1) > 1e-6:
+        raise InvalidValueError(f"delays {first:g} to {last:g} do not fit their grid, {grid:g}; 0 draws any.")
     return first + grid * torch.randint(count, (num_envs,), generator=generator, device=generator.device)
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from pixel2catch.batches import Boxes, Counts, Flags, PointFlags, Points, Scalars, Vectors
 from pixel2catch.camera import region
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection
+from pixel2catch.camera.pinhole import Projection, box_of_points, is_in_view, nominal_projection, project
 from pixel2catch.checks import Amount, Range, Share, Within, require
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.tensors import select
@@ -80,6 +80,14 @@ class SensingCfg:
             raise InvalidValueError(
                 f"the camera has {camera.width} x {camera.height} pixels; policies need "
                 f"{RGB_CAMERA.width} x {RGB_CAMERA.height}: set that resolution and calibrate again."
+            )
+
+    def require_sight(self, points: Points) -> None:
+        """Refuse a camera in whose image none of these points [m] is."""
+        camera = self.camera.camera
+        if not self.any_camera and not is_in_view(camera, *project(camera, points)).any():
+            raise InvalidValueError(
+                "the camera sees no throw; correct its pos [m], quat (w, x, y, z) and fx [px], or the throws."
             )
 
 
@@ -162,14 +170,9 @@ class CameraErrors:
 
 def is_camera_exact(cfg: SensingCfg) -> bool:
     """Return whether the camera has no errors besides the noise of training."""
-    names = "camera_offset camera_turn focal_error box_bias drop_rate blackout_steps clock_error stamp_jitter"
-    drawn_per_episode = (*names.split(), "unstamped", "image_period", "noise_scale")
-    exact = SensingCfg()
-    return (
-        cfg.camera.is_exact
-        and not cfg.any_camera
-        and all(getattr(cfg, n) == getattr(exact, n) for n in drawn_per_episode)
-    )
+    names = "camera corner_noise latency_steps latency_grid joint_noise joint_bias least_visible box_scale"
+    exact = SensingCfg(**{name: getattr(cfg, name) for name in (*names.split(), "edge_noise")})
+    return cfg.camera.is_exact and cfg == exact
 
 
 def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
@@ -178,7 +181,8 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     offset, turn = (random_directions(num_envs, generator) for _ in range(2))
     chance = torch.rand(num_envs, 5, generator=generator, device=generator.device)
     amount = partial(drawn, num_envs=num_envs, generator=generator)
-    zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
+    sign = 1.0 - 2.0 * (chance < 0.5).float()
+    zoom = 1.0 + amount(cfg.focal_error) * sign[:, 0]
     spec = cfg.camera.camera
     assumed = nominal_projection(spec, offset)
     if cfg.any_camera:
@@ -199,16 +203,12 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
         drop_rate=amount(cfg.drop_rate),
         blackout_start=throw.hover_steps + (chance[:, 2] * latest).round().long(),
         blackout_steps=blackout_steps.long(),
-        clock_error=amount(cfg.clock_error) / CONTROL_DT * _sign(chance[:, 3]),
+        clock_error=amount(cfg.clock_error) / CONTROL_DT * sign[:, 3],
         stamp_jitter=amount(cfg.stamp_jitter) / CONTROL_DT,
         is_stamped=chance[:, 4] >= cfg.unstamped,
         image_period=amount(cfg.image_period),
         noise_scale=amount(cfg.noise_scale),
     )
-
-
-def _sign(chance: Scalars) -> Scalars:
-    return 1.0 - 2.0 * (chance < 0.5).float()
 
 
 def tracked_position(

@@ -14,6 +14,7 @@ from torch import Tensor
 from pixel2catch.batches import Counts, Quaternions, Scalars, Vectors
 from pixel2catch.checks import IN_ORDER, Amount, Range, Within
 from pixel2catch.devices import uniform
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import GRAVITY
 
 Depth = Annotated[Range, Within(0.05, 10.0)]  #: Along x [m].
@@ -68,6 +69,10 @@ def sample_throws(
 
     They reach their aim in spite of `drag`: deceleration by air over the square of the speed [1/m].
     """
+    if cfg.peak_z[1] < (least := cfg.clearance + max(cfg.release_z[0], cfg.aim_z[0])):
+        raise InvalidValueError(
+            f"peak_z is up to {cfg.peak_z[1]:g} m; release_z, aim_z, clearance need {least:g} m: change one."
+        )
     device = generator.device
     ranges = (cfg.release_x, cfg.release_y, cfg.release_z, cfg.aim_x, cfg.aim_y, cfg.aim_z, cfg.peak_z)
     draws = uniform(ranges, num_envs, generator)

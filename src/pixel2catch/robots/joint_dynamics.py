@@ -86,16 +86,17 @@ class JointDynamics:
         return (self.joints, *(tuple(getattr(self, name).tolist()) for name in PARAMETERS))
 
     @classmethod
-    def nominal(cls, specs: Sequence[JointSpec] = JOINTS) -> "JointDynamics":
-        """Return the nominal dynamics of joints, without latency and filter."""
+    def of(cls, specs: Sequence[JointSpec] = JOINTS, known: "JointDynamics | None" = None) -> "JointDynamics":
+        """Return the dynamics of joints: the known ones; others are nominal, without latency and filter."""
         fields = ("stiffness", "damping", "frictionloss", "armature")
-        return cls(
+        nominal = cls(
             joints=tuple(joint.name for joint in specs),
             **{name: np.array([getattr(joint, name) for joint in specs], dtype=float) for name in fields},
             latency=np.zeros(len(specs)),
             filter_gain=np.full(len(specs), np.inf),
             filter_lookahead=np.zeros(len(specs)),
         )
+        return known.over(nominal) if known else nominal
 
     def with_values(self, **values: Any) -> "JointDynamics":
         """Return the same joints with other values; one number holds for every joint."""
@@ -107,12 +108,6 @@ class JointDynamics:
         columns = [self.joints.index(name) for name in joints]
         values = {name: getattr(self, name)[columns] for name in PARAMETERS}
         return JointDynamics(joints=tuple(joints), **values)
-
-    @classmethod
-    def of(cls, specs: Sequence[JointSpec], known: "JointDynamics | None") -> "JointDynamics":
-        """Return the dynamics of joints: the known ones, nominal for the others."""
-        nominal = cls.nominal(specs)
-        return known.over(nominal) if known else nominal
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
         """Return the joints of both, those of `below` first; this one's values win for common joints."""

@@ -90,31 +90,24 @@ class WorkcellSpec:
 
     def columns(self, group: str) -> slice:
         """Return the columns of a joint group."""
-        first = 0
-        for each in self.groups:
-            if each.name == group:
-                return slice(first, first + len(each.joints))
-            first += len(each.joints)
-        raise UnknownNameError("joint group", group, [each.name for each in self.groups])
+        names = [each.name for each in self.groups for _ in each.joints]
+        if group not in names:
+            raise UnknownNameError("joint group", group, dict.fromkeys(names))
+        return slice(names.index(group), names.index(group) + names.count(group))
 
     @cached_property
     def palms(self) -> tuple[PlacedPalm, ...]:
         """Return all palms, robot by robot."""
         found, first = [], 0
         for placed in self.robots:
-            groups = [group for part in placed.robot.parts for group in part.groups]
-            before = first
-            for part in placed.robot.parts:
-                arms = sum(len(group.joints) for group in part.groups if group.role == "arm")
-                found += [
-                    PlacedPalm(
-                        spec=_prefixed(palm, placed.prefix),
-                        carriers=slice(before, first + arms),
-                        groups=tuple(placed.prefix + group.name for group in groups),
-                    )
-                    for palm in part.palms
-                ]
-                first += sum(len(group.joints) for group in part.groups)
+            parts, before = placed.robot.parts, first
+            groups = tuple(placed.prefix + group.name for part in parts for group in part.groups)
+            for part in parts:
+                roles = [group.role for group in part.groups for _ in group.joints]
+                carriers = slice(before, first + roles.count("arm"))
+                specs = [_prefixed(palm, placed.prefix) for palm in part.palms]
+                found += [PlacedPalm(spec=spec, carriers=carriers, groups=groups) for spec in specs]
+                first += len(roles)
         return tuple(found)
 
     def of_role(self, role: Literal["arm", "hand"]) -> tuple[slice, ...]:

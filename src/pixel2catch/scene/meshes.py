@@ -66,14 +66,11 @@ def _read(file: Path) -> Any:
         if len(mesh.faces) > MOST_FACES:
             raise InvalidValueError(f"it has {len(mesh.faces):,} faces; simplify it to {MOST_FACES:,}")
         mesh.fix_normals()
-        offsets = mesh.vertices - mesh.vertices.mean(axis=0)
-        thickness = np.linalg.svd(offsets, compute_uv=False).min()
+        _ = ConvexPart(vertices=np.asarray(mesh.vertices)).hull  # it has a volume
     except Exception as error:  # trimesh's readers raise many types
         raise InvalidValueError(
             f"'{file}' cannot be read as a mesh ({error}); give a file such as .stl or .obj."
         ) from error
-    if not thickness > 1e-9:
-        raise InvalidValueError(f"'{file}' has no volume; give a mesh that is not flat.")
     return mesh
 
 

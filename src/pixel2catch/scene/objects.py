@@ -6,12 +6,14 @@ inertia. Differs: the release's cone has its origin at half its height.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import radians
+from math import pi, radians
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from pixel2catch.checks import NAME, Positive, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.own_files import catalogue
 from pixel2catch.robots.poses import principal_axes
@@ -20,19 +22,34 @@ from pixel2catch.scene.shapes import ConvexPart, moments
 
 OBJECT_MASS = 0.03  #: Mass of every object [kg]. Source: release.
 
-LEAST_PARTS = 2
-"""Smallest number of geoms of the object's body, so that the model has the same layout for most objects."""
+OBJECT_BOUND = 0.3  #: Half the edge of a cube about the body origin that contains every object [m].
+DENSITIES = (1.0, 23_000.0)  #: Of objects [kg/m³]. Source: air, osmium.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectSpec:
     """A thrown object."""
 
-    name: str  #: Its name in the catalogue.
+    name: Annotated[str, NAME]  #: Its name in the catalogue.
     parts: tuple[ConvexPart, ...]  #: Convex parts in the body frame; they may overlap.
-    mass: float  #: Mass [kg].
+    mass: Positive  #: Mass [kg].
     inertia: Float[ndarray, "3"]  #: Principal moments of inertia about the axes of the body frame [kg·m²].
-    radius: float  #: Radius of a ball of the same volume [m].
+    radius: Positive  #: Radius of a ball of the same volume [m].
+
+    def __post_init__(self) -> None:
+        """Refuse what no body of this size can be, such as lengths in millimetres or a mass in grams."""
+        require_valid(self, f"object '{self.name}'")
+        size = np.abs(np.concatenate([part.vertices for part in self.parts])).max(axis=0)
+        squares = (self.inertia.sum() / 2.0 - self.inertia) / self.mass  # means along the axes [m²]
+        density = 0.75 * self.mass / (pi * self.radius**3)
+        is_body = DENSITIES[0] <= density <= DENSITIES[1] and ((squares > 0.0) & (squares < size**2)).all()
+        if size.max() > OBJECT_BOUND or not is_body:
+            raise InvalidValueError(
+                f"object '{self.name}' extends {100 * size.max():.3g} cm from its centre of mass, has "
+                f"{density:.3g} kg/m³ and inertia {self.inertia} kg·m²; give up to {100 * OBJECT_BOUND:g}"
+                f" cm, {DENSITIES[0]:g} to {DENSITIES[1]:g} kg/m³ and a possible inertia: lengths in m (a "
+                "mesh in millimetres: scale 0.001), a mass in kg."
+            )
 
     @property
     def drag_area(self) -> float:
@@ -65,8 +82,8 @@ def make_object(
 
 def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"], mass: float) -> ObjectSpec:
     """Return an object that collides as its parts, with a mass [kg] and the moments of a solid."""
-    if not mass > 0.0:
-        raise InvalidValueError(f"object '{name}' has a mass of {mass} kg; it must be greater than 0.")
+    if not solid[0, 0] > 1e-12:
+        raise InvalidValueError(f"object '{name}' has no volume; give parts larger than their overlap.")
     inertia = shapes.inertia(solid, mass)
     axes = _principal_axes(inertia)
     center = shapes.center_of_mass(solid)
@@ -173,7 +190,7 @@ _GROUPS: dict[str, tuple[ObjectSpec, ...]] = {
 }
 
 OBJECTS: dict[str, ObjectSpec] = catalogue(
-    ObjectSpec, {spec.name: spec for group in _GROUPS.values() for spec in group}
+    ObjectSpec, {spec.name: spec for group in _GROUPS.values() for spec in group}, taken=_GROUPS
 )
 """All objects by name, in the order of the object table; those of user files are last."""
 
@@ -190,7 +207,7 @@ def largest_radius(names: Iterable[str], scale: float = 1.0) -> float:
 
 def num_parts() -> int:
     """Return the number of geoms of the object's body; geoms that an object does not need lie inside it."""
-    return max(LEAST_PARTS, *(len(spec.parts) for spec in OBJECTS.values()))
+    return max(len(spec.parts) for spec in OBJECTS.values())
 
 
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy import ndarray
 
 from pixel2catch.checks import require_valid
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import UnknownNameError
 from pixel2catch.files import write_atomically
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
 from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
 from pixel2catch.scene.constants import quat_multiply
-from pixel2catch.scene.objects import OBJECTS, ObjectSpec, num_parts
+from pixel2catch.scene.objects import OBJECT_BOUND, OBJECTS, ObjectSpec, num_parts
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
@@ -29,7 +29,6 @@ NO_PART = "no_part"  #: Mesh of an unused geom of the object: a tetrahedron of 1
 OBJECT_START = (2.65, 0.0, 0.8)  #: Position of the object in `qpos0` [m]: the centre of the release points.
 
 FLOOR_BIT = 2  #: Contact bit of floor and object. Robot, table and object share bit 1.
-OBJECT_BOUND = 0.3  #: Half the edge of a cube about the body origin that contains every object [m].
 
 CONTACT_DATA = sum(
     1 << int(field)
@@ -255,11 +254,6 @@ def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
 def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     for each in OBJECTS.values():
         for i, part in enumerate(each.scaled(cfg.object_scale).parts):
-            if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
-                raise InvalidValueError(
-                    f"object '{each.name}' extends {100 * reach:.3g} cm from its centre of mass; it must be "
-                    f"at most {100 * OBJECT_BOUND:g} cm: scale it, a mesh in millimetres by 0.001."
-                )
             spec.add_mesh(name=f"{each.name}_part_{i}", uservert=part.vertices.ravel())
     corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
     spec.add_mesh(name=NO_PART, uservert=corners.ravel())

@@ -12,9 +12,10 @@ from math import cos, pi
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from pixel2catch.checks import Count, Positive, typed
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.poses import sphere_points
 
 RING_POINTS = 32  #: Vertices of a circle. Source: ours.
@@ -34,7 +35,12 @@ class ConvexPart:
     @cached_property
     def hull(self) -> ConvexHull:
         """Return the hull of the corners."""
-        return ConvexHull(self.vertices)
+        try:
+            return ConvexHull(self.vertices)
+        except (QhullError, ValueError) as error:
+            raise InvalidValueError(
+                "a part has no volume; give corners [m] that are not in one plane."
+            ) from error
 
     @cached_property
     def faces(self) -> Float[ndarray, "num_faces 3 3"]:

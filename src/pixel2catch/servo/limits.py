@@ -118,7 +118,7 @@ class JointLimits:
         if not 0.0 < share <= 1.0:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
         each = partial(np.where, [group.role == "arm" for group in workcell.groups for _ in group.joints])
-        lag = steady_lag(dynamics or JointDynamics.nominal(workcell.joints))
+        lag = steady_lag(dynamics or JointDynamics.of(workcell.joints))
         most, full_speed = _allowed(workcell, parts), np.array([j.velocity_limit for j in workcell.joints])
         own_speed = share * np.minimum(full_speed, most["speed"])
         part = own_speed / full_speed

@@ -12,5 +12,4 @@ WORKCELLS = (
     ),
 )
 """The hand's frame sits 9.5 mm above the flange, the least that an adapter takes. The base stands as far
-forward as the palm needs to be under every throw and look up there (ours).
-"""
+forward as the palm needs to be under every throw and look up there (ours)."""

@@ -9,5 +9,4 @@ WORKCELLS = (
         "ur5e_leap", UR5E.holding(LEAP_RIGHT, pos=(-0.028, -0.0115, 0.11), quat=(0.5, 0.5, -0.5, 0.5))
     ),
 )
-"""The fingers lead on from the flange, and the palm looks up at the start pose, as the Allegro hand's does
-(ours)."""
+"""The fingers lead on from the flange; the palm looks up at the start, as the Allegro hand's does (ours)."""
