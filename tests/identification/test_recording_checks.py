@@ -36,6 +36,8 @@ def test_clean_recording_passes(joints: tuple[str, ...]):
     checks = check_recording(clean(joints))
     assert [check.name for check in checks] == WHOLE + EACH * len(joints)
     assert all(check.is_good for check in checks)
+    fast = replace(clean(joints), t_cmd=clean().t_cmd / 10.0, t_meas=clean().t_meas / 10.0)
+    assert ("speed", joints[0]) in failures(fast)  # clocks in another unit: 17 rad/s
 
 
 def stalled(num_stalls: int) -> Recording:

@@ -34,6 +34,7 @@ SCALES = (0.7, 1.25)  # of slow motion to its commands (ours; a simulated UR5e h
 SLOW = 0.3  # window of a mean that leaves slow motion [s] (ours; servos do not follow fast motion)
 LARGEST_OFFSET = 0.2  # of positions from commands, in the median [rad] (ours; gravity bends servos by 0.06)
 MIN_SPEED_SHARE = 0.1  # least top speed of a joint, as a share of its limit (ours)
+MAX_SPEED_SHARE = 5.0  # largest top speed of a joint, as a share of its limit (ours; fast steps have 3.5)
 MIN_REVERSALS = 1  # least number of reversals of a joint (ours; without one, friction looks like an offset)
 PEAK_QUANTILE = 0.995  # of speeds and accelerations, counts as their peak (ours; no single samples)
 
@@ -206,7 +207,7 @@ def _is_copied(recording: Recording, column: int) -> bool:
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> DataCheck:
-    """Check that speed, acceleration and reversals of a joint show damping, armature and friction.
+    """Check that speed, acceleration and reversals of a joint show its parameters, and are possible.
 
     At the least acceleration the armature's torque is the simulated joint's dry friction (ours).
     """
@@ -214,6 +215,9 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
     signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
     reversals = int((np.diff(signs) != 0).sum())
     top_speed, top = (np.quantile(np.abs(values), PEAK_QUANTILE) for values in (speed, acceleration))
+    if top_speed > MAX_SPEED_SHARE * spec.velocity_limit:
+        fault = f"{top_speed:.1f} rad/s, beyond {spec.velocity_limit:g}: are times in s, positions in rad?"
+        return _judged("speed", False, fault, "", spec.name)
     needs = {
         f"{least_speed:.2f} rad/s": top_speed < least_speed,
         f"{least_acceleration:.1f} rad/s²": top < least_acceleration,

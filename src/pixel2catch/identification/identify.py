@@ -104,8 +104,7 @@ def start_of_fit(part: str, path: Path | None, fits_filter: bool, workcell: Work
             "with it, then the hand with --start and the dynamics file of the arm."
         )
     file = DynamicsFile.load(path, workcell) if path else None
-    before = JointDynamics.of(workcell.joints, file.dynamics if file else None).select(joints)
-    first = before
+    first = before = JointDynamics.of(workcell.joints, file.dynamics if file else None).select(joints)
     if fits_filter:
         servo = before if file else stiff(before)
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
@@ -122,14 +121,12 @@ def stiff(nominal: JointDynamics) -> JointDynamics:
 
 def checked(recordings: Sequence[Recording]) -> list[CheckedRecording]:
     """Check recordings; the last of several judges the fit."""
-    names = [str(Path(recording.name)) for recording in recordings]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    names, last = [str(Path(recording.name)) for recording in recordings], len(recordings) - 1
+    if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    is_last = [0 < number == len(recordings) - 1 for number in range(len(recordings))]
     return [
-        CheckedRecording(recording=each, checks=tuple(check_recording(each)), is_held_out=last)
-        for each, last in zip(recordings, is_last, strict=True)
+        CheckedRecording(recording=each, checks=tuple(check_recording(each)), is_held_out=0 < i == last)
+        for i, each in enumerate(recordings)
     ]
 
 
@@ -142,8 +139,7 @@ def identify(
     """
     for source in sources:
         failed = [check for check in source.checks if check.forbids_fit]
-        texts = [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in failed]
-        if texts:
+        if texts := [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in failed]:
             raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
     motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
