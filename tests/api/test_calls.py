@@ -155,16 +155,16 @@ def test_an_observation_in_3d_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
-    file = tmp_path / "dynamics.json"
-    DynamicsFile().save(file)
-    has_dynamics = replace(OWN, dynamics=JointDynamics.of())
-    experiment = p2c.preset("cpu", **SMALL)
+    task = replace(OWN, dynamics=JointDynamics.of())
+    DynamicsFile().save(file := tmp_path / "dynamics.json")
     wrong: tuple[tuple[type[Exception], str, dict[str, Any]], ...] = (
-        (InvalidValueError, "already; leave out one", {"task": has_dynamics, "dynamics": file}),
-        (InvalidValueError, "leave out task", {"preset": experiment, "task": "wide"}),
+        (InvalidValueError, "already; leave out one", {"task": task, "dynamics": file}),
+        (InvalidValueError, "leave out task", {"preset": p2c.preset("cpu", **SMALL), "task": "wide"}),
         (UnknownNameError, "Did you mean 'num_envs'", {"num_env": 3}),
         (PolicyMismatchError, "single_agent", {"start": "single_agent"}),  # a name, as for `load_policy`
     )
+    with pytest.raises(PolicyMismatchError, match="policy 'only_wh', here 'only_center'"):
+        p2c.evaluate("only_wh", p2c.find_method("only_center"))
     for error, words, given in wrong:
         with pytest.raises(error, match=words):
             p2c.train("proposed", tmp_path / "run", **given)

@@ -101,6 +101,9 @@ def evaluate(
     let_torch_sleep()
     require_cuda(device)
     policy = copy.deepcopy(policy if isinstance(policy, Policy) else load_policy(policy)).to(device)
+    method, contract = method or method_of(policy.contract), policy.contract
+    here = contract_of(method, find_workcell(contract.workcell))
+    contract.require(replace(here, camera=contract.camera))
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,
@@ -109,7 +112,7 @@ def evaluate(
         device=device,
         task=change(loading.task_of(policy, physics_hz)),
     )
-    return assess(policy, method or method_of(policy.contract), cfg)
+    return assess(policy, method, cfg)
 
 
 def train(
@@ -216,9 +219,8 @@ def run(training: Prepared, out: Path, *, resume: bool = False, preset: str | No
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
-    if isinstance(method, Method):
-        return method
-    return find_method(_known(method), find_workcell(cfg.scene.workcell))
+    workcell = find_workcell(cfg.scene.workcell)
+    return method if isinstance(method, Method) else find_method(_known(method), workcell)
 
 
 def _selected(objects: Objects) -> tuple[str, ...]:

@@ -121,8 +121,7 @@ class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
                 f"method '{env.method.name}' has the agents {', '.join([self._agent, *others])}; Gymnasium "
                 "has one: make 'single_agent' or 'catch_alone', or take CatchParallelEnv."
             )
-        self._env = env
-        self.num_envs, self.render_mode = env.num_envs, render_mode
+        self._env, self.num_envs, self.render_mode = env, env.num_envs, render_mode
         self._pictures = Pictures(env, render_mode)
         self.single_observation_space = space(env.observation_sizes[self._agent])
         self.single_action_space = space(env.action_sizes[self._agent], bound=1.0)
@@ -172,8 +171,7 @@ class CatchSingleEnv(gymnasium.Env[ndarray, ndarray]):
     def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
         """Wrap one environment with one agent, such as `pixel2catch.make("single_agent")`."""
         _require_env(env, "it must be 1, or take CatchVectorEnv")
-        self._vector = CatchVectorEnv(env, render_mode)
-        self.render_mode = render_mode
+        self._vector, self.render_mode = CatchVectorEnv(env, render_mode), render_mode
         self.observation_space = self._vector.single_observation_space
         self.action_space = self._vector.single_action_space
 
