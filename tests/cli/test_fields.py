@@ -200,9 +200,10 @@ def test_a_policy_of_other_images_is_refused(change: dict[str, object], words: s
 LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7", "7")
 
 
-def test_what_is_set_reaches_the_environment():
+def test_what_is_set_reaches_the_environment(capsys: pytest.CaptureFixture[str]):
     cfg = parse([*SMALL, "--task", "wide", "--env.variants.0.share=0.5", *LATE]).env
     assert [variant.share for variant in cfg.variants] == [0.5, 0.2, 0.2, 0.1]
+    assert "--env.sensing.latency-steps leaves out 4 variants" in capsys.readouterr().err
     assert cfg.variants[0].sensing == TASKS["wide"].variants[0].sensing
     env = CatchEnv(replace(cfg, variants=()), METHODS["only_center"], num_envs=64)
     assert set(env.episode.parameters.latency.tolist()) == {1.0, 2.0, 3.0}

@@ -84,14 +84,13 @@ def test_drag_area_of_a_cube_and_of_a_ball():
     assert OBJECTS["cube_s"].scaled(1.2).drag_area == pytest.approx(1.44 * 0.75 * 0.05**2)
 
 
-L_OUTLINE = ((0, 0), (70, 0), (70, 30), (30, 30), (30, 70), (0, 70))
-TOP = ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
+L_OUTLINE = np.array(((0, 0), (70, 0), (70, 30), (30, 30), (30, 70), (0, 70)))
+TOP = np.array(((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)))
 
 
 def l_mesh(path: Path, depth: float = 50.0) -> Path:
     """The package's `l_block` as a mesh [mm]: an outline of six corners, extruded."""
-    outline, faces = np.array(L_OUTLINE), np.array(TOP)
-    mesh = pytest.importorskip("trimesh").creation.extrude_triangulation(outline, faces, 1.0)
+    mesh = pytest.importorskip("trimesh").creation.extrude_triangulation(L_OUTLINE, TOP, 1.0)
     mesh.apply_scale((1.0, 1.0, depth)).export(path)
     return path
 

@@ -20,6 +20,7 @@ from pixel2catch.own_files import import_files
 if TYPE_CHECKING:
     from pixel2catch.api.calls import Prepared
 
+DRAWN = ("env.throws.", "env.randomization.", "env.sensing.")  #: Options that variants of a task have, too.
 METHOD = "proposed"  #: What is trained where no method is named.
 
 
@@ -88,17 +89,16 @@ class Train:
             device = given.get("device") or ("cuda" if torch.cuda.is_available() else "cpu")
             name = given.get("preset") or preset_for(device)
             start = {"start": Path(file)} if (file := given.get("start")) else {}
-            experiment = preset(
-                name,
-                "nominal" if (task := given.get("task")) is None else task,
-                workcell=given.get("workcell"),
-                device=device,
-                **start,
-                **files,
-            )
+            task, cell = given.get("task"), given.get("workcell")
+            task = "nominal" if task is None else task
+            experiment = preset(name, task, workcell=cell, device=device, **start, **files)
         for one, other in (("workcell", "env.scene.workcell"), ("physics-stages", "env.scene.physics-hz")):
             if {one, other} <= given.keys():
                 raise InvalidValueError(f"give --{one} or --{other}, not both.")
+        for option in (each for each in given if each.startswith(DRAWN)):
+            others = (f"env.variants.{i}{option[3:]}" for i in range(len(experiment.env.variants)))
+            if left := [each for each in others if each not in given]:
+                say(f"--{option} leaves out {len(left)} variants of the task; for all, add --{left[0]} ...")
         if "env.scene.physics-hz" in given:  # one rate throughout
             experiment = replace(experiment, train=replace(experiment.train, physics_stages=()))
         resumed = folder if "resume" in given else None
