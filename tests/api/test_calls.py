@@ -127,10 +127,9 @@ def height(frame: p2c.observations.ObservationInputs) -> torch.Tensor:
 
 
 def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    file = tmp_path / "dynamics.json"
+    file, out = tmp_path / "dynamics.json", tmp_path / "run"
     arm = JointDynamics.of(ur5e.ARM.joints).with_values(latency=0.02)
     DynamicsFile(dynamics=arm).save(file)
-    out = tmp_path / "run"
     p2c.train("only_center", out, task=OWN, dynamics=file, **SMALL)
     run = read_run(out)
     assert run.experiment.train.physics_stages == ()
@@ -141,6 +140,8 @@ def test_a_task_of_ones_own_is_trained_as_it_is(tmp_path: Path, capsys: pytest.C
     assert "in 3D" not in capsys.readouterr().out
     with pytest.raises(CheckpointError, match="'own', and 'nominal' is given"):
         p2c.train("only_center", out, task="nominal", resume=True)
+    with pytest.raises(CheckpointError, match="began with another hidden; leave it out"):
+        p2c.train("only_center", out, resume=True, hidden=(16,))
     p2c.train("only_center", out, resume=True, transitions=16)
     assert read_run(out).experiment.env == run.experiment.env
 

@@ -121,7 +121,7 @@ def test_metrics_without_contact_are_valid_json():
     missed = mapped(lambda values: values[2:3], five_trials())
     result = metrics(replace(missed, is_reachable=flags(1)), UR5E_ALLEGRO)
     assert (result["reachable_rate"], "reachable" in result) == (1.0, False)
-    unreachable = metrics(replace(trials, is_reachable=flags(0)), UR5E_ALLEGRO) | {"objects_thrown": []}
+    unreachable = metrics(replace(missed, is_reachable=flags(0)), UR5E_ALLEGRO) | {"objects_thrown": []}
     rates, *_ = result_tables({"seen": unreachable}, "proposed")
     assert [str([*column.cells][1]) for column in rates.columns[:2]] == ["  reachable", "0"]
     assert [result[name] for name in ("hold_speed", "hold_torque", "median_object_force")] == [None] * 3

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from recorded import AMPLITUDE, ARM, FREQUENCIES, JOINT_SPECS, LAG, ROBOTS, clean, position
 
-from pixel2catch.identification.checks import (
-    DataCheck,
-    check_recording,
-    excess_time,
-    measured_lag,
-    smoothed,
-)
+from pixel2catch.identification.checks import DataCheck, check_recording, excess_time, measured_lag, smoothed
 from pixel2catch.identification.recording import Recording
 
 CLOCKS = ["measurement times", "command times"]

@@ -107,10 +107,8 @@ def test_a_mesh_has_the_mass_properties_of_the_same_solid(tmp_path: Path):
 
 
 def test_a_fine_mesh_keeps_its_outline_within_a_millimetre(tmp_path: Path):
-    trimesh = pytest.importorskip("trimesh")
-    trimesh.creation.icosphere(subdivisions=4, radius=0.04).export(tmp_path / "ball.stl")
-    ball = mesh_object("ball", tmp_path / "ball.stl")
-    (part,) = ball.parts
+    pytest.importorskip("trimesh").creation.icosphere(4, radius=0.04).export(tmp_path / "ball.stl")
+    (part,) = (ball := mesh_object("ball", tmp_path / "ball.stl")).parts
     assert len(part.vertices) <= OUTLINE_POINTS
     reach = (part.vertices @ sphere_points(500).T).max(axis=0)
     assert np.abs(reach - 0.04).mean() < 2e-3

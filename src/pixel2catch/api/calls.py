@@ -14,12 +14,12 @@ from pixel2catch.checks import Device, PhysicsRate, require
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import CheckpointError, InvalidValueError
 from pixel2catch.evaluation import loading
 from pixel2catch.evaluation.metrics import Metrics, assess
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.learning.config import TrainCfg
-from pixel2catch.learning.experiment import Experiment, require_run
+from pixel2catch.learning.experiment import Experiment, read_run, require_run
 from pixel2catch.learning.experiment import preset as preset_of
 from pixel2catch.learning.log import wandb_package
 from pixel2catch.learning.train import TrainResult
@@ -192,6 +192,10 @@ def prepared(experiment: Experiment, method: str | Method, *, resume: bool = Fal
 def run(training: Prepared, out: Path, *, resume: bool = False, preset: str | None = None) -> TrainResult:
     """Train a method to the end; the run folder records the name of the preset."""
     cfg, env, method, teacher = training
+    before = read_run(out).experiment.train if resume else cfg
+    for name in ("start", "hidden", "initial_log_std"):
+        if getattr(cfg, name) != getattr(before, name):
+            raise CheckpointError(f"'{out}' began with another {name}; leave it out, or name another folder.")
     workcell = find_workcell(env.scene.workcell)
 
     def make_env(share: TrainCfg, physics_hz: float | None) -> CatchEnv:

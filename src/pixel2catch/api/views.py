@@ -35,11 +35,7 @@ Arrays = dict[str, ndarray]
 Values = dict[str, Any]
 
 RENDER_MODE = "rgb_array"  #: The only one, besides None for no pictures.
-METADATA: Mapping[str, Any] = {
-    "name": "pixel2catch",
-    "render_modes": [RENDER_MODE],
-    "render_fps": round(1.0 / CONTROL_DT),
-}
+METADATA: Values = {"name": "pixel2catch", "render_modes": [RENDER_MODE], "render_fps": round(1 / CONTROL_DT)}
 
 
 def space(size: int, bound: float = np.inf) -> Box:
