@@ -49,7 +49,7 @@ def over_the_palm(hover_steps: int, height: float = 0.05) -> EvaluationCfg:
         aim_x=(x - 1e-3, x + 1e-3),
         aim_y=(y - 1e-3, y + 1e-3),
         aim_z=(z - 0.01, z - 0.01),
-        peak_z=(z, z),
+        peak_z=(z + 0.01, z + 0.01),
         clearance=0.01,
         hover_steps=(hover_steps, hover_steps),
     )

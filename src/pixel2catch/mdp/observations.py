@@ -46,7 +46,8 @@ def pixel_features(before: Boxes, now: Boxes, camera: CameraSpec) -> Float[Tenso
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.
     """
-    (center, size), (old_center, old_size) = center_and_size(now), center_and_size(before)
+    center, old_center = ((box[:, :2] + box[:, 2:]) / 2 for box in (now, before))
+    size, old_size = (box[:, 2:] - box[:, :2] for box in (now, before))
     width, height = camera.width, camera.height
     shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
     return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
@@ -136,10 +137,7 @@ def box_fit(frame: ObservationInputs) -> Features:
     Source: ours, see `fit_boxes`.
     """
     features = fit_boxes(frame.now.boxes.box, frame.now.boxes.age, RGB_CAMERA)
-    columns = _fit_columns(frame.pixel_columns)
-    if len(columns) == features.shape[-1]:
-        return features
-    return torch.stack([features[:, column] for column in columns], dim=-1)
+    return torch.stack([features[:, column] for column in _fit_columns(frame.pixel_columns)], dim=-1)
 
 
 @cache
