@@ -59,7 +59,7 @@ def test_finds_the_camera_that_took_the_images(laboratory: Path, tmp_path: Path,
     assert main(["calibrate", *map(str, args)]) == 0
     printed = capsys.readouterr()
     assert "no board found in 1 of 9 images: blank.png" in printed.err
-    for words in ("Reprojection error: 0.", "worst image", "within the noise of 5 px", "±"):
+    for words in ("Reprojection error: 0.", "worst image", "within the noise of 5 px", "cm behind, 0.0"):
         assert words in printed.out
     found = CameraFile.load(out)
     assert np.linalg.norm(np.subtract(found.camera.pos, RGB_CAMERA.pos)) < 5e-3

@@ -72,7 +72,7 @@ class Capture:
         if (spread := blur(image.pixels, view)) > LARGEST_BLUR:
             return f"blurred ({spread:.1f} px): hold still, focus, expose for a shorter time"
         for (name, *_), taken in zip(self._rows[1:], self.taken, strict=True):
-            if len(taken.pixels) == len(view.pixels) and _change(taken, view) < LEAST_CHANGE:
+            if _change(taken, view) < LEAST_CHANGE:
                 return f"like {name}: move or tilt the board"
         self.taken.append(view)
         name = f"pose{len(self.taken):02d}.png"
@@ -81,13 +81,10 @@ class Capture:
 
     def _is_still(self, image: Image, view: BoardView | None) -> bool:
         before, self._before = self._before, (image, view) if view else None
-        if before is None or view is None or len(before[1].pixels) != len(view.pixels):
-            self._still_since = image.stamp
-            return False
-        last, seen = before
-        is_moving = _change(view, seen) > STILL_PIXELS
-        if image.joint_pos is not None and last.joint_pos is not None:
-            is_moving |= np.abs(image.joint_pos - last.joint_pos).max() > STILL_JOINTS
+        is_moving = before is None or view is None or _change(view, before[1]) > STILL_PIXELS
+        last = before[0].joint_pos if before else None
+        if image.joint_pos is not None and last is not None:
+            is_moving |= np.abs(image.joint_pos - last).max() > STILL_JOINTS
         if is_moving:
             self._still_since = image.stamp
         return image.stamp - self._still_since >= STILL_TIME
@@ -102,7 +99,9 @@ class Capture:
 
 
 def _change(view: BoardView, other: BoardView) -> float:
-    """Largest motion of a corner between two views of as many corners [px]."""
+    """Largest motion of a corner between two views [px]; infinite if they have other numbers of corners."""
+    if len(view.pixels) != len(other.pixels):
+        return np.inf
     return float(np.linalg.norm(view.pixels - other.pixels, axis=-1).max())
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.perception.calibration.lens import lens_values
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
 NUM_DRAWS = 100  #: Cameras that are drawn to estimate the effect of the uncertainty.
@@ -41,7 +42,7 @@ def compare(
     wanted, in_view = _pixels(policy, points)
     points, wanted = points[in_view], wanted[in_view]
     straight, is_seen = _pixels(calibrated.camera, points)
-    bent = _lens_shift(calibrated, points) * is_seen[:, None]
+    bent = (_lens_pixels(calibrated, points) - straight) * is_seen[:, None]
     distance = np.linalg.norm(straight + bent - wanted, axis=-1)
     drawn = calibrated.sample(NUM_DRAWS, torch.Generator().manual_seed(0))
     everywhere = torch.from_numpy(points).float().expand(NUM_DRAWS, -1, -1)
@@ -80,8 +81,6 @@ def advice(comparison: Comparison) -> Iterator[str]:
         )
     if comparison.uncertainty > noise:
         yield "The calibration is less certain than that noise: add images, nearer and turned differently."
-    else:
-        yield "To train with this camera, draw it anew in every episode within its uncertainty."
 
 
 def _pixels(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,16 +89,11 @@ def _pixels(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     return pixels[0].numpy(), is_in_view(camera, pixels, depth)[0].numpy()
 
 
-def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
-    """Displacement of points in the image by the distortion [px]."""
-    if not any(calibrated.distortion):
-        return np.zeros((len(points), 2))
-    camera = calibrated.camera
-    inverse = _rotation(camera).inv()
-    turn, move = inverse.as_rotvec(), -inverse.apply(camera.pos)
-    matrix, lenses = np.array(camera.matrix), (np.array(calibrated.distortion), np.zeros(4))
-    bent, straight = (cv2.projectPoints(points, turn, move, matrix, lens)[0][:, 0] for lens in lenses)
-    return bent - straight
+def _lens_pixels(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
+    """Return where a camera projects points through its lens [px]."""
+    inverse, lens = _rotation(calibrated.camera).inv(), lens_values(calibrated)[4:]
+    turn, move = inverse.as_rotvec(), -inverse.apply(calibrated.camera.pos)
+    return cv2.projectPoints(points, turn, move, np.array(calibrated.camera.matrix), lens)[0][:, 0]
 
 
 def _rotation(camera: CameraSpec) -> Rotation:

@@ -43,11 +43,12 @@ OUTLIER_FACTOR = 3.0  #: Error from which an image is left out, in medians. Sour
 ERRORS_USED, ERRORS_WRONG = 1.0, 5.0
 """Images with a smaller error are always used, those with a larger one never [px]. Source: ours; the corners
 of a sharp image are found within a few tenths of a pixel, and errors of 3 mrad in each joint make 1 px."""
+LARGEST_RMS = 1.5  #: Of all images that are used [px]. Source: ours, as above.
 
 JOINT_ERROR = 1e-3  #: Standard deviation of a constant error of each joint [rad]. Source: release.
 SQUARE_ERROR = 0.005  #: Relative standard deviation of a square's edge. Source: ours, 0.3 mm of 60.
-LARGEST_SQUARE_ERROR = 0.03  #: Of a square's edge, relative. Source: ours; it moves the camera by 14 mm.
-SURE = 3.0  #: Standard deviations from which an error of the square is significant. Source: ours.
+LARGEST_ERROR = 0.03  #: Of a square or the focal length, relative. Source: ours; the camera moves 14, 23 mm.
+SURE = 3.0  #: Standard deviations from which such an error is significant. Source: ours.
 FIRST_NOISE, LEAST_NOISE = 0.5, 0.05  #: Assumed and smallest error of corners [px]. Source: ours.
 ROBUST_SCALE = 1.0  #: Residuals far above this have less weight in the first fit [px].
 
@@ -100,11 +101,8 @@ class _Corners:
         rows = is_used[self.owner]
         return replace(self, points=self.points[rows], pixels=self.pixels[rows], owner=self.owner[rows])
 
-    def errors(
-        self, camera: Pose, board: Pose, common: Common | None = None
-    ) -> Float[np.ndarray, "num_points 2"]:
+    def errors(self, camera: Pose, board: Pose, common: Common) -> Float[np.ndarray, "num_points 2"]:
         """Return computed minus seen pixels [px]."""
-        common = np.zeros(len(self.stds)) if common is None else common
         num_joints = self.palm_rates.shape[1]
         joints, lens = common[1 : 1 + num_joints], common[1 + num_joints :]
         palms = (self.palms + np.einsum("j,njkl->nkl", joints, self.palm_rates))[self.owner]
@@ -123,7 +121,7 @@ class _Corners:
         joints, lens = (JOINT_ERROR,) * self.palm_rates.shape[1], (1.0,) * self.spread.shape[1]
         return np.array([SQUARE_ERROR, *joints, *lens])
 
-    def rms(self, camera: Pose, board: Pose, common: Common | None = None) -> Float[np.ndarray, " num_views"]:
+    def rms(self, camera: Pose, board: Pose, common: Common) -> Float[np.ndarray, " num_views"]:
         """Return the root mean square distance of seen and computed corners in each image [px]."""
         squares = np.bincount(self.owner, (self.errors(camera, board, common) ** 2).sum(-1))
         return np.sqrt(squares / np.bincount(self.owner))
@@ -148,9 +146,7 @@ class _Fit:
 def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     """Find the pose of a camera with this lens, and the board's in the hand.
 
-    Raises:
-        PerceptionError: There are too few images, they contradict each other or do not determine the pose, or
-            the squares have another size than given.
+    Raises PerceptionError if images are too few, leave the pose open, or contradict each other or the lens.
     """
     _require_enough(len(views), "images show the board in the hand")
     corners = _Corners(
@@ -172,9 +168,7 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     moves = poses.jacobian[:, :NUM_POSES]
     if np.linalg.cond(moves / np.linalg.norm(moves, axis=0)) > LARGEST_CONDITION:
         raise PerceptionError("the pose is unclear: the hand turned about one axis; add other turns.")
-    square_ratio = _square_ratio(used, poses)
     fit = _fit_with_common(used, poses, used.stds)
-    errors = used.errors(fit.camera, fit.board, fit.common)
     every, names = corners.rms(fit.camera, fit.board, fit.common), [view.name for view in views]
     quat = Rotation.from_matrix(fit.camera[:3, :3]).as_quat(canonical=True, scalar_first=True)
     covariance, num_errors = _covariance(fit, used), used.spread.shape[1]
@@ -183,6 +177,14 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
     focal, pose_std = used.spread[0] / fx, np.sqrt(covariance.diagonal()[:6])
     focal_std = float(np.sqrt(focal @ covariance[-num_errors:, -num_errors:] @ focal))
     pose = {"pos": tuple(fit.camera[:3, 3].tolist()), "quat": tuple(quat.tolist())}
+    square_ratio = _require_given(used, poses, lens, fx)
+    rms = float(np.sqrt((used.errors(fit.camera, fit.board, fit.common) ** 2).sum(-1).mean()))
+    if rms > LARGEST_RMS:
+        raise PerceptionError(
+            f"the reprojection error is {rms:.2f} px RMS, at most {LARGEST_RMS} px are valid: check the lens "
+            f"(its axis is at {lens.camera.cx:.0f}, {lens.camera.cy:.0f} px), --square, that the board is "
+            f"fixed, that the arm stood still, and first {names[(is_used * every).argmax()]}."
+        )
     return Calibration(
         file=CameraFile(
             camera=replace(lens.camera, fx=fx, fy=fy, cx=cx, cy=cy, **pose),
@@ -195,7 +197,7 @@ def calibrate(views: Sequence[HandView], lens: CameraFile) -> Calibration:
         left_out=tuple(name for name, used in zip(names, is_used, strict=True) if not used),
         square_ratio=square_ratio,
         focal_ratio=(fx / lens.camera.fx, focal_std),
-        rms=float(np.sqrt((errors**2).sum(-1).mean())),
+        rms=rms,
     )
 
 
@@ -225,12 +227,9 @@ def _first_guess(corners: _Corners, lens: CameraFile) -> tuple[Pose, Pose]:
     if len(boards) < NUM_DRAWN:
         raise PerceptionError("the board's pose is found in too few images: take them nearer and sharper.")
     rng = np.random.default_rng(0)
-    guesses = []
-    for _ in range(NUM_DRAWS):
-        few = rng.choice(list(boards), NUM_DRAWN, replace=False)
-        guess = _solve([corners.palms[i] for i in few], [boards[i] for i in few])
-        guesses.append((float(np.median(corners.rms(*guess))), guess))
-    return min(guesses, key=lambda guess: guess[0])[1]
+    draws = (rng.choice(list(boards), NUM_DRAWN, replace=False) for _ in range(NUM_DRAWS))
+    guesses = (_solve([corners.palms[i] for i in few], [boards[i] for i in few]) for few in draws)
+    return min(guesses, key=lambda guess: float(np.median(corners.rms(*guess, 0.0 * corners.stds))))
 
 
 def _solve(palms: Sequence[Pose], boards: Sequence[Pose]) -> tuple[Pose, Pose]:
@@ -289,18 +288,29 @@ def _fit_with_common(corners: _Corners, poses: _Fit, stds: Common) -> _Fit:
     return _fit(corners, poses.camera, poses.board, poses.common, noise / stds)
 
 
-def _square_ratio(corners: _Corners, poses: _Fit) -> tuple[float, float]:
-    """Edge of the squares by the arm's motion over the given edge, unless that is wrong; its deviation."""
-    fit = _fit_with_common(corners, poses, np.concatenate(([np.inf], corners.stds[1:])))
-    variance = _jackknife(fit, corners.owner)[NUM_POSES, NUM_POSES]
-    error, std = float(fit.common[0]), float(np.sqrt(variance))
-    if abs(error) > max(LARGEST_SQUARE_ERROR, SURE * std):
+def _require_given(corners: _Corners, poses: _Fit, lens: CameraFile, focal: float) -> tuple[float, float]:
+    """Return the squares' edge by the arm's motion over the given edge, and its standard deviation.
+
+    Raises PerceptionError if it, or the focal length of the result, is not as both fit the images freely.
+    """
+    free = replace(corners, spread=lens_spread(replace(lens, focal_std=lens.focal_std or None)))
+    stds, both = free.stds, [0, 1 + free.palm_rates.shape[1]]
+    stds[both] = np.inf
+    fit, scales = _fit_with_common(free, poses, stds), np.array((1.0, free.spread[0, 0]))
+    variances = _jackknife(fit, free.owner).diagonal()[NUM_POSES:]
+    (error, change), (std, focal_std) = scales * fit.common[both], scales * np.sqrt(variances[both])
+    if abs(error) > max(LARGEST_ERROR, SURE * std):
         raise PerceptionError(
             f"by the arm's motion the squares are {1.0 + error:.3f} ± {std:.3f} times as large as --square "
-            f"says: measure one on the paper, and give its edge. If it is right, the lens is not: its focal "
-            "length is off by about as much, or the table has positions of another arm."
+            "says: measure one on the paper, and give its edge."
         )
-    return 1.0 + error, std
+    moved = free.lens[0] + change
+    if abs(moved - focal) > max(LARGEST_ERROR * focal, SURE * focal_std):
+        raise PerceptionError(
+            f"by the arm's motion the focal length is {moved:.0f} ± {focal_std:.0f} px, not the given "
+            f"{free.lens[0]:.0f}: give the lens of this camera at this resolution, or a folder of images."
+        )
+    return 1.0 + float(error), float(std)
 
 
 def _moved(pose: Pose, step: np.ndarray) -> Pose:

@@ -131,10 +131,7 @@ def read_lens(
         topic: Of the CameraInfo; None for the only one.
         is_rectified: Whether images are rectified; then the projection matrix is the lens.
 
-    Raises:
-        PerceptionError: It cannot be read, OpenCV does not have this lens model, or too few images show the
-            board.
-        InvalidValueError: A camera file is damaged.
+    Raises PerceptionError if it cannot be read or OpenCV does not have this lens model.
     """
     if path.suffix == ".json":
         return CameraFile.load(path)

@@ -25,8 +25,6 @@ LEAST_MOTION = 0.002  #: Standard deviation from which joints moved in a directi
 LARGEST_STD = 1e-3  #: Standard deviation up to which a time counts as measured [s]. Source: ours.
 STEP, NUM_STEPS = 1e-3, 5  #: Step of a difference [s] and number of steps of the fit. Source: ours.
 
-Joints = Float[np.ndarray, " num_joints"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
@@ -43,7 +41,7 @@ class BoardMotion:
     """Views of a board, and joint positions, with their stamps [s]."""
 
     views: list[tuple[float, BoardView]] = field(default_factory=list)
-    joints: list[tuple[float, Joints]] = field(default_factory=list)
+    joints: list[tuple[float, Float[np.ndarray, " num_joints"]]] = field(default_factory=list)
 
     def timing(self, height: int) -> Timing:
         """Fit the times of a camera with images of a height [px]; refuse too little motion."""
