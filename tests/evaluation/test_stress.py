@@ -123,7 +123,8 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def arguments(policies: list[str], out: Path, *options: str) -> list[str]:
-    return ["stress", *policies, "--axes", "nominal", "edge_noise", *SIZE, "--out", str(out), *options]
+    task = ("--axes", "nominal", "edge_noise", "--camera", "people")
+    return ["stress", *policies, *task, *SIZE, "--out", str(out), *options]
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -138,6 +139,7 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, refusal: An
     assert main(arguments(policies, tmp_path)) == 0
     printed = capsys.readouterr()
     assert "4 of 4: second-edge_noise-10 done" in printed.err
+    assert "first: the policy was trained for another camera" in printed.err
     before = files(tmp_path)
     settings = ("nominal", "edge_noise-10")
     written = {f"cells/{policy}/{name}.json" for policy in ("first", "second") for name in settings}

@@ -4,6 +4,7 @@ A wrong name or value raises a `Pixel2CatchError` that names what is valid.
 """
 
 import copy
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -112,6 +113,8 @@ def evaluate(
         device=device,
         task=change(loading.task_of(policy, physics_hz)),
     )
+    for remark in loading.camera_remark(policy, cfg.task):
+        warnings.warn(remark, stacklevel=2)
     return assess(policy, method, cfg)
 
 

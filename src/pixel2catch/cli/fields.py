@@ -237,11 +237,11 @@ class SimulatedTask:
     def _disturbed(self, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
         return then(self.change(task))
 
-    def make(self, policy: "Policy") -> "CatchEnvCfg":
-        """Return the task in which a policy acts; print what its camera means."""
+    def make(self, policy: "Policy", name: str = "") -> "CatchEnvCfg":
+        """Return the task in which a policy acts; print what its camera means, behind a name."""
         from pixel2catch.evaluation.loading import camera_remark, task_of
 
         task = self.change(task_of(policy))
         for remark in camera_remark(policy, task):
-            say(remark)
+            say(f"{name}{remark}")
         return task

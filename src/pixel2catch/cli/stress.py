@@ -52,6 +52,7 @@ class Stress:
         from pixel2catch.cli.studies import make_slots, run_grid
         from pixel2catch.evaluation import policy_cells as cells
         from pixel2catch.evaluation.grid import StudyGrid
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import write_report
         from pixel2catch.scene.objects import select_objects
@@ -73,6 +74,8 @@ class Stress:
             device=device,
         )
         policies = cells.find_policies(self.policies)
+        for each in policies:
+            self.task.make(load_policy(each.folder)[0], f"{each.name}: ")
         grid = StudyGrid(cells.policy_cells(policies, settings, self.out, cfg, is_alone=len(slots) == 1))
         run_grid(grid, slots, "transfer" if self.engines else "stress")
 
