@@ -39,7 +39,7 @@ class Rehearse:
     out: NewFolder = field(default_factory=partial(free_folder, "rehearsal"))
 
     def run(self) -> None:
-        from pixel2catch.evaluation.loading import camera_remark, load_policy
+        from pixel2catch.evaluation.loading import load_policy, region_remark
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.workcells import find_workcell
 
@@ -55,9 +55,9 @@ class Rehearse:
         def show(outcome: "Outcome") -> None:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
-        policy, _ = load_policy(self.policy)
+        policy, method = load_policy(self.policy)
         task = cfg.task.make(policy, cfg.seed)
-        for remark in camera_remark(policy, task):
+        for remark in region_remark(method, task.sensing.camera.camera):
             say(remark)
         with held_folder(self.out):
             if cfg.lockstep:
