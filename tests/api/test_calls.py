@@ -173,9 +173,8 @@ def test_contradictions_and_options_that_are_gone_are_refused(tmp_path: Path):
 
 
 def test_evaluate_warns_of_another_camera():
-    size = {"num_envs": 1, "trials": 1, "physics_hz": 30.0}
     with pytest.warns(UserWarning, match="trained for another camera"):
-        p2c.evaluate("proposed", **size, change=lambda task: task.with_sensing(any_camera=True))
+        p2c.evaluate("proposed", num_envs=1, trials=1, change=lambda task: task.with_sensing(any_camera=True))
 
 
 def test_a_back_end_with_which_mujoco_cannot_be_imported_is_named():

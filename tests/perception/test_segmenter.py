@@ -153,6 +153,7 @@ def two_blobs() -> np.ndarray:
 
 
 def test_regions_have_the_boxes_of_training_and_are_together_the_mask():
+    assert len(find_blobs(np.kron(np.ones((256, 257)), [[1, 0], [0, 0]]) > 0)) == 256 * 257  # more than 2**16
     large, small = find_blobs(two_blobs())
     assert (large.area, large.width, large.height, large.center) == (40, 4, 10, (42.0, 25.0))
     assert (small.area, small.width, small.height, small.center) == (30, 6, 5, (11.0, 7.5))
